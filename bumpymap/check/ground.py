@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
-from bumpymap.core import NO_TILE, TileField
+from bumpymap.core import NO_TILE, Barred, TileField
 
 __all__ = ["DriveSteps", "MapReading", "drive_steps", "read_along", "with_ground"]
 
@@ -24,6 +24,9 @@ _END_80 = float(ndtri(0.9))
 """An end of an 80 % interval, in standard deviations."""
 _SHARED = 0.5
 """Share of the variance of a tile's interval that its neighbours on the way have in common."""
+_LINE_SD = 0.22
+"""ln c_r of one calibration drive over a tile scatters by this about the tile's: c_r is the mean over all lines and
+headings. Median over the terrains of the Warthog's calibration; it falls with the root of the length."""
 _LEAST_KNOWN = 0.5
 """With less of the places known, a stretch has no prediction."""
 
@@ -106,29 +109,44 @@ def read_along(steps: DriveSteps, stretches: int, field: TileField) -> MapReadin
     label, way, tile = steps.label[on], steps.way_m[on], steps.tile[on]
     c_r, down, up = _spreads(field)
     known = (tile >= 0) & np.isfinite(c_r[tile])
-    value = np.where(known, c_r[tile], 0.0)
+    passable = known & (field.barred.ravel()[tile] == Barred.NO)
+    # The vehicle drove here, so it was not on barred ground beside; where the map bars all, it is wrong about that.
+    use = np.where(passable.any(axis=1, keepdims=True), passable, known)
     nodes = len(steps.chance)
     group = label[:, None] * nodes + np.arange(nodes)
-    weight = way[:, None] * known
-    sums, known_m = (
-        np.bincount(group.ravel(), part.ravel(), minlength=stretches * nodes).reshape(stretches, nodes)
-        for part in (weight * value, weight)
+    sums, used_m, known_m = (
+        np.bincount(group.ravel(), (way[:, None] * part).ravel(), minlength=stretches * nodes).reshape(-1, nodes)
+        for part in (np.where(use, c_r[tile], 0.0), use, known)
     )
-    all_m = np.bincount(label, way, minlength=stretches)
-    chance = steps.chance * (known_m > _LEAST_KNOWN * all_m[:, None])
-    total = chance.sum(axis=1)
+    all_m = np.bincount(label, way, minlength=stretches)[:, None]
+    total = (steps.chance * (known_m > _LEAST_KNOWN * all_m)).sum(axis=1)
+    chance = steps.chance * (used_m > _LEAST_KNOWN * used_m.max(axis=1, keepdims=True))
     with np.errstate(divide="ignore", invalid="ignore"):
-        each = np.where(chance > 0.0, sums / known_m, 0.0)
-        mean = (chance * each).sum(axis=1) / total
-        spread = np.sqrt((chance * (each - mean[:, None]) ** 2).sum(axis=1) / total)
+        logs = np.where(chance > 0.0, np.log(sums / used_m), 0.0)
+        chance = chance / chance.sum(axis=1, keepdims=True)
+        log_mean = (chance * logs).sum(axis=1)
+        mean = np.exp(log_mean)
+        spread = mean * np.sqrt((chance * (logs - log_mean[:, None]) ** 2).sum(axis=1))
     mean[total < _LEAST_KNOWN] = np.nan
-    share = weight * steps.chance
-    stretch = np.broadcast_to(label[:, None], tile.shape)[known]
+    weight = (way[:, None] * steps.chance)[use]
+    stretch, tile = np.broadcast_to(label[:, None], tile.shape)[use], tile[use]
+    ridden = weight * c_r[tile]
+    level = np.maximum(np.bincount(stretch, ridden, minlength=stretches), 1e-12)
+    line = (
+        _LINE_SD * np.sqrt(field.rule.drive_m * np.bincount(stretch, ridden * c_r[tile], minlength=stretches)) / level
+    )
     below, above = (
-        _joint(stretch, tile[known], share[known], part[tile[known]] * value[known], stretches) / mean
+        np.hypot(
+            line, _joint(stretch, tile, weight, part[tile] * c_r[tile], stretches) / _share(level, stretch, weight)
+        )
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-_END_80 * below), mean * np.exp(_END_80 * above), spread)
+
+
+def _share(level: Floats, stretch: Integers, weight: Floats) -> Floats:
+    """Return the mean c_r of stretches from its weighted sums."""
+    return level / np.maximum(np.bincount(stretch, weight, minlength=len(level)), 1e-12)
 
 
 def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:

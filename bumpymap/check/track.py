@@ -31,6 +31,8 @@ _FIRST_CHANGES = (0.06, 0.2)
 _FORCE_CHANGE = 0.01
 """How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
+_SD_KNOTS = 200
+"""The error of the place changes slowly along the way: it is computed at so many knots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +79,11 @@ class DrivenTrack:
 
     def place_sd(self, at_s: Floats) -> Floats:
         """Return standard deviations of the place along one axis at some times, m, (n,)."""
-        knot = np.clip(np.searchsorted(self.time, at_s), 0, len(self.time) - 1)
-        one = np.zeros((len(at_s), len(self.time)))
-        one[np.arange(len(at_s)), knot] = 1.0
-        return np.asarray(np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2)))
+        knot = np.unique(np.linspace(0, len(self.time) - 1, _SD_KNOTS).round().astype(np.int64))
+        one = np.zeros((len(knot), len(self.time)))
+        one[np.arange(len(knot)), knot] = 1.0
+        each = np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2))
+        return np.interp(at_s, self.time[knot], each)
 
     def _sd(self, weights: Floats, part: int) -> Floats:
         k = len(self.time)
