@@ -65,7 +65,7 @@ def paint_check(result: CheckResult, ground: CheckGround | None) -> Image.Image:
     known = points[np.isfinite(points).all(axis=1)]
     with_map = ground is not None and len(known) > 0
     view = view_of(ground, known) if ground is not None and with_map else None
-    top = _TITLE if view is None else _TITLE + view.height + 44
+    top = _TITLE + 20 if view is None else _TITLE + view.height + 48
     pen = Pen(WIDTH, top + _ALONG + 70)
     _draw_title(pen, result)
     if ground is not None and view is not None:
@@ -73,6 +73,10 @@ def paint_check(result: CheckResult, ground: CheckGround | None) -> Image.Image:
         limits = () if result.ground is None else result.ground.class_limits
         draw_scatter(pen, _SCATTER, result.stretches, limits)
         _draw_legend(pen, scale)
+    words = "marks: the drive, with its 80 % error"
+    if view is not None:
+        words = f"line and grey: ride cost of the map, with its 80 % interval; {words}"
+    pen.text((_ALONG_LEFT, top - 15), words, INK, size=15)
     draw_along(pen, Box(_ALONG_LEFT, top, WIDTH - _EDGE - _ALONG_LEFT, _ALONG), result.stretches)
     return pen.finished()
 
@@ -101,7 +105,7 @@ def _draw_title(pen: Pen, result: CheckResult) -> None:
         way = float(np.sum(result.stretches.way_m))
         pen.text((_EDGE, 28), f"Ride cost measured over {metres(way)}", INK, size=24)
         mean = measured_mean(result.stretches)
-        text = f"{mean:.3f} rad/m on average; bars: 80 % error" if np.isfinite(mean) else "nothing was measured"
+        text = f"{mean:.3f} rad/m on average" if np.isfinite(mean) else "nothing was measured"
         pen.text((_EDGE, 58), text, FAINT, size=16)
         return
     name = _shortened(result.ground.name, 40)
@@ -146,7 +150,9 @@ def _draw_legend(pen: Pen, scale: RideScale) -> None:
         row += 24
     draw_disc(pen, (left + 10, row + 4), 3, off=True)
     pen.text((left + 30, row + 4), "large: errors do not explain the difference", INK, size=15)
-    row += 40
+    row += 28
+    pen.text((left + 30, row), "thin lines above: map and drive differ by a factor of 1.5", FAINT, size=14)
+    row += 34
     pen.text((left, row), "under them: ride cost of the map [rad/m]", INK, size=15)
     bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, 260)), (16, 260, 3))
     pen.paste(round(left), round(row + 14), np.rint(255.0 + _PALE * (bar - 255.0)).astype(np.uint8))
