@@ -1,8 +1,8 @@
 """What a map says of the way of a drive, seen through the error of the positions.
 
-A position is off by its error, so the drive may have been on the tile beside. Predictions are means over the places where
-the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss-Hermite quadrature for each step of the way. The
-whole of a stretch is moved together, since errors of positions last longer than a stretch takes.
+A position is off by its error, so the drive may have been on the tile beside. Predictions are means over the places
+where the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss-Hermite quadrature for each step of the
+way. The whole of a stretch is moved together, since errors of positions last longer than a stretch takes.
 """
 
 from dataclasses import dataclass, replace
@@ -146,7 +146,7 @@ def read_along(steps: DriveSteps, stretches: int, field: TileField) -> MapReadin
 
 def _share(level: Floats, stretch: Integers, weight: Floats) -> Floats:
     """Return the mean c_r of stretches from its weighted sums."""
-    return level / np.maximum(np.bincount(stretch, weight, minlength=len(level)), 1e-12)
+    return np.asarray(level / np.maximum(np.bincount(stretch, weight, minlength=len(level)), 1e-12))
 
 
 def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
@@ -154,7 +154,8 @@ def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
     c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
     with np.errstate(divide="ignore", invalid="ignore"):
         down, up = np.log(c_r / low) / _END_80, np.log(high / c_r) / _END_80
-    return c_r, *(np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
+    down, up = (np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
+    return c_r, down, up
 
 
 def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count: int) -> Floats:
@@ -165,4 +166,4 @@ def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count:
     pair, place = np.unique(stretch * tiles + tile, return_inverse=True)
     own = np.bincount(place, weight * sd) ** 2
     alone = np.bincount(pair // tiles, own, minlength=count) / total**2
-    return np.sqrt(_SHARED * common**2 + (1.0 - _SHARED) * alone)
+    return np.asarray(np.sqrt(_SHARED * common**2 + (1.0 - _SHARED) * alone))

@@ -1,8 +1,8 @@
 """How the inertial sensor sits in the vehicle: roll and pitch by gravity, yaw by how the vehicle speeds up and turns.
 
-Gravity is taken along the whole way, not at one stop, because a vehicle stands on a slope as readily as on level ground:
-the mean slope of the way is known from a map, and small without one. Yaw: the acceleration along the vehicle is that of
-its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how it is turned.
+Gravity is taken along the whole way, not at one stop, because a vehicle stands on a slope as readily as on level
+ground: the mean slope of the way is known from a map, and small without one. Yaw: the acceleration along the
+vehicle is that of its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how it is turned.
 """
 
 from dataclasses import dataclass
@@ -56,9 +56,7 @@ class Mounting:
     """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
 
-def find_mounting(
-    imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask
-) -> Mounting:
+def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
     Parameters
@@ -108,9 +106,7 @@ def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) ->
     return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
-def _yaw(
-    imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask
-) -> tuple[float, float]:
+def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
     felt = _band(level_force(imu, rotation, upward), imu.hertz)
     speeding = np.gradient(motion.speed) * imu.hertz
@@ -140,7 +136,7 @@ def _level(upward: Floats, motion: DrivenMotion, moving: Mask) -> Rotation:
     """Return the small rotation after which the vehicle is on average as tilted as the ground of its way."""
     norm = np.sqrt(1.0 + motion.along_slope**2 + motion.left_slope**2)
     tilted = np.stack([motion.along_slope / norm, motion.left_slope / norm], axis=1)
-    known = np.isfinite(tilted).all(axis=1)
+    known = np.asarray(np.isfinite(tilted).all(axis=1), np.bool_)
     if not (known & moving).any():
         known, tilted = np.ones_like(known), np.zeros_like(tilted)
     tilted = np.where(known[:, None], tilted, 0.0)

@@ -1,10 +1,10 @@
 """The equations of a way: what positions, heading, wheels and stops say of it, as sparse least squares.
 
 The state at each knot is east, north, speed, a turn beside the gyroscope's heading, the wandering error of the receiver
-(east, north) and the error of the acceleration. For the whole drive: the scale of the wheels, how the
-direction of driving lies in the sensor's levelled axes, the place of the antenna in the vehicle (ahead, left), the offset
-of the clocks and its drift. An antenna ahead of the point that the vehicle turns
-about looks like a clock that is fast, as long as the vehicle does not stop: starts and stops tell them apart.
+(east, north) and the error of the acceleration. For the whole drive: the scale of the wheels, how the direction of
+driving lies in the sensor's levelled axes, the place of the antenna in the vehicle (ahead, left), the offset of the
+clocks and its drift. An antenna ahead of the point that the vehicle turns about looks like a clock that is fast, as
+long as the vehicle does not stop: starts and stops tell them apart.
 """
 
 from dataclasses import dataclass
@@ -52,8 +52,7 @@ class Knots:
     heading: Floats
     """(k,) of the gyroscope, rad."""
     gained: NDArray[np.complex128]
-    """(k - 1,) what the accelerations along the sensor's levelled axes (x + i y) add up to from knot to knot, m/s; NaN where
-    they are not known."""
+    """(k - 1,) what the accelerations along the sensor's levelled axes (x + i y) add up to, m/s; NaN where unknown."""
     standing: Mask
     """(k,)"""
     changing: Mask
@@ -117,7 +116,9 @@ class TrackProblem:
         faster = np.where(np.isfinite(self.knots.gained), 1.0, np.where(self.knots.changing, _CHANGE, 1.0))
         return float(np.log(self.speed_change * self.force_change * faster).sum())
 
-    def _matrix(self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]) -> sparse.coo_array:
+    def _matrix(
+        self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]
+    ) -> sparse.coo_array:
         row, col, value = (np.concatenate([entry[axis] for entry in entries]) for axis in range(3))
         return sparse.coo_array((value, (row, col)), shape=(count, STATES * len(self.knots.time) + GLOBALS))
 
@@ -135,9 +136,7 @@ class TrackProblem:
             entries += [(row, STATES * (number + 1) + axis, one), (row, STATES * number + axis, -one)]
             entries += [(row, STATES * (number + side) + 2, -0.5 * way * one) for side in (0, 1)]
             entries += [(row, STATES * (number + side) + 3, -0.5 * mean * across * one) for side in (0, 1)]
-        left = np.concatenate(
-            [(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one]
-        )
+        left = np.concatenate([(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one])
         return self._matrix(2 * (k - 1), entries), left
 
     def _smooth(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
@@ -189,7 +188,7 @@ class TrackProblem:
         return self._matrix(len(stop) + len(rolls), entries), left
 
     def _weak(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
-        """What is assumed before any measurement, so that each unknown is held by something."""
+        """Return the equations of what is assumed before any measurement: each unknown is held by something."""
         k = state.count
         wander = self.scatter.wander_m
         col = np.concatenate([STATES * np.arange(k) + 2, [3, 4, 5, 6], STATES * k + np.arange(GLOBALS)])
@@ -198,7 +197,9 @@ class TrackProblem:
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
         if self.places is None:  # nothing else says where
-            col, sd, guess = (np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess)))
+            col, sd, guess = (
+                np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess))
+            )
         left = (state.values[col] - guess) / sd
         return self._matrix(len(col), [(np.arange(len(col)), col, 1.0 / sd)]), left
 
