@@ -36,6 +36,8 @@ _COLUMNS = {
 _GAP = 5.0
 """A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
 _LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
+_NEAR_S, _MOST_HOURS = 300.0, 14
+"""Two recordings that begin so near each other, but for so many whole hours, are told in two time zones."""
 _BRIDGED_S = 0.25
 """Accelerations are interpolated over at most so much time."""
 
@@ -160,9 +162,12 @@ def _wheels(sources: Sequence[DriveSignals], columns: dict[str, str], notes: lis
 
 def _require_common_clock(name: str, what: str, imu: Floats, times: Floats) -> None:
     if times[-1] < imu[0] or times[0] > imu[-1]:
+        hours = round(float(times[0] - imu[0]) / 3600.0)
+        zone = abs(times[0] - imu[0] - hours * 3600.0) < _NEAR_S and 0 < abs(hours) <= _MOST_HOURS
+        hint = f" They are {abs(hours)} h apart, like a time zone: write both in UTC." if zone else ""
         raise BadInputError(
-            f"the {what} of {name} have no time in common with its angular rates: {_span(times)} against {_span(imu)}. "
-            "Write both with times of the same clock"
+            f"the {what} of {name} have no time in common with its angular rates: {_span(times)} against {_span(imu)}."
+            f"{hint or ' Write both with times of the same clock'}"
         )
 
 

@@ -53,12 +53,22 @@ def bag_signals(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Drive
     UsageError
         The extra ``ros`` is not installed.
     """
+    name = ", ".join(path.name for path in paths)
+    try:
+        return _read(name, paths, columns)
+    except MemoryError as error:  # its messages are small, so a length in it is wrong
+        raise BadInputError(
+            f"cannot read the bag {name}: it declares a record that is larger than the memory. It is damaged; mend it "
+            "(mcap recover IN.mcap -o OUT.mcap, or ros2 bag reindex FOLDER), or copy it again"
+        ) from error
+
+
+def _read(name: str, paths: Sequence[Path], columns: Mapping[str, str]) -> list[DriveSignals]:
     bags = [Ros1Bag(path) if is_ros1(path) else BagReader(path) for path in paths]
     held: dict[str, tuple[str, int]] = {}
     for bag in bags:
-        for name, (kind, count) in bag.topics.items():
-            held[name] = (kind, count + held.get(name, (kind, 0))[1])
-    name = ", ".join(path.name for path in paths)
+        for topic, (kind, count) in bag.topics.items():
+            held[topic] = (kind, count + held.get(topic, (kind, 0))[1])
     topics = {role: topic for role in _TYPES if (topic := _choose(name, held, role, columns.get(role)))}
     found = [_signals(role, topics[role].name, rows) for role, rows in _messages(bags, topics).items() if len(rows)]
     listing = f"{name}: {', '.join(f'{topic} ({kind})' for topic, (kind, _) in sorted(held.items())) or 'no topics'}"

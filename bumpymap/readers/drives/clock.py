@@ -16,7 +16,8 @@ _EPOCH = (("s", 1e8, 1e10), ("ms", 1e11, 1e13), ("us", 1e14, 1e16), ("ns", 1e17,
 _FACTOR = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _STEP_S = {"rates": (2e-4, 0.3), "positions": (0.004, 5.0)}
 """Time between two samples, from and to, s: other times between them are in another unit."""
-_SLOWEST_S = 600.0
+_SLOWEST_S = {"rates": 0.6, "positions": 60.0}
+"""A longer time between two samples says that times are not since 1970, but since a start, in a smaller unit."""
 _MOST_REPEATED = 0.5
 
 
@@ -101,7 +102,7 @@ def seconds_of_numbers(
 def _unit_of(numbers: NDArray[Any], kind: str) -> str | None:
     middle, step = float(np.median(numbers)), _median_step(numbers)
     since_1970 = next((unit for unit, least, most in _EPOCH if least <= middle < most), None)
-    if since_1970 is not None and not step * _FACTOR[since_1970] > _SLOWEST_S:
+    if since_1970 is not None and not step * _FACTOR[since_1970] > _SLOWEST_S[kind]:
         return since_1970
     least_s, most_s = _STEP_S[kind]
     # The first unit that will do: the next one differs by a factor of 1000, almost the whole range.
@@ -132,8 +133,9 @@ def in_order(time: Floats, what: str) -> tuple[NDArray[np.intp], str | None]:
     back = np.flatnonzero(steps < 0.0)
     if len(back):
         place = int(back[0])
+        count = "once" if len(back) == 1 else f"{len(back):,} times"
         raise BadInputError(
-            f"the times of {what} run backwards {len(back):,} times, first from {time[place]:.3f} s to "
+            f"the times of {what} run backwards {count}, first from {time[place]:.3f} s to "
             f"{time[place + 1]:.3f} s at sample {place + 2:,}. If these are several drives, give each as its own file; "
             "if the clock was set while recording, use a time that runs on, such as the time since the start"
         )

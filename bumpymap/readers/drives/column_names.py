@@ -13,6 +13,8 @@ __all__ = ["DriveColumn", "guess_columns", "unit_in_name"]
 _SPLIT = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9]+")
 _UNIT = re.compile(r"\s*(?:\[([^\]]*[A-Za-z°][^\]]*)\]|\(([^)]*[A-Za-z°][^)]*)\)|:([A-Za-z°][^:]*))\s*$")
 _SUFFIX = re.compile(UNIT_SUFFIX)
+_CLOCKS = {"millis", "micros", "nanos"}
+"""Names of times that are nothing but a unit."""
 _NANOSECONDS = re.compile(r"n(?:ano)?(secs?|seconds)$")
 
 
@@ -81,6 +83,9 @@ def _spellings(name: str) -> Iterator[tuple[str, str]]:
         yield _joined(name[: bracket.start()]), next(part for part in bracket.groups() if part is not None)
         return
     words = _joined(name)
+    if words in _CLOCKS:
+        yield "time", words
+        return
     yield words, ""
     suffix = _SUFFIX.search(words)
     if suffix is not None:

@@ -44,6 +44,7 @@ GROUPS = (
             r"(?:rotation_rate|turn_rate|rate|body_rate|angular)_?([xyz])",
             r"([xyz])_?(?:gyro|rate)",
             r"(roll|pitch|yaw)_?(?:rate|speed|vel|velocity)",
+            r"=g_?([xyz])",
         ),
         _AXES,
     ),
@@ -74,7 +75,7 @@ SINGLE: Mapping[str, Sequence[str]] = {
     "time": (
         r"(?:header_)?stamp(?:_secs?)?",
         r"timestamp|time_stamp",
-        r"=(?:time|t)",
+        r"=(?:time|t|ts)",
         r"=(?:date_?time|utc|time_utc|gpst|unix|epoch|seconds_elapsed|time_elapsed|elapsed|elapsed_time|secs?|seconds)",
         r"=date",
         r"time|time_boot",

@@ -53,7 +53,7 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
 def _paths(place: str) -> list[Path]:
     """Return the files that a text names; a comma in the name of an existing file separates nothing."""
     if not place.strip():
-        raise UsageError("`drives` is empty. Give a file, the folder of a bag, or files joined by commas")
+        raise UsageError("the name of a drive is empty. Give a file, the folder of a bag, or files joined by commas")
     whole = Path(place)
     paths = [whole] if whole.exists() else [Path(part.strip()) for part in place.split(",") if part.strip()]
     for path in paths:

@@ -1,5 +1,6 @@
 """Find the header line of a table of text, its separator and its first row."""
 
+import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -123,9 +124,13 @@ def _first_row(path: Path, lines: Sequence[str]) -> tuple[int, str]:
 
 
 def _cells(line: str, separator: str) -> list[str]:
-    in_one = DATE_AND_TIME.sub(rb"\1T\2", line.encode()).decode() if separator == " " else line
-    parts = in_one.split(None if separator == " " else separator)
-    return [part.strip().strip('"').strip() for part in parts]
+    if separator == " ":
+        return DATE_AND_TIME.sub(rb"\1T\2", line.encode()).decode().replace('"', "").split()
+    try:
+        parts = next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])
+    except csv.Error:  # a quote that does not end
+        parts = line.split(separator)
+    return [part.strip() for part in parts] or [""]
 
 
 def _with_units(heads: Sequence[Sequence[str]]) -> list[str]:

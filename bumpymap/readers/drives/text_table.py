@@ -13,7 +13,7 @@ from bumpymap.readers.source import open_source, size_of
 
 __all__ = ["TextTable", "open_table"]
 
-_MOST_BYTES = 4 << 30
+_MOST_BYTES = 2 << 30
 _MOST_REWRITTEN = 1 << 30
 """Files with remarks between their rows, or with blanks between their values, are rewritten in memory."""
 _NULLS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "N/A", "NA", "n/a", "-", "#N/A"]

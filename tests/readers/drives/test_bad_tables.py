@@ -50,7 +50,7 @@ def test_a_message_of_missing_rates_lists_the_columns(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda c: c["time"].__setitem__(slice(200, None), c["time"][200:] - 1.5), "run backwards 1 times"),
+        (lambda c: c["time"].__setitem__(slice(200, None), c["time"][200:] - 1.5), "run backwards once"),
         (lambda c: c.update(time=np.floor(c["time"])), "too coarse"),
         (lambda c: c["time"].fill(np.nan), "holds no times"),
         (lambda c: c.update(time=["then"] * 400), "are text such as 'then'"),
@@ -90,14 +90,17 @@ def test_lines_of_other_lengths_are_refused(tmp_path):
     assert "50 of 100 lines do not have the 4 values" in refusal(path)
 
 
-def test_files_of_different_clocks_are_refused(tmp_path):
+@pytest.mark.parametrize(("later", "says"), [(1.7e9, "the same clock"), (7210.0, "2 h apart, like a time zone")])
+def test_files_of_different_clocks_are_refused(tmp_path, later, says):
     columns = drive()
     imu = write(tmp_path / "imu.csv", {name: columns[name] for name in NAMES[:4]})
     gnss = write(
         tmp_path / "gnss.csv",
-        {"time": columns["time"][::10] + 1.7e9, "lon": columns["lon"][::10], "lat": columns["lat"][::10]},
+        {"time": columns["time"][::10] + later, "lon": columns["lon"][::10], "lat": columns["lat"][::10]},
     )
-    assert "no time in common" in refusal(f"{imu},{gnss}")
+    text = refusal(f"{imu},{gnss}")
+    assert "no time in common" in text
+    assert says in text
 
 
 def test_two_sensors_in_one_file_are_not_mixed(tmp_path):

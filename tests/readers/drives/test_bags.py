@@ -160,6 +160,16 @@ def test_a_damaged_bag_is_refused(tmp_path):
     assert "cannot read the bag" in refusal(bag)
 
 
+def test_a_wrong_length_in_a_bag_is_no_lack_of_memory(tmp_path, monkeypatch):
+    bag = write_bag(tmp_path / "drive", imus())
+
+    def fail(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("bumpymap.readers.drives.bag_signals.BagReader.messages", fail)
+    assert "It is damaged" in refusal(bag)
+
+
 def test_a_bag_of_ros_1(tmp_path):
     from rosbags.rosbag1 import Writer
 

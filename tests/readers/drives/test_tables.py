@@ -32,6 +32,14 @@ def test_any_separator_remark_and_line_end_gives_the_same_drive(tmp_path, separa
     assert log.name == "drive"
 
 
+def test_quotes_around_names_and_text_beside_numbers(tmp_path):
+    columns = drive()
+    quoted = {f'"{name}"': values for name, values in columns.items()}
+    quoted['"remark, if any"'] = ['"wet, soft"'] * 400
+    log = read_drive(write(tmp_path / "a.csv", quoted))
+    np.testing.assert_array_equal(log.imu.rate, gyro(columns))
+
+
 def test_remarks_between_rows_and_lines_before_the_header_are_skipped(tmp_path):
     columns = drive(50)
     text = (tmp_path / "drive.csv", columns)
