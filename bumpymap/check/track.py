@@ -123,7 +123,8 @@ def fit_track(
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
     first = _first(knots, places, start)
     if places is None:
-        problem = TrackProblem(knots, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
+        blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
+        problem = TrackProblem(blind, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
         return _track(problem, *_solve(problem, first)[:2])
     return _track(*_best(knots, places, scatter, first, start))
 

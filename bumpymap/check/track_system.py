@@ -196,7 +196,8 @@ class TrackProblem:
         sd = np.concatenate([np.full(k, _WEAK_SPEED * np.sqrt(k)), first, _WEAK])
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
-        if self.places is None:  # nothing else says where
+        if self.places is None:  # nothing else says where, or how far a turn of the wheels takes the vehicle
+            sd[SCALE - GLOBALS] = 1e-3
             col, sd, guess = (
                 np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess))
             )

@@ -1,0 +1,162 @@
+"""Drives whose pitch, way, clock, mounting and noise are known: what is measured is held against what was put in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bumpymap.check import MeasureSettings, cut_stretches, measure_drive, metre_places
+from bumpymap.core import BadInputError, ImuTrack, WheelTrack
+
+
+def measured(log, settings=None):
+    places = None if log.places is None else metre_places(log.places, log.places.x, log.places.y, log.name)
+    found = measure_drive(log, places, settings or MeasureSettings())
+    return found, cut_stretches(found, 10.0)
+
+
+def true_c_r(log, cut, pitch_rate, way):
+    step = log.imu.time[1] - log.imu.time[0]
+    turned = np.concatenate([[0.0], np.cumsum(np.abs(pitch_rate)) * step])
+    at = np.append(log.imu.time, log.imu.time[-1] + step)
+    whole = np.append(way, way[-1])
+    return (np.interp(cut.end_s, at, turned) - np.interp(cut.start_s, at, turned)) / (
+        np.interp(cut.end_s, at, whole) - np.interp(cut.start_s, at, whole)
+    )
+
+
+@pytest.fixture(scope="module")
+def good(made_drives):
+    made = made_drives.MadeDrive(
+        offset=0.31, mount_deg=(3.0, -4.0, 5.0), noise=0.01, bias=0.01, place_white=0.015, place_wander=0.01
+    )
+    log, pitch_rate, way = made_drives.log_of(made)
+    return made, log, pitch_rate, way, *measured(log)
+
+
+def test_c_r_of_each_stretch_is_that_of_the_drive(good):
+    _, log, pitch_rate, way, _, cut = good
+    true = true_c_r(log, cut, pitch_rate, way)
+    assert len(true) >= 10
+    assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
+    assert (np.abs(cut.measured - true) < 3.0 * cut.measured_sd).mean() > 0.9
+
+
+def test_the_offset_of_the_clocks_is_found(good):
+    made, _, _, _, found, _ = good
+    assert found.clock_offset_s == pytest.approx(made.offset, abs=0.04)
+
+
+def test_the_mounting_is_found(good):
+    made, _, _, _, found, _ = good
+    assert found.mount_deg[:2] == pytest.approx(made.mount_deg[:2], abs=0.5)
+    assert found.mount_deg[2] == pytest.approx(made.mount_deg[2], abs=2.0)
+
+
+def test_the_floor_is_that_of_the_noise_in_the_band(good):
+    made, _, _, _, found, _ = good
+    in_band = made.noise * np.sqrt(2.0 * found.band_hz / made.hertz)  # of white noise
+    assert found.floor_radps == pytest.approx(in_band * np.sqrt(2.0 / np.pi), rel=0.2)
+
+
+def test_the_way_is_as_long_as_it_was(good):
+    _, _, _, way, found, _ = good
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.01)
+
+
+def test_noise_of_positions_does_not_lengthen_the_way(made_drives):
+    log, _, way = made_drives.log_of(made_drives.MadeDrive(noise=0.01, place_white=0.25, place_wander=1.5, seed=5))
+    found, cut = measured(log)
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.06)
+    assert 0.5 < found.track.scatter.wander_m < 4.0
+    assert (cut.measured_sd > 0.02 * cut.measured).all()
+
+
+def test_a_sensor_upside_down_reads_the_same(made_drives, good):
+    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0))
+    log, pitch_rate, way = made_drives.log_of(made)
+    found, cut = measured(log)
+    assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
+    true = true_c_r(log, cut, pitch_rate, way)
+    assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
+
+
+def test_without_positions_the_way_is_that_of_the_wheels(made_drives, good):
+    made, log, pitch_rate, way, _, _ = good
+    speed = np.gradient(way, log.imu.time)
+    wheels = WheelTrack(log.imu.time[::5], speed[::5], np.full(len(speed[::5]), np.nan))
+    found, cut = measured(replace(log, places=None, wheels=wheels))
+    assert np.isnan(found.clock_offset_s)
+    assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.02)
+    assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.04
+
+
+def test_the_same_drive_gives_the_same_bits(good):
+    _, log, _, _, found, cut = good
+    again, cut_again = measured(log)
+    assert np.array_equal(found.pitch_rate, again.pitch_rate)
+    assert np.array_equal(cut.measured, cut_again.measured)
+
+
+def test_a_gap_of_the_imu_does_not_count(good):
+    _, log, _, _, _, _ = good
+    keep = (log.imu.time < 60.0) | (log.imu.time > 64.0)
+    imu = ImuTrack(log.imu.time[keep], log.imu.rate[keep], log.imu.acceleration[keep])
+    found, cut = measured(replace(log, imu=imu))
+    inside = (found.time > 60.1) & (found.time < 63.9)
+    assert (found.reason[inside] == 1).all()
+    assert (cut.label[inside] == -1).all()
+
+
+def test_a_drive_without_accelerometer_is_measured_and_says_so(good):
+    _, log, _, _, _, _ = good
+    imu = replace(log.imu, acceleration=np.full_like(log.imu.acceleration, np.nan))
+    found, _ = measured(replace(log, imu=imu))
+    assert np.isnan(found.mount_deg).all()
+    assert any("no accelerometer" in note for note in found.notes)
+
+
+def refused(log, settings=None):
+    with pytest.raises(BadInputError) as caught:
+        measured(log, settings)
+    return str(caught.value)
+
+
+def test_an_imu_that_is_too_slow_is_refused(good):
+    _, log, _, _, _, _ = good
+    slow = ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])
+    assert "`band_hz`" in refused(replace(log, imu=slow))
+
+
+def test_degrees_read_as_radians_are_refused(good):
+    _, log, _, _, _, _ = good
+    degrees = replace(log.imu, rate=np.degrees(log.imu.rate))
+    assert "degrees per second" in refused(replace(log, imu=degrees))
+
+
+def test_radians_read_as_degrees_are_refused(good):
+    _, log, _, _, _, _ = good
+    wrong = replace(log.imu, rate=np.radians(log.imu.rate))
+    assert "radians per second" in refused(replace(log, imu=wrong))
+
+
+def test_a_parked_vehicle_is_refused(made_drives):
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=60.0))
+    assert "never drives" in refused(log)
+
+
+def test_clocks_without_common_time_are_refused(good):
+    _, log, _, _, _, _ = good
+    late = replace(log.places, time=log.places.time + 1e6)
+    assert "in common" in refused(replace(log, places=late))
+
+
+def test_a_drive_without_way_is_refused(good):
+    _, log, _, _, _, _ = good
+    assert "neither positions nor wheel speeds" in refused(replace(log, places=None))
+
+
+def test_few_positions_are_refused(good):
+    _, log, _, _, _, _ = good
+    few = replace(log.places, **{name: getattr(log.places, name)[:5] for name in ("time", "x", "y", "error")})
+    assert "5 usable positions" in refused(replace(log, places=few))
