@@ -29,6 +29,11 @@ class CheckGround(MapSource, Protocol):
         """CRS and units of the survey."""
         ...
 
+    @property
+    def window(self) -> TileWindow:
+        """The smallest window around all tiles."""
+        ...
+
 
 @dataclass(frozen=True, slots=True)
 class CheckPlaces:

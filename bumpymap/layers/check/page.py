@@ -11,6 +11,7 @@ from bumpymap.layers.check.tables import (
     drive_notes,
     drive_rows,
     left_out_rows,
+    warnings_of,
     worst_rows,
 )
 from bumpymap.layers.check.words import FEW, check_headline, names_of
@@ -73,7 +74,7 @@ def check_page(result: CheckResult, names: Iterable[str]) -> str:
             f"Map: vehicle {_plain(ground.vehicle)}, calibration {_plain(ground.calibration_id)}, driven at "
             f"{ground.speed_mps:g} m/s, limits of the classes {limits} rad/m."
         )
-    parts += _section("Warnings", _list(_warnings(result)))
+    parts += _section("Warnings", _list(map(_plain, warnings_of(result))))
     parts += _section("Map against drives", _table(AGREEMENT_HEAD, agreement_rows(result)))
     parts += _section("Where the map is off", *_off(result))
     parts += _section(
@@ -85,12 +86,6 @@ def check_page(result: CheckResult, names: Iterable[str]) -> str:
     parts += _section("How to read this", _READ, _READ_FIGURES if result.agreement is not None else "")
     parts += _section("Files", _list(f"`{name}`: {text}" for name, text in _FILES.items() if name in set(names)))
     return "\n\n".join(parts) + "\n"
-
-
-def _warnings(result: CheckResult) -> list[str]:
-    several = len(result.drives) > 1
-    own = [_plain(f"{drive.name}: {text}" if several else text) for drive in result.drives for text in drive.warnings]
-    return list(dict.fromkeys([*map(_plain, result.warnings), *own]))
 
 
 def _off(result: CheckResult) -> list[str]:

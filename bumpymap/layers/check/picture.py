@@ -1,8 +1,10 @@
 """Write check.png: the stretches on the map, coloured by how far it is off, and charts of map against drive."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import CheckResult, atomic
@@ -16,7 +18,7 @@ from bumpymap.layers.route._pen import Pen, tick_step
 from bumpymap.layers.route._relief import MapView, paint_ground
 from bumpymap.layers.route.frame import draw_north, draw_scale
 
-__all__ = ["paint_check", "write_check_picture"]
+__all__ = ["paint_check", "view_of", "write_check_picture"]
 
 WIDTH = 1600
 """Width of the picture, pixels."""
@@ -62,8 +64,8 @@ def paint_check(result: CheckResult, ground: CheckGround | None) -> Image.Image:
     points = np.column_stack([result.stretches.easting, result.stretches.northing])
     known = points[np.isfinite(points).all(axis=1)]
     with_map = ground is not None and len(known) > 0
-    view = MapView.around(ground.grid, known, _PANEL, _PANEL_HEIGHTS) if ground is not None and with_map else None
-    top = _TITLE if view is None else _TITLE + view.height + 44
+    view = view_of(ground, known) if ground is not None and with_map else None
+    top = _TITLE + 20 if view is None else _TITLE + view.height + 48
     pen = Pen(WIDTH, top + _ALONG + 70)
     _draw_title(pen, result)
     if ground is not None and view is not None:
@@ -71,8 +73,30 @@ def paint_check(result: CheckResult, ground: CheckGround | None) -> Image.Image:
         limits = () if result.ground is None else result.ground.class_limits
         draw_scatter(pen, _SCATTER, result.stretches, limits)
         _draw_legend(pen, scale)
+    words = "marks: the drive, with its 80 % error"
+    if view is not None:
+        words = f"line and grey: ride cost of the map, with its 80 % interval; {words}"
+    pen.text((_ALONG_LEFT, top - 15), words, INK, size=15)
     draw_along(pen, Box(_ALONG_LEFT, top, WIDTH - _EDGE - _ALONG_LEFT, _ALONG), result.stretches)
     return pen.finished()
+
+
+def view_of(ground: CheckGround, points: NDArray[np.float64]) -> MapView:
+    """Return the view around points, (n, 2) in metres, moved so that it shows as much of the map as it can."""
+    view = MapView.around(ground.grid, points, _PANEL, _PANEL_HEIGHTS)
+    bounds, metres = ground.grid.window_bounds(ground.window), view.metres
+    west = _moved(view.west, view.width * metres, (bounds.west, bounds.east))
+    south = _moved(view.north - view.height * metres, view.height * metres, (bounds.south, bounds.north))
+    moved = replace(view, west=west, north=south + view.height * metres)
+    shown = moved.pixels(points)
+    inside = (shown >= 0).all() and (shown <= [view.width, view.height]).all()
+    return moved if inside else view
+
+
+def _moved(start: float, length: float, ends: tuple[float, float]) -> float:
+    """Return the start of a span, moved so that it lies within two ends, or around their middle if it is longer."""
+    low, high = ends
+    return (low + high - length) / 2 if length > high - low else min(max(start, low), high - length)
 
 
 def _draw_title(pen: Pen, result: CheckResult) -> None:
@@ -81,7 +105,7 @@ def _draw_title(pen: Pen, result: CheckResult) -> None:
         way = float(np.sum(result.stretches.way_m))
         pen.text((_EDGE, 28), f"Ride cost measured over {metres(way)}", INK, size=24)
         mean = measured_mean(result.stretches)
-        text = f"{mean:.3f} rad/m on average; bars: 80 % error" if np.isfinite(mean) else "nothing was measured"
+        text = f"{mean:.3f} rad/m on average" if np.isfinite(mean) else "nothing was measured"
         pen.text((_EDGE, 58), text, FAINT, size=16)
         return
     name = _shortened(result.ground.name, 40)
@@ -126,7 +150,9 @@ def _draw_legend(pen: Pen, scale: RideScale) -> None:
         row += 24
     draw_disc(pen, (left + 10, row + 4), 3, off=True)
     pen.text((left + 30, row + 4), "large: errors do not explain the difference", INK, size=15)
-    row += 40
+    row += 28
+    pen.text((left + 30, row), "thin lines above: map and drive differ by a factor of 1.5", FAINT, size=14)
+    row += 34
     pen.text((left, row), "under them: ride cost of the map [rad/m]", INK, size=15)
     bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, 260)), (16, 260, 3))
     pen.paste(round(left), round(row + 14), np.rint(255.0 + _PALE * (bar - 255.0)).astype(np.uint8))

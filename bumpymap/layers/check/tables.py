@@ -10,7 +10,16 @@ from bumpymap.layers.check.offset import MapOffset
 from bumpymap.layers.check.words import metres, percent, sorted_reasons
 from bumpymap.layers.report.numbers import DASH, number
 
-__all__ = ["AGREEMENT_HEAD", "WORST_HEAD", "agreement_rows", "drive_notes", "drive_rows", "left_out_rows", "worst_rows"]
+__all__ = [
+    "AGREEMENT_HEAD",
+    "WORST_HEAD",
+    "agreement_rows",
+    "drive_notes",
+    "drive_rows",
+    "left_out_rows",
+    "warnings_of",
+    "worst_rows",
+]
 
 Rows = list[tuple[str, ...]]
 AGREEMENT_HEAD = (
@@ -111,9 +120,21 @@ def _mount(angles: Iterable[float]) -> str:
 
 def drive_notes(result: CheckResult) -> list[str]:
     """Return from which columns each drive was read and what was guessed, a sentence each."""
-    found = []
-    for drive in result.drives:
-        columns = ", ".join(f"{quantity} from {column}" for quantity, column in drive.columns.items())
-        notes = [f"read: {columns}", *drive.notes] if columns else list(drive.notes)
-        found += [f"{drive.name}: {note}" if len(result.drives) > 1 else note for note in notes]
-    return found
+    return [note for drive in result.drives for note in _named(result, drive, [*_columns(drive), *drive.notes])]
+
+
+def warnings_of(result: CheckResult) -> list[str]:
+    """Return the warnings of the whole check and of each drive, each once."""
+    own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
+    return list(dict.fromkeys([*result.warnings, *own]))
+
+
+def _columns(drive: CheckedDrive) -> list[str]:
+    columns = ", ".join(f"{quantity} from {column}" for quantity, column in drive.columns.items())
+    return [f"read: {columns}"] if columns else []
+
+
+def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:
+    """Put the name of a drive before texts that do not say it, where there are several drives."""
+    several, name = len(result.drives) > 1, drive.name
+    return [f"{name}: {text}" if several and not text.startswith(name) else text for text in texts]

@@ -57,9 +57,9 @@ def check_verdict(result: CheckResult) -> str:
     if _is_even(result.stretches) or not np.isfinite(rank):
         even = "the ground driven is too even to say whether it ranks ground rightly"
         return f"The level of the map holds; {even}" if level else f"The level of the map is off; {even}"
-    if rank >= RANKS:
+    if round(rank, 2) >= RANKS:  # as it is shown
         return "The map holds" if level else "The map ranks the ground rightly, but its level is off"
-    if rank >= ROUGHLY:
+    if round(rank, 2) >= ROUGHLY:
         return f"The map ranks the ground only roughly{'' if level else ', and its level is off'}"
     return "The map does not rank this ground as the vehicle felt it"
 

@@ -1,7 +1,5 @@
 """The section of a page on real drives over its map."""
 
-from collections.abc import Sequence
-
 from bumpymap.core import CheckResult
 from bumpymap.layers.check.tables import (
     AGREEMENT_HEAD,
@@ -10,6 +8,7 @@ from bumpymap.layers.check.tables import (
     drive_notes,
     drive_rows,
     left_out_rows,
+    warnings_of,
     worst_rows,
 )
 from bumpymap.layers.check.words import check_headline
@@ -47,9 +46,7 @@ def drive_figures(check: DrawnCheck, key: str) -> Html:
 
 
 def _warnings(result: CheckResult) -> Html:
-    several = len(result.drives) > 1
-    own = [f"{drive.name}: {text}" if several else text for drive in result.drives for text in drive.warnings]
-    found: Sequence[str] = list(dict.fromkeys([*result.warnings, *own]))
+    found = warnings_of(result)
     return join(tag("h3", "Warnings"), lines_of(*found)) if found else Html()
 
 

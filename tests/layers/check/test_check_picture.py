@@ -13,10 +13,9 @@ from bumpymap.layers.check import picture as picture_module
 from bumpymap.layers.check._plots import Box, draw_scatter
 from bumpymap.layers.check.log_axis import LogAxis
 from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.check.picture import paint_check
+from bumpymap.layers.check.picture import paint_check, view_of
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.route._pen import Pen
-from bumpymap.layers.route._relief import MapView
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
@@ -31,13 +30,28 @@ def test_every_mark_lies_on_its_stretch(ground):
     image = np.asarray(paint_check(result, ground)).astype(int)
     assert image.shape[1] == 1600
     points = np.column_stack([result.stretches.easting, result.stretches.northing])
-    view = MapView.around(ground.grid, points, picture_module._PANEL, picture_module._PANEL_HEIGHTS)
+    view = view_of(ground, points)
     corner = np.array([picture_module._EDGE, picture_module._TITLE])
     at = np.rint(view.pixels(points) + corner - 0.5).astype(int)
     kinds = MapOffset.of(result.stretches).kind
     wanted = np.array([OFF_COLOURS[int(kind)][:3] for kind in kinds])
     assert len(set(kinds.tolist())) > 3
     assert np.abs(image[at[:, 1], at[:, 0]] - wanted).max() <= 3
+
+
+@pytest.mark.parametrize("corner", ["south-west", "north-east", "off the map"])
+def test_the_view_stays_on_the_map_as_far_as_the_points_allow(ground, corner):
+    bounds = ground.grid.window_bounds(ground.window)
+    edge = {"south-west": (bounds.west, bounds.south), "north-east": (bounds.east, bounds.north)}
+    middle = np.array(edge.get(corner, (bounds.west - 50.0, bounds.south)))
+    points = middle + np.array([[-1.0, -1.0], [1.0, 1.0]]) * (0.5 if corner == "off the map" else 0.0)
+    view = view_of(ground, points)
+    south, east = view.north - view.height * view.metres, view.west + view.width * view.metres
+    shown = view.pixels(points)
+    assert (shown >= 0).all()
+    assert (shown <= [view.width, view.height]).all()
+    inside = view.west >= bounds.west and south >= bounds.south and east <= bounds.east and view.north <= bounds.north
+    assert inside == (corner != "off the map")
 
 
 def test_a_mark_of_the_scatter_lies_at_both_values():

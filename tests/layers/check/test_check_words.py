@@ -120,6 +120,18 @@ def test_the_page_has_the_figures_of_all_classes_and_the_worst_stretches():
     assert "check.geojson" not in page.split("## Files")[1]
 
 
+def test_the_name_of_a_drive_stands_before_what_does_not_say_it_if_there_are_several():
+    result = made_up_check(8, drives=2)
+    drives = (
+        replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")),
+        replace(result.drives[1], warnings=("too fast",)),
+    )
+    page = check_page(replace(result, drives=drives, warnings=("odd",)), ())
+    assert "- odd\n- drive 1: no standstill\n- drive 1: too fast\n- drive 2: too fast\n" in page
+    assert "- drive 1: read: rate_y from gyro_y" in page
+    assert "- drive 2: times are Unix seconds" in page
+
+
 def test_the_page_holds_what_names_hold_but_not_their_marks():
     result = made_up_check(8, warnings=["speed is 3.1 m/s, the map is for 1 m/s"])
     drive = replace(result.drives[0], name="a|b *<img src=x>*\n# c", warnings=("no standstill",), notes=("1 `x`",))
