@@ -2,10 +2,10 @@
 
 python tests/benchmarks/refit_drives.py --work FOLDER --layers LAYERS [--variant "rigid rockers"] [--sensors good]
 
-LAYERS are those of godie_espacio.laz at default settings. A variant of the Warthog (see `unlike_vehicles.py`; "as it is"
-for none) is driven over the ways of `drive_check.py`, kept in FOLDER, with the sensors of `_sensor_sets.py`, and checked by
-`bumpymap check`. Drives of 100, 200 and 500 m in all, drawn several times, move the calibration. Printed is the median
-of the map's C_r over the measured one on the drives that were not used, before and after, and whether it was refused.
+LAYERS are those of godie_espacio.laz at default settings. A variant of the Warthog (see `unlike_vehicles.py`) is driven
+over the ways of `drive_check.py`, kept in FOLDER, with the sensors of `_sensor_sets.py`, and checked by `bumpymap
+check`. Drives of 100, 200 and 500 m in all, drawn several times, move the calibration. Printed is the median of the
+map's C_r over the measured one on the drives that were not used, before and after, and whether it was refused.
 """
 
 import argparse
