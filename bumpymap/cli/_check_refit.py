@@ -25,8 +25,8 @@ class Refit:
     out: Path
     overwrite: bool
 
-    def move(self, stretches: DrivenStretches) -> "DriveUpdate":
-        """Move the calibration and write it.
+    def move(self, stretches: DrivenStretches, speed_mps: float) -> "DriveUpdate":
+        """Move the calibration to drives over a map at a speed, and write it.
 
         Raises
         ------
@@ -35,9 +35,9 @@ class Refit:
         OutputError
             The file cannot be written.
         """
-        from bumpymap.rating import update_from_drives
+        from bumpymap.rating import UpdateSettings, update_from_drives
 
-        moved, update = update_from_drives(self.calibration, stretches)
+        moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
         with locked(self.out.parent, f".{self.out.name}.lock"):
             _refuse_replacing(self.out, self.overwrite)
             with atomic(self.out) as beside:

@@ -19,7 +19,7 @@ def mapped(survey, folder, **options):
     return {name: np.array([np.nan if v is None else v for v in values], float) for name, values in table.items()}
 
 
-@pytest.mark.parametrize("rating", ["ride", "table"])
+@pytest.mark.parametrize("rating", ["ride", pytest.param("table", marks=pytest.mark.slow)])
 def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, rating, request):
     survey = request.config.rootpath / "sample_data" / "quarry.laz"
     old = Calibration.shipped("warthog")
