@@ -75,7 +75,9 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
         return ClockFit(0.0, sure=False, heading_0=0.0)
     group = ((even - first) // _WINDOW_S).astype(np.int64)
     offsets = np.arange(-_REACH_S, _REACH_S + 1e-9, 0.1)
-    explained = np.array([_explained(velocity * use, _steps(even, offset, time, heading, speed), group) for offset in offsets])
+    explained = np.array(
+        [_explained(velocity * use, _steps(even, offset, time, heading, speed), group) for offset in offsets]
+    )
     best = int(np.argmax(explained))
     sure = 0 < best < len(offsets) - 1 and _stands_out(explained, float((np.abs(velocity[use]) ** 2).sum()))
     offset = _peak(offsets, explained, best) if sure else 0.0

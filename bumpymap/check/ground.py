@@ -2,7 +2,8 @@
 
 A position is off by its error, so the drive may have been on the tile beside. Predictions are means over the places where
 the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss-Hermite quadrature for each step of the way. The
-whole of a stretch is moved together, since errors of positions last longer than a stretch takes.
+whole of a stretch is moved together, since errors of positions last longer than a stretch takes. A vehicle that drove was
+hardly on ground that the map bars: such places count less.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch
-from bumpymap.core import NO_TILE, TileField
+from bumpymap.core import NO_TILE, Barred, TileField
 
 __all__ = ["DriveSteps", "MapReading", "drive_steps", "read_along", "with_ground"]
 
@@ -24,6 +25,13 @@ _END_80 = float(ndtri(0.9))
 """An end of an 80 % interval, in standard deviations."""
 _SHARED = 0.5
 """Share of the variance of a tile's interval that its neighbours on the way have in common."""
+_BARRED_M = 2.0
+"""A place counts e times less for each such length of a stretch that would lie on barred ground."""
+_LEAST_CHANCE = 1e-4
+_BARRED_WEIGHT = 0.02
+"""Barred ground beside the way is often ten times as rough: what of it is left in a mean counts this much."""
+_PASS_SPREAD = 0.4
+"""One pass over one tile scatters about the mean of all passes over it by this much in ln c_r; longer ways by less."""
 _LEAST_KNOWN = 0.5
 """With less of the places known, a stretch has no prediction."""
 
@@ -43,7 +51,9 @@ class DriveSteps:
     tile: Integers
     """(s, 25) number of the tile, row by row in the window, for each place where the step may be; -1: outside."""
     chance: Floats
-    """(25,) probability of each of these places."""
+    """(s, 25) probability of each of these places."""
+    open: Floats
+    """(s, 25) 1 on ground that the map lets the vehicle on, ``_BARRED_WEIGHT`` elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +62,7 @@ class MapReading:
 
     c_r: Floats
     low: Floats
+    """Lower end of the 80 % interval of one pass: that of the map, and how one pass differs from the mean of all."""
     high: Floats
     place_sd: Floats
     """Standard deviation of ``c_r`` over the places where the vehicle may have been, rad/m."""
@@ -97,35 +108,61 @@ def drive_steps(drive: DriveMeasure, cut: WayStretch, field: TileField) -> Drive
     tile = tile_numbers(
         field, drive.easting[middle, None] + sd[:, None] * east, drive.northing[middle, None] + sd[:, None] * north
     )
-    return DriveSteps(cut.label[middle], way[keep], turned[keep], seconds[keep], tile, chance)
+    label, way = cut.label[middle], way[keep]
+    barred = (field.barred.ravel()[tile] != Barred.NO) | (tile < 0)
+    likely = _likely(label, way, barred, len(cut.start_s)) * chance
+    return DriveSteps(
+        label=label,
+        way_m=way,
+        turned=turned[keep],
+        seconds=seconds[keep],
+        tile=tile,
+        chance=likely / likely.sum(axis=1, keepdims=True),
+        open=np.where(barred, _BARRED_WEIGHT, 1.0),
+    )
+
+
+def _likely(label: Integers, way: Floats, barred: NDArray[np.bool_], stretches: int) -> Floats:
+    """Return how far the ground lets a step be at each of its places, (s, 25): by the barred length of its stretch."""
+    nodes = barred.shape[1]
+    group = np.maximum(label, 0)[:, None] * nodes + np.arange(nodes)
+    length = np.bincount(group.ravel(), (barred * way[:, None] * (label >= 0)[:, None]).ravel(), stretches * nodes)
+    factor = np.exp(-length / _BARRED_M).reshape(stretches, nodes) + _LEAST_CHANCE
+    return np.where((label >= 0)[:, None], factor[np.maximum(label, 0)], 1.0)
 
 
 def read_along(steps: DriveSteps, stretches: int, field: TileField) -> MapReading:
     """Return what the map says of stretches: means along the way over the places where the vehicle may have been."""
     on = steps.label >= 0
     label, way, tile = steps.label[on], steps.way_m[on], steps.tile[on]
+    places = np.zeros((stretches, tile.shape[1]))
+    places[label] = steps.chance[on]
     c_r, down, up = _spreads(field)
     known = (tile >= 0) & np.isfinite(c_r[tile])
     value = np.where(known, c_r[tile], 0.0)
-    nodes = len(steps.chance)
+    nodes = tile.shape[1]
     group = label[:, None] * nodes + np.arange(nodes)
-    weight = way[:, None] * known
+    weight = way[:, None] * steps.open[on] * known
     sums, known_m = (
         np.bincount(group.ravel(), part.ravel(), minlength=stretches * nodes).reshape(stretches, nodes)
         for part in (weight * value, weight)
     )
     all_m = np.bincount(label, way, minlength=stretches)
-    chance = steps.chance * (known_m > _LEAST_KNOWN * all_m[:, None])
+    seen_m = np.bincount(group.ravel(), (way[:, None] * known).ravel(), minlength=stretches * nodes)
+    chance = places * (seen_m.reshape(stretches, nodes) > _LEAST_KNOWN * all_m[:, None])
     total = chance.sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         each = np.where(chance > 0.0, sums / known_m, 0.0)
         mean = (chance * each).sum(axis=1) / total
         spread = np.sqrt((chance * (each - mean[:, None]) ** 2).sum(axis=1) / total)
     mean[total < _LEAST_KNOWN] = np.nan
-    share = weight * steps.chance
+    share = weight * steps.chance[on]
     stretch = np.broadcast_to(label[:, None], tile.shape)[known]
+    one_pass = _PASS_SPREAD * np.sqrt(field.grid.tile_size / np.maximum(all_m, 1e-9))
     below, above = (
-        _joint(stretch, tile[known], share[known], part[tile[known]] * value[known], stretches) / mean
+        np.hypot(
+            _joint(stretch, tile[known], share[known], part[tile[known]] * value[known], stretches) / mean, one_pass
+        )
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-_END_80 * below), mean * np.exp(_END_80 * above), spread)

@@ -87,7 +87,9 @@ def measure_drive(
     if mounting is None:
         notes.append("there is no accelerometer, so how the sensor is mounted cannot be told: no tilt is assumed")
     elif np.isnan(mounting.degrees[2]):
-        notes.append("the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told")
+        notes.append(
+            "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told"
+        )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
     told = places is not None and rates.clock.sure and track.offset_sd_s < _UNSURE_OFFSET_S

@@ -56,9 +56,7 @@ class Mounting:
     """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
 
-def find_mounting(
-    imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask
-) -> Mounting:
+def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
     Parameters
@@ -108,9 +106,7 @@ def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) ->
     return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
-def _yaw(
-    imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask
-) -> tuple[float, float]:
+def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:
     """Return the yaw of the levelled sensor in the vehicle and its standard deviation, rad."""
     felt = _band(level_force(imu, rotation, upward), imu.hertz)
     speeding = np.gradient(motion.speed) * imu.hertz

@@ -60,9 +60,7 @@ class SlopeMap:
             Heading, rad, east 0.
         """
         at = np.stack([(self.north - northing) / self.pixel_m - 0.5, (easting - self.west) / self.pixel_m - 0.5])
-        east, north = (
-            map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (self.eastward, self.northward)
-        )
+        east, north = (map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (self.eastward, self.northward))
         cosine, sine = np.cos(course), np.sin(course)
         return east * cosine + north * sine, north * cosine - east * sine
 

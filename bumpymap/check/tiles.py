@@ -46,7 +46,7 @@ def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[fl
     sums, moments = np.zeros((4, count)), np.zeros((3, count))
     for one in drives:
         steps = one.steps
-        weight = steps.chance * (steps.tile >= 0)
+        weight = _chance(steps) * (steps.tile >= 0)
         near = _near(steps)
         variance = _reading_variance(one, near)
         whole = (steps.turned, steps.way_m, variance * steps.way_m, one.drive.floor * steps.seconds)
@@ -74,6 +74,12 @@ def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[fl
     )
 
 
+def _chance(steps: DriveSteps) -> Floats:
+    """Return the probability of each place of each step, (s, 25)."""
+    chance = steps.chance * steps.open
+    return np.asarray(chance / chance.sum(axis=1, keepdims=True))
+
+
 def _near(steps: DriveSteps) -> Floats:
     """Return C_r around each step, over about the length of a tile, rad/m."""
     turned, way = (uniform_filter1d(part, _NEAR_STEPS, mode="nearest") for part in (steps.turned, steps.way_m))
@@ -84,8 +90,7 @@ def _certain(steps: DriveSteps) -> Floats:
     """Return the probability that a step lies on the tile of each of its places, (s, 25)."""
     order = np.argsort(steps.tile, axis=1, kind="stable")
     tile = np.take_along_axis(steps.tile, order, axis=1)
-    chance = np.broadcast_to(steps.chance, tile.shape)
-    chance = np.take_along_axis(chance, order, axis=1)
+    chance = np.take_along_axis(_chance(steps), order, axis=1)
     new = np.concatenate([np.ones((len(tile), 1), np.bool_), tile[:, 1:] != tile[:, :-1]], axis=1)
     group = np.cumsum(new.ravel()) - 1
     each = np.bincount(group, chance.ravel())[group].reshape(tile.shape)

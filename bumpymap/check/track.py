@@ -162,7 +162,11 @@ def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | N
     gained = np.full(count - 1, np.nan + 0j)
     if start.force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (start.force[1:] + start.force[:-1]))]) / imu.hertz
-        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)))
+        gained = np.where(
+            gap[1:] | gap[:-1],
+            np.nan,
+            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
+        )
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 

@@ -117,7 +117,9 @@ class TrackProblem:
         faster = np.where(np.isfinite(self.knots.gained), 1.0, np.where(self.knots.changing, _CHANGE, 1.0))
         return float(np.log(self.speed_change * self.force_change * faster).sum())
 
-    def _matrix(self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]) -> sparse.coo_array:
+    def _matrix(
+        self, count: int, entries: list[tuple[NDArray[np.int64], NDArray[np.int64], Floats]]
+    ) -> sparse.coo_array:
         row, col, value = (np.concatenate([entry[axis] for entry in entries]) for axis in range(3))
         return sparse.coo_array((value, (row, col)), shape=(count, STATES * len(self.knots.time) + GLOBALS))
 
@@ -135,9 +137,7 @@ class TrackProblem:
             entries += [(row, STATES * (number + 1) + axis, one), (row, STATES * number + axis, -one)]
             entries += [(row, STATES * (number + side) + 2, -0.5 * way * one) for side in (0, 1)]
             entries += [(row, STATES * (number + side) + 3, -0.5 * mean * across * one) for side in (0, 1)]
-        left = np.concatenate(
-            [(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one]
-        )
+        left = np.concatenate([(np.diff(east) - mean * along.real) * one, (np.diff(north) - mean * along.imag) * one])
         return self._matrix(2 * (k - 1), entries), left
 
     def _smooth(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
@@ -198,7 +198,9 @@ class TrackProblem:
         guess = np.zeros(len(col))
         guess[[SCALE - GLOBALS, OFFSET - GLOBALS]] = 1.0, self.offset_s
         if self.places is None:  # nothing else says where
-            col, sd, guess = (np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess)))
+            col, sd, guess = (
+                np.concatenate([two, all_]) for two, all_ in (([0, 1], col), ([1e-3] * 2, sd), ([0, 0], guess))
+            )
         left = (state.values[col] - guess) / sd
         return self._matrix(len(col), [(np.arange(len(col)), col, 1.0 / sd)]), left
 

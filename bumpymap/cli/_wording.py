@@ -9,7 +9,15 @@ import shlex
 
 __all__ = ["as_options"]
 
-_SPELLED = {"start": "from", "goal": "to", "round_trip": "return", "range_m": "range"}
+_SPELLED = {
+    "start": "from",
+    "goal": "to",
+    "round_trip": "return",
+    "range_m": "range",
+    "band_hz": "band",
+    "window_m": "window",
+    "drives": "drive",
+}
 """Options that do not have the name of the setting: ``from`` and ``return`` are words of Python."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 

@@ -1,0 +1,79 @@
+"""``bumpymap check``: a map against real drives over it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._options import given_options, output_options
+from bumpymap.cli._progress import show_progress
+from bumpymap.cli._terminal import PATH
+from bumpymap.core import UsageError
+
+__all__ = ["command"]
+
+_SETTINGS = {"band": "band_hz", "window": "window_m"}
+"""Options that do not have the name of the setting."""
+
+
+@click.command("check")
+@click.argument("layers", type=PATH, metavar="[LAYERS]", required=False)
+@click.option(
+    "--drive",
+    "drives",
+    multiple=True,
+    required=True,
+    metavar="LOG",
+    help="Log of a drive: CSV, a bag of ROS, ULog; files of one drive joined by commas. Can be repeated.",
+)
+@click.option(
+    "--columns",
+    metavar="NAME=COLUMN,...",
+    help="Columns or topics of the log, such as rate_y=GyrY[deg/s],time=t [default: guessed and shown].",
+)
+@click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: page, picture, tables, GIS layers.")
+@click.option("--band", type=float, metavar="HZ", help="Rates are low-passed at this frequency [default: 10].")
+@click.option("--window", type=float, metavar="M", help="Length of a stretch, at least 5 [default: 10].")
+@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier check.")
+@output_options()
+def command(
+    layers: Path | None, drives: tuple[str, ...], *, quiet: bool, log_json: bool, columns: str | None, **given: Any
+) -> None:
+    """Hold a map against real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
+
+    \b
+    bumpymap check site_layers --drive drive.mcap --out checked
+    bumpymap check site_layers --drive imu.csv,gnss.csv --drive second.ulg
+    bumpymap check --drive drive.csv
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    set_up_logging(as_json=log_json)
+    from bumpymap.check import CheckConfig, run_check
+
+    settings = {_SETTINGS.get(name, name): value for name, value in given_options(given).items()}
+    config = CheckConfig(drives, layers, columns=None if columns is None else _columns(columns), **settings)
+    with show_progress(quiet=quiet, as_json=log_json) as progress:
+        run = run_check(config, progress)
+    if not quiet:
+        from bumpymap.cli._check_summary import show
+
+        show(run, config, as_json=log_json)
+
+
+def _columns(text: str) -> Mapping[str, str]:
+    """Return quantity -> column of ``rate_y=GyrY,time=t``."""
+    return dict(_pair(part) for part in _parts(text))
+
+
+def _parts(text: str) -> Sequence[str]:
+    return [part for part in text.split(",") if part.strip()]
+
+
+def _pair(part: str) -> tuple[str, str]:
+    name, equals, column = part.partition("=")
+    if not equals:
+        raise UsageError(
+            f"`columns` holds {part!r}; it takes pairs joined by commas, such as `columns='rate_y=GyrY[deg/s],time=t'`"
+        )
+    return name.strip(), column.strip()
