@@ -4,7 +4,7 @@ python tests/benchmarks/refit_drives.py --work FOLDER --layers LAYERS [--variant
 
 LAYERS are those of godie_espacio.laz at default settings. A variant of the Warthog (see `unlike_vehicles.py`) is driven
 over the ways of `drive_check.py`, kept in FOLDER, with the sensors of `_sensor_sets.py`, and checked by `bumpymap
-check`. Drives of 100, 200 and 500 m in all, drawn several times, move the calibration. Printed is the median of the
+check`. Drives of 100, 250 and 500 m in all, drawn several times, move the calibration. Printed is the median of the
 map's C_r over the measured one on the drives that were not used, before and after, and whether it was refused.
 """
 
@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from _sensor_sets import SETS
 from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives
-from numpy.typing import NDArray
 from unlike_vehicles import VARIANTS
 
 from bumpymap.check import CheckConfig, check_drives
@@ -28,7 +27,7 @@ from bumpymap.rating import Calibration, DriveUpdate, Vehicle, update_from_drive
 from bumpymap.rating.update import respond
 
 GODIE_EPSG = 32614
-LENGTHS_M = (100.0, 200.0, 500.0)
+LENGTHS_M = (100.0, 250.0, 500.0)
 DRAWS = 8
 
 
@@ -65,13 +64,18 @@ def joined(parts: list[DrivenStretches]) -> DrivenStretches:
     return DrivenStretches(**columns)
 
 
-def drawn(parts: list[DrivenStretches], least_m: float, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Draw whole drives until they have a length."""
-    used = np.zeros(len(parts), np.bool_)
-    for number in rng.permutation(len(parts)).tolist():
-        if sum(part.way_m.sum() for part, use in zip(parts, used, strict=True) if use) < least_m:
-            used[number] = True
-    return used
+def drawn(
+    parts: list[DrivenStretches], length_m: float, rng: np.random.Generator
+) -> tuple[DrivenStretches, DrivenStretches]:
+    """Draw drives until they have a length, the last one cut short, and return them and the drives not drawn."""
+    used, left = [], length_m
+    order = rng.permutation(len(parts)).tolist()
+    while left > 0 and order:
+        part = parts[order.pop()]
+        rows = np.cumsum(part.way_m) - part.way_m < left
+        used.append(DrivenStretches(**{each.name: getattr(part, each.name)[rows] for each in fields(part)}))
+        left -= float(used[-1].way_m.sum())
+    return joined(used), joined([parts[number] for number in order])
 
 
 def ratio_of(stretches: DrivenStretches, update: DriveUpdate | None = None) -> float:
@@ -82,17 +86,14 @@ def ratio_of(stretches: DrivenStretches, update: DriveUpdate | None = None) -> f
     return float(np.exp(np.median(moved - np.log(stretches.measured[known]))))
 
 
-def try_length(parts: list[DrivenStretches], calibration: Calibration, least_m: float) -> None:
+def try_length(parts: list[DrivenStretches], calibration: Calibration, length_m: float) -> None:
     """Move the calibration to drives of one length, several times, and print what the other drives say of it."""
-    rng = np.random.default_rng(round(least_m))
+    rng = np.random.default_rng(round(length_m))
     refused, before, after = [], [], []
     for _ in range(DRAWS):
-        used = drawn(parts, least_m, rng)
-        others = joined([part for part, use in zip(parts, used, strict=True) if not use])
+        used, others = drawn(parts, length_m, rng)
         try:
-            _, update = update_from_drives(
-                calibration, joined([part for part, use in zip(parts, used, strict=True) if use])
-            )
+            _, update = update_from_drives(calibration, used)
         except BadInputError as error:
             refused.append(str(error).split(":", 1)[0])
             continue
@@ -100,7 +101,7 @@ def try_length(parts: list[DrivenStretches], calibration: Calibration, least_m: 
         after.append(ratio_of(others, update))
     reasons = ", ".join(f"{refused.count(reason)} x {reason}" for reason in sorted(set(refused)))
     found = f"other drives {_range(before)} -> {_range(after)}" if after else "never moved"
-    say(f"  {least_m:4.0f} m: moved {len(after)} of {DRAWS}; {found}{'; refused: ' + reasons if reasons else ''}")
+    say(f"  {length_m:4.0f} m: moved {len(after)} of {DRAWS}; {found}{'; refused: ' + reasons if reasons else ''}")
 
 
 def _range(values: list[float]) -> str:
@@ -126,8 +127,8 @@ def main() -> None:
         f"{given.variant}, sensors {given.sensors}: {len(parts)} drives, {whole.way_m.sum():.0f} m, "
         f"{len(whole.way_m)} stretches, map / measured {ratio_of(whole):.3f}"
     )
-    for least_m in LENGTHS_M:
-        try_length(parts, calibration, least_m)
+    for length_m in LENGTHS_M:
+        try_length(parts, calibration, length_m)
     try:
         _, update = update_from_drives(calibration, whole)
     except BadInputError as error:

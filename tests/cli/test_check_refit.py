@@ -29,7 +29,7 @@ def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path, capsy
     assert [path.name for path in out.parent.iterdir() if not path.name.startswith(".")] == ["my_robot.json"]
     refit.show(update)
     said = capsys.readouterr().out
-    assert "500 m of different ground on 50 stretches: this vehicle pitches 3" in said
+    assert "500 m of driving on 50 stretches, 500 m of it on different ground: this vehicle pitches 3" in said
     assert f"--calibration {out}" in said
     assert json.dumps(refit.record(update))
 
