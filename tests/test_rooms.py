@@ -42,12 +42,13 @@ ROOMS = {
     ),
     "route": ({"core", "layers"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers"}, {"geopandas", "numpy", "scipy"}),
+    "check": ({"core", "readers", "layers"}, {"numpy", "scipy"}),
     "lab": (
         # layers and route: ways are planned over the layers of a map and driven
         {"core", "readers", "patches", "rating", "layers", "route", "scan"},
         {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
     ),
-    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "lab"}, {"click", "rich"}),
+    "cli": ({"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "check", "lab"}, {"click", "rich"}),
 }
 ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 """What bumpytiles may import."""

@@ -29,8 +29,8 @@ def spearman(first: Floats, second: Floats) -> float:
 def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = None) -> MapAgreement:
     """Return how well map and drives agree over stretches that are on the map.
 
-    ``inside`` counts a stretch whose measured C_r lies in the map's interval after its ends have been moved outwards: in
-    quadrature by the error of the measurement and by what the error of the positions makes of the map.
+    ``inside`` counts a stretch whose measured C_r lies in the map's interval after its ends have been moved outwards,
+    in quadrature, by the error of the measurement and by what the error of the positions makes of the map.
 
     Parameters
     ----------

@@ -81,8 +81,8 @@ def levelling(upward: Floats) -> Rotation:
 def heading_of(attitude: Rotation, upward: Floats) -> Floats:
     """Return the heading of the sensor's levelled x axis, rad, positive to the left; any zero.
 
-    It is the direction of that axis seen from above, not the sum of rates about the vertical: a vehicle that rolls while
-    it is pitched sums to a turn that it does not make.
+    It is the direction of that axis seen from above, not the sum of rates about the vertical: a vehicle that rolls
+    while it is pitched sums to a turn that it does not make.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """How far the clock of the positions is off that of the inertial sensor: a first estimate by correlation.
 
-The velocity by positions is compared with unit steps along the heading by the gyroscope: at the right offset they differ
-by speed and by one constant turn. `track` refines the offset together with the way.
+The velocity by positions is compared with unit steps along the heading by the gyroscope: at the right offset they
+differ by speed and by one constant turn. `track` refines the offset together with the way.
 """
 
 from dataclasses import dataclass

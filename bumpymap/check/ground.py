@@ -1,9 +1,8 @@
 """What a map says of the way of a drive, seen through the error of the positions.
 
-A position is off by its error, so the drive may have been on the tile beside. Predictions are means over the places where
-the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss-Hermite quadrature for each step of the way. The
-whole of a stretch is moved together, since errors of positions last longer than a stretch takes. A vehicle that drove was
-hardly on ground that the map bars: such places count less.
+A position is off by its error, so the drive may have been on the tile beside. Predictions are means over the places
+where the vehicle may have been: a normal distribution, by 5 x 5 points of Gauss-Hermite quadrature for each step of the
+way. The whole of a stretch is moved together, since errors of positions last longer than a stretch takes.
 """
 
 from dataclasses import dataclass, replace
@@ -25,13 +24,9 @@ _END_80 = float(ndtri(0.9))
 """An end of an 80 % interval, in standard deviations."""
 _SHARED = 0.5
 """Share of the variance of a tile's interval that its neighbours on the way have in common."""
-_BARRED_M = 2.0
-"""A place counts e times less for each such length of a stretch that would lie on barred ground."""
-_LEAST_CHANCE = 1e-4
-_BARRED_WEIGHT = 0.02
-"""Barred ground beside the way is often ten times as rough: what of it is left in a mean counts this much."""
-_PASS_SPREAD = 0.4
-"""One pass over one tile scatters about the mean of all passes over it by this much in ln c_r; longer ways by less."""
+_LINE_SD = 0.22
+"""ln c_r of one calibration drive over a tile scatters by this about the tile's: c_r is the mean over all lines and
+headings. Median over the terrains of the Warthog's calibration; it falls with the root of the length."""
 _LEAST_KNOWN = 0.5
 """With less of the places known, a stretch has no prediction."""
 
@@ -51,9 +46,7 @@ class DriveSteps:
     tile: Integers
     """(s, 25) number of the tile, row by row in the window, for each place where the step may be; -1: outside."""
     chance: Floats
-    """(s, 25) probability of each of these places."""
-    open: Floats
-    """(s, 25) 1 on ground that the map lets the vehicle on, ``_BARRED_WEIGHT`` elsewhere."""
+    """(25,) probability of each of these places."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +55,6 @@ class MapReading:
 
     c_r: Floats
     low: Floats
-    """Lower end of the 80 % interval of one pass: that of the map, and how one pass differs from the mean of all."""
     high: Floats
     place_sd: Floats
     """Standard deviation of ``c_r`` over the places where the vehicle may have been, rad/m."""
@@ -108,64 +100,53 @@ def drive_steps(drive: DriveMeasure, cut: WayStretch, field: TileField) -> Drive
     tile = tile_numbers(
         field, drive.easting[middle, None] + sd[:, None] * east, drive.northing[middle, None] + sd[:, None] * north
     )
-    label, way = cut.label[middle], way[keep]
-    barred = (field.barred.ravel()[tile] != Barred.NO) | (tile < 0)
-    likely = _likely(label, way, barred, len(cut.start_s)) * chance
-    return DriveSteps(
-        label=label,
-        way_m=way,
-        turned=turned[keep],
-        seconds=seconds[keep],
-        tile=tile,
-        chance=likely / likely.sum(axis=1, keepdims=True),
-        open=np.where(barred, _BARRED_WEIGHT, 1.0),
-    )
-
-
-def _likely(label: Integers, way: Floats, barred: NDArray[np.bool_], stretches: int) -> Floats:
-    """Return how far the ground lets a step be at each of its places, (s, 25): by the barred length of its stretch."""
-    nodes = barred.shape[1]
-    group = np.maximum(label, 0)[:, None] * nodes + np.arange(nodes)
-    length = np.bincount(group.ravel(), (barred * way[:, None] * (label >= 0)[:, None]).ravel(), stretches * nodes)
-    factor = np.exp(-length / _BARRED_M).reshape(stretches, nodes) + _LEAST_CHANCE
-    return np.where((label >= 0)[:, None], factor[np.maximum(label, 0)], 1.0)
+    return DriveSteps(cut.label[middle], way[keep], turned[keep], seconds[keep], tile, chance)
 
 
 def read_along(steps: DriveSteps, stretches: int, field: TileField) -> MapReading:
     """Return what the map says of stretches: means along the way over the places where the vehicle may have been."""
     on = steps.label >= 0
     label, way, tile = steps.label[on], steps.way_m[on], steps.tile[on]
-    places = np.zeros((stretches, tile.shape[1]))
-    places[label] = steps.chance[on]
     c_r, down, up = _spreads(field)
     known = (tile >= 0) & np.isfinite(c_r[tile])
-    value = np.where(known, c_r[tile], 0.0)
-    nodes = tile.shape[1]
+    passable = known & (field.barred.ravel()[tile] == Barred.NO)
+    # The vehicle drove here, so it was not on barred ground beside; where the map bars all, it is wrong about that.
+    use = np.where(passable.any(axis=1, keepdims=True), passable, known)
+    nodes = len(steps.chance)
     group = label[:, None] * nodes + np.arange(nodes)
-    weight = way[:, None] * steps.open[on] * known
-    sums, known_m = (
-        np.bincount(group.ravel(), part.ravel(), minlength=stretches * nodes).reshape(stretches, nodes)
-        for part in (weight * value, weight)
+    sums, used_m, known_m = (
+        np.bincount(group.ravel(), (way[:, None] * part).ravel(), minlength=stretches * nodes).reshape(-1, nodes)
+        for part in (np.where(use, c_r[tile], 0.0), use, known)
     )
-    all_m = np.bincount(label, way, minlength=stretches)
-    seen_m = np.bincount(group.ravel(), (way[:, None] * known).ravel(), minlength=stretches * nodes)
-    chance = places * (seen_m.reshape(stretches, nodes) > _LEAST_KNOWN * all_m[:, None])
-    total = chance.sum(axis=1)
+    all_m = np.bincount(label, way, minlength=stretches)[:, None]
+    total = (steps.chance * (known_m > _LEAST_KNOWN * all_m)).sum(axis=1)
+    chance = steps.chance * (used_m > _LEAST_KNOWN * used_m.max(axis=1, keepdims=True))
     with np.errstate(divide="ignore", invalid="ignore"):
-        each = np.where(chance > 0.0, sums / known_m, 0.0)
-        mean = (chance * each).sum(axis=1) / total
-        spread = np.sqrt((chance * (each - mean[:, None]) ** 2).sum(axis=1) / total)
+        logs = np.where(chance > 0.0, np.log(sums / used_m), 0.0)
+        chance = chance / chance.sum(axis=1, keepdims=True)
+        log_mean = (chance * logs).sum(axis=1)
+        mean = np.exp(log_mean)
+        spread = mean * np.sqrt((chance * (logs - log_mean[:, None]) ** 2).sum(axis=1))
     mean[total < _LEAST_KNOWN] = np.nan
-    share = weight * steps.chance[on]
-    stretch = np.broadcast_to(label[:, None], tile.shape)[known]
-    one_pass = _PASS_SPREAD * np.sqrt(field.grid.tile_size / np.maximum(all_m, 1e-9))
+    weight = (way[:, None] * steps.chance)[use]
+    stretch, tile = np.broadcast_to(label[:, None], tile.shape)[use], tile[use]
+    ridden = weight * c_r[tile]
+    level = np.maximum(np.bincount(stretch, ridden, minlength=stretches), 1e-12)
+    line = (
+        _LINE_SD * np.sqrt(field.rule.drive_m * np.bincount(stretch, ridden * c_r[tile], minlength=stretches)) / level
+    )
     below, above = (
         np.hypot(
-            _joint(stretch, tile[known], share[known], part[tile[known]] * value[known], stretches) / mean, one_pass
+            line, _joint(stretch, tile, weight, part[tile] * c_r[tile], stretches) / _share(level, stretch, weight)
         )
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-_END_80 * below), mean * np.exp(_END_80 * above), spread)
+
+
+def _share(level: Floats, stretch: Integers, weight: Floats) -> Floats:
+    """Return the mean c_r of stretches from its weighted sums."""
+    return np.asarray(level / np.maximum(np.bincount(stretch, weight, minlength=len(level)), 1e-12))
 
 
 def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
@@ -173,7 +154,8 @@ def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
     c_r, low, high = (part.ravel().astype(np.float64) for part in (field.c_r, field.c_r_low, field.c_r_high))
     with np.errstate(divide="ignore", invalid="ignore"):
         down, up = np.log(c_r / low) / _END_80, np.log(high / c_r) / _END_80
-    return c_r, *(np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
+    down, up = (np.where(np.isfinite(part), np.maximum(part, 0.0), 0.0) for part in (down, up))
+    return c_r, down, up
 
 
 def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count: int) -> Floats:
@@ -184,4 +166,4 @@ def _joint(stretch: Integers, tile: Integers, weight: Floats, sd: Floats, count:
     pair, place = np.unique(stretch * tiles + tile, return_inverse=True)
     own = np.bincount(place, weight * sd) ** 2
     alone = np.bincount(pair // tiles, own, minlength=count) / total**2
-    return np.sqrt(_SHARED * common**2 + (1.0 - _SHARED) * alone)
+    return np.asarray(np.sqrt(_SHARED * common**2 + (1.0 - _SHARED) * alone))

@@ -118,7 +118,8 @@ def _usable_force(imu: EvenImu, notes: list[str]) -> EvenImu:
         return imu
     usual = float(np.median(np.linalg.norm(imu.force[imu.known], axis=1)))
     notes.append(
-        f"the accelerometer reads {usual:.3g} where gravity is 9.81 m/s2, so it is not used; name its unit with `columns`"
+        f"the accelerometer reads {usual:.3g} where gravity is 9.81 m/s2, so it is not used; name its unit "
+        "with `columns`"
     )
     return replace(imu, force=np.full_like(imu.force, np.nan))
 

@@ -1,8 +1,8 @@
 """How the inertial sensor sits in the vehicle: roll and pitch by gravity, yaw by how the vehicle speeds up and turns.
 
-Gravity is taken along the whole way, not at one stop, because a vehicle stands on a slope as readily as on level ground:
-the mean slope of the way is known from a map, and small without one. Yaw: the acceleration along the vehicle is that of
-its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how it is turned.
+Gravity is taken along the whole way, not at one stop, because a vehicle stands on a slope as readily as on level
+ground: the mean slope of the way is known from a map, and small without one. Yaw: the acceleration along the
+vehicle is that of its speed, and across it speed times yaw rate; which way they point in the sensor's axes tells how it is turned.
 """
 
 from dataclasses import dataclass
@@ -136,7 +136,7 @@ def _level(upward: Floats, motion: DrivenMotion, moving: Mask) -> Rotation:
     """Return the small rotation after which the vehicle is on average as tilted as the ground of its way."""
     norm = np.sqrt(1.0 + motion.along_slope**2 + motion.left_slope**2)
     tilted = np.stack([motion.along_slope / norm, motion.left_slope / norm], axis=1)
-    known = np.isfinite(tilted).all(axis=1)
+    known = np.asarray(np.isfinite(tilted).all(axis=1), np.bool_)
     if not (known & moving).any():
         known, tilted = np.ones_like(known), np.zeros_like(tilted)
     tilted = np.where(known[:, None], tilted, 0.0)

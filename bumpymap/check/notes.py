@@ -57,13 +57,13 @@ def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool)
         )
     if has_positions and np.isnan(drive.clock_offset_s):
         found.append(
-            f"{drive.name}: the offset of the clocks of IMU and positions cannot be told; {drive.track.offset_s:+.2f} s "
-            "is used. Turns, starts and stops on the way tell it"
+            f"{drive.name}: the offset of the clocks of IMU and positions cannot be told; "
+            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way tell it"
         )
     if has_positions and drive.track.scatter.total_m > 0.5 * _TILE_M:
         found.append(
-            f"{drive.name}: positions are off by {drive.track.scatter.total_m:.1f} m, about as much as a tile is wide, so "
-            "readings of single tiles are blurred"
+            f"{drive.name}: positions are off by {drive.track.scatter.total_m:.1f} m, about as much as a tile is wide, "
+            "so readings of single tiles are blurred"
         )
     if cut.way_m.sum() < _LITTLE_WAY_M:
         found.append(f"{drive.name}: only {cut.way_m.sum():.0f} m count, too little to judge a map by")
@@ -87,15 +87,15 @@ def map_warnings(ground: CheckedMap, speeds: list[tuple[str, float]], agreement:
     agreement : MapAgreement
     """
     found = [
-        f"{name} was driven at {speed:.2f} m/s and the map is made for {ground.speed_mps:g} m/s; C_r changes with speed. "
-        f"Drive at {ground.speed_mps:g} m/s, or map the survey for this speed"
+        f"{name} was driven at {speed:.2f} m/s and the map is made for {ground.speed_mps:g} m/s; C_r "
+        f"changes with speed. Drive at {ground.speed_mps:g} m/s, or map the survey for this speed"
         for name, speed in speeds
         if abs(speed / ground.speed_mps - 1.0) > _OTHER_SPEED
     ]
     ratio = agreement.median_ratio
     if agreement.stretches and not 1.0 / _OTHER_VEHICLE < ratio < _OTHER_VEHICLE:
         found.append(
-            f"the map reads {ratio:.2g} times what was measured. Was the vehicle a {ground.vehicle}, as the map assumes, and "
-            "has the ground stayed as it was surveyed?"
+            f"the map reads {ratio:.2g} times what was measured. Was the vehicle a {ground.vehicle}, as the map "
+            "assumes, and has the ground stayed as it was surveyed?"
         )
     return found

@@ -3,7 +3,7 @@
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -27,8 +27,8 @@ from bumpymap.core import (
     CheckedDrive,
     CheckedMap,
     CheckResult,
-    DrivenStretches,
     DriveLog,
+    DrivenStretches,
     Progress,
     SilentProgress,
     TileField,
@@ -166,46 +166,47 @@ def _ground(site: RouteMap) -> CheckedMap:
     limits = manifest.get("calibration", {}).get("class_limits", ())
     if len(limits) != 3:
         raise BadInputError(f"{site.folders[0]} does not state its class limits. Map the survey again")
+    first, second, third = map(float, limits)
     return CheckedMap(
         name=str(survey.get("name", site.folders[0].name)),
         folder=site.folders[0],
         vehicle=site.vehicle.name,
         calibration_id=site.calibration_id,
         speed_mps=site.vehicle.speed_mps,
-        class_limits=tuple(float(limit) for limit in limits),
+        class_limits=(first, second, third),
     )
 
 
 def _stretches(done: list[_Done], limits: Iterable[float]) -> DrivenStretches:
     """Return the stretches of all drives, in order."""
     edges = list(limits)
-    columns: list[Mapping[str, Floats]] = []
-    for number, one in enumerate(done):
-        cut, nothing = one.cut, np.full(len(one.cut.start_s), np.nan)
-        reading = one.reading or MapReading(nothing, nothing, nothing, nothing)
-        placed = one.reading is not None
-        columns.append(
-            {
-                "drive": np.full(len(cut.start_s), number),
-                **{name: getattr(cut, name) for name in ("start_s", "end_s", "way_m", "speed_mps")},
-                "easting": cut.easting if placed else nothing,
-                "northing": cut.northing if placed else nothing,
-                "measured": cut.measured,
-                "measured_sd": cut.measured_sd,
-                "c_r": reading.c_r,
-                "c_r_low": reading.low,
-                "c_r_high": reading.high,
-                "place_sd": reading.place_sd,
-            }
-        )
-    joined = {name: np.concatenate([column[name] for column in columns]) for name in columns[0]}
-    ids = {
-        name: np.where(np.isfinite(values), np.digitize(values, edges), NO_CLASS).astype(np.uint8)
-        for name, values in (("class_id", joined["c_r"]), ("measured_class", joined["measured"]))
+    placed = any(one.reading is not None for one in done)
+    cut = {
+        name: np.concatenate([getattr(one.cut, name) for one in done])
+        for name in ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd", "easting", "northing")
     }
-    if not any(one.reading for one in done):
-        ids["measured_class"] = np.full_like(ids["measured_class"], NO_CLASS)
-    return DrivenStretches(**joined, **ids)
+    nothing = np.full_like(cut["measured"], np.nan)
+    if not placed:
+        cut |= {"easting": nothing, "northing": nothing}
+    readings = [one.reading for one in done if one.reading is not None]
+    read = {
+        name: np.concatenate([getattr(reading, name) for reading in readings]) if placed else nothing
+        for name in ("c_r", "low", "high", "place_sd")
+    }
+    return DrivenStretches(
+        drive=np.repeat(np.arange(len(done)), [len(one.cut.start_s) for one in done]),
+        **cut,
+        c_r=read["c_r"],
+        c_r_low=read["low"],
+        c_r_high=read["high"],
+        place_sd=read["place_sd"],
+        class_id=_classes(read["c_r"], edges),
+        measured_class=_classes(cut["measured"] if placed else nothing, edges),
+    )
+
+
+def _classes(values: Floats, edges: list[float]) -> NDArray[np.uint8]:
+    return np.where(np.isfinite(values), np.digitize(values, edges), NO_CLASS).astype(np.uint8)
 
 
 def _on_tiles(done: list[_Done]) -> list[TileDrive]:

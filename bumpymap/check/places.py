@@ -180,5 +180,5 @@ def _far_variance(places: MetrePlaces, time: Floats, heading: Floats, offset: fl
     moved, driven = np.diff(place, axis=0), np.diff(way, axis=0)
     turn = (moved[0] + moved[1]) / (driven[0] + driven[1] + 1e-9)
     left = (moved[1] - moved[0]) - turn * (driven[1] - driven[0])
-    across = left * np.exp(-1j * np.angle((moved[0] + moved[1])))
+    across = left * np.exp(-1j * np.angle(moved[0] + moved[1]))
     return float((_NORMAL_MAD * np.median(np.abs(across.imag))) ** 2)

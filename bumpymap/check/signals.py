@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,7 +105,7 @@ def _whole_pieces(time: Floats, step: float) -> Iterator[slice]:
     """Yield the pieces of a record between gaps, without short ones."""
     pause = max(_GAP_SAMPLES * step, _GAP_S)
     ends = [0, *(np.flatnonzero(np.diff(time) > pause) + 1).tolist(), len(time)]
-    for start, stop in zip(ends[:-1], ends[1:], strict=True):
+    for start, stop in pairwise(ends):
         if time[stop - 1] - time[start] >= _LEAST_PIECE_S:
             yield slice(start, stop)
 

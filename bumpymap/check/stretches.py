@@ -1,7 +1,7 @@
 """The way of a drive in stretches, each with its C_r and the error of that.
 
-C_r of a stretch is the mean absolute pitch rate over the mean speed. What the sensor reads at standstill is taken off in
-power: mean absolute values of independent noise add as root mean squares do, exactly so where both are normal.
+C_r of a stretch is the mean absolute pitch rate over the mean speed. What the sensor reads at standstill is taken off
+in power: mean absolute values of independent noise add as root mean squares do, exactly so where both are normal.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ Integers = NDArray[np.int64]
 _BRIDGE_M = 1.0
 """Parts that do not count and are shorter do not end a stretch."""
 _BRIDGE_S = 3.0
-_SCALE_SHARE = 0.02
+_SCALE_SHARE = 0.013
 """Error of the scale of a gyroscope, of its alignment and of the band, as a share of C_r."""
 _FLOOR_SHARE = 0.15
 """Error of the floor: engine and sensor differ a little from stop to drive."""
@@ -45,7 +45,7 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
     number, samples = label[inside], np.flatnonzero(inside)
 
     def total(values: Floats) -> Floats:
-        return np.bincount(number, values[inside], minlength=count)
+        return np.asarray(np.bincount(number, values[inside], minlength=count), np.float64)
 
     if not count:
         nothing = np.zeros(0)
@@ -72,7 +72,7 @@ def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
 
 def less_floor(raw: Floats, floor: Floats) -> Floats:
     """Take a floor off in power; both rad/m."""
-    return np.sqrt(np.maximum(raw**2 - floor**2, 0.0))
+    return np.asarray(np.sqrt(np.maximum(raw**2 - floor**2, 0.0)))
 
 
 def reading_sd(drive: DriveMeasure, raw: Floats, measured: Floats, seconds: Floats, way_m: Floats) -> Floats:
@@ -98,7 +98,7 @@ def reading_sd(drive: DriveMeasure, raw: Floats, measured: Floats, seconds: Floa
 
 
 def _labels(drive: DriveMeasure, way: Floats, counts: NDArray[np.bool_], window_m: float) -> Integers:
-    """Number the stretch of each sample that counts."""
+    """Return the number of the stretch of each sample, -1 where it belongs to none."""
     label = np.full(len(way), -1, np.int64)
     total = np.concatenate([[0.0], np.cumsum(way)])
     number = 0

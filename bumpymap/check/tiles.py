@@ -10,7 +10,7 @@ from scipy.ndimage import uniform_filter1d
 from bumpymap.check.drive_measure import DriveMeasure
 from bumpymap.check.ground import DriveSteps
 from bumpymap.check.stretches import less_floor, reading_sd
-from bumpymap.core import DrivenTiles, TileField
+from bumpymap.core import Barred, DrivenTiles, TileField
 
 __all__ = ["TileDrive", "driven_tiles"]
 
@@ -46,13 +46,14 @@ def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[fl
     sums, moments = np.zeros((4, count)), np.zeros((3, count))
     for one in drives:
         steps = one.steps
-        weight = _chance(steps) * (steps.tile >= 0)
+        likely = _chance(steps, field)
+        weight = likely * (steps.tile >= 0)
         near = _near(steps)
         variance = _reading_variance(one, near)
         whole = (steps.turned, steps.way_m, variance * steps.way_m, one.drive.floor * steps.seconds)
         sums += [_over_tiles(steps, values[:, None] * weight, count) for values in whole]
         way = steps.way_m[:, None] * weight
-        parts = (near[:, None] * way, near[:, None] ** 2 * way, _certain(steps) * way)
+        parts = (near[:, None] * way, near[:, None] ** 2 * way, _certain(steps, likely) * way)
         moments += [_over_tiles(steps, part, count) for part in parts]
     found = np.flatnonzero((sums[1] >= _LEAST_WAY_M) & np.isfinite(field.c_r.ravel()))
     turned, way, variance, floor = sums[:, found]
@@ -74,9 +75,10 @@ def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[fl
     )
 
 
-def _chance(steps: DriveSteps) -> Floats:
-    """Return the probability of each place of each step, (s, 25)."""
-    chance = steps.chance * steps.open
+def _chance(steps: DriveSteps, field: TileField) -> Floats:
+    """Return the probability of each place of each step, (s, 25): not on barred ground, unless all of it is."""
+    open_ = (steps.tile >= 0) & (field.barred.ravel()[steps.tile] == Barred.NO)
+    chance = np.where(open_.any(axis=1, keepdims=True), open_, True) * steps.chance
     return np.asarray(chance / chance.sum(axis=1, keepdims=True))
 
 
@@ -86,22 +88,22 @@ def _near(steps: DriveSteps) -> Floats:
     return np.asarray(turned / np.maximum(way, 1e-9))
 
 
-def _certain(steps: DriveSteps) -> Floats:
+def _certain(steps: DriveSteps, likely: Floats) -> Floats:
     """Return the probability that a step lies on the tile of each of its places, (s, 25)."""
     order = np.argsort(steps.tile, axis=1, kind="stable")
     tile = np.take_along_axis(steps.tile, order, axis=1)
-    chance = np.take_along_axis(_chance(steps), order, axis=1)
+    chance = np.take_along_axis(likely, order, axis=1)
     new = np.concatenate([np.ones((len(tile), 1), np.bool_), tile[:, 1:] != tile[:, :-1]], axis=1)
     group = np.cumsum(new.ravel()) - 1
     each = np.bincount(group, chance.ravel())[group].reshape(tile.shape)
-    out = np.empty_like(each)
+    out: Floats = np.empty(each.shape)
     np.put_along_axis(out, order, each, axis=1)
     return out
 
 
 def _over_tiles(steps: DriveSteps, values: Floats, count: int) -> Floats:
     """Sum values (s, 25) by tile."""
-    return np.bincount(np.maximum(steps.tile, 0).ravel(), values.ravel(), minlength=count)
+    return np.asarray(np.bincount(np.maximum(steps.tile, 0).ravel(), values.ravel(), minlength=count), np.float64)
 
 
 def _reading_variance(one: TileDrive, near: Floats) -> Floats:

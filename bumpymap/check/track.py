@@ -1,7 +1,7 @@
 """The way of a drive: positions, heading by the gyroscope, wheels and stops put together by least squares.
 
-Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is what
-makes the positions most probable.
+Errors of a receiver wander, so their noise must not lengthen the way: speed and heading are smooth, and how smooth is
+what makes the positions most probable.
 """
 
 from dataclasses import dataclass, replace
@@ -31,6 +31,8 @@ _FIRST_CHANGES = (0.06, 0.2)
 _FORCE_CHANGE = 0.01
 """How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
+_SD_KNOTS = 200
+"""The error of the place changes slowly along the way: it is computed at so many knots."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,10 +79,11 @@ class DrivenTrack:
 
     def place_sd(self, at_s: Floats) -> Floats:
         """Return standard deviations of the place along one axis at some times, m, (n,)."""
-        knot = np.clip(np.searchsorted(self.time, at_s), 0, len(self.time) - 1)
-        one = np.zeros((len(at_s), len(self.time)))
-        one[np.arange(len(at_s)), knot] = 1.0
-        return np.asarray(np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2)))
+        knot = np.unique(np.linspace(0, len(self.time) - 1, _SD_KNOTS).round().astype(np.int64))
+        one = np.zeros((len(knot), len(self.time)))
+        one[np.arange(len(knot)), knot] = 1.0
+        each = np.sqrt(0.5 * (self._sd(one, 0) ** 2 + self._sd(one, 1) ** 2))
+        return np.asarray(np.interp(at_s, self.time[knot], each))
 
     def _sd(self, weights: Floats, part: int) -> Floats:
         k = len(self.time)
@@ -93,7 +96,7 @@ def _between(time: Floats, start_s: Floats, end_s: Floats) -> Floats:
     """Return the share of the interval around each knot that lies between times, (n, k)."""
     half = 0.5 * (time[1] - time[0])
     low = np.maximum(start_s[:, None], time - half)
-    return np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half)
+    return np.asarray(np.maximum(np.minimum(end_s[:, None], time + half) - low, 0.0) / (2.0 * half))
 
 
 def fit_track(
@@ -127,8 +130,8 @@ def fit_track(
 
 def _best(
     knots: Knots, places: MetrePlaces, scatter: Scatter, first: TrackState, start: TrackStart
-) -> tuple[TrackProblem, TrackState, SuperLU]:
-    """Try how fast speed and errors change, and return the most probable."""
+) -> tuple[TrackProblem, TrackState, SuperLU, float]:
+    """Try how fast speed and errors change; return the most probable, and how far their offsets of the clocks differ."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
     felt = bool(np.isfinite(knots.gained).any())
     speeds = _FIRST_CHANGES if start.rough else _SPEED_CHANGES
@@ -139,7 +142,9 @@ def _best(
         problem = TrackProblem(own, places, scatter, speed_change, force_change, start.offset_s)
         state, factor, badness = _solve(problem, first)
         found.append((badness, problem, state, factor))
-    return min(found, key=lambda one: one[0])[1:]
+    best = min(found, key=lambda one: one[0])
+    offsets = [float(state.whole[OFFSET]) for _, problem, state, _ in found if problem.knots is best[1].knots]
+    return *best[1:], float(np.median(np.abs(np.array(offsets) - best[2].whole[OFFSET])))
 
 
 def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:
@@ -225,7 +230,7 @@ def _solve(problem: TrackProblem, state: TrackState) -> tuple[TrackState, SuperL
     return state, factor, badness + 2.0 * problem.log_spread
 
 
-def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenTrack:
+def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, unsure_s: float = 0.0) -> DrivenTrack:
     knots = problem.knots
     east, north, speed, turn = (state.part(number) for number in range(4))
     course = knots.heading + turn
@@ -239,7 +244,7 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU) -> DrivenT
         speed=speed,
         course=course,
         offset_s=float(state.whole[OFFSET]),
-        offset_sd_s=float(spread[0]),
+        offset_sd_s=float(np.hypot(spread[0], unsure_s)),
         chosen=(problem.speed_change, problem.force_change if np.isfinite(knots.gained).any() else 0.0),
         drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),

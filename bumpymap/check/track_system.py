@@ -1,10 +1,10 @@
 """The equations of a way: what positions, heading, wheels and stops say of it, as sparse least squares.
 
 The state at each knot is east, north, speed, a turn beside the gyroscope's heading, the wandering error of the receiver
-(east, north) and the error of the acceleration. For the whole drive: the scale of the wheels, how the
-direction of driving lies in the sensor's levelled axes, the place of the antenna in the vehicle (ahead, left), the offset
-of the clocks and its drift. An antenna ahead of the point that the vehicle turns
-about looks like a clock that is fast, as long as the vehicle does not stop: starts and stops tell them apart.
+(east, north) and the error of the acceleration. For the whole drive: the scale of the wheels, how the direction of
+driving lies in the sensor's levelled axes, the place of the antenna in the vehicle (ahead, left), the offset of the
+clocks and its drift. An antenna ahead of the point that the vehicle turns about looks like a clock that is fast, as
+long as the vehicle does not stop: starts and stops tell them apart.
 """
 
 from dataclasses import dataclass
@@ -52,8 +52,7 @@ class Knots:
     heading: Floats
     """(k,) of the gyroscope, rad."""
     gained: NDArray[np.complex128]
-    """(k - 1,) what the accelerations along the sensor's levelled axes (x + i y) add up to from knot to knot, m/s; NaN where
-    they are not known."""
+    """(k - 1,) what the accelerations along the sensor's levelled axes (x + i y) add up to, m/s; NaN where unknown."""
     standing: Mask
     """(k,)"""
     changing: Mask
@@ -189,7 +188,7 @@ class TrackProblem:
         return self._matrix(len(stop) + len(rolls), entries), left
 
     def _weak(self, state: TrackState) -> tuple[sparse.coo_array, Floats]:
-        """What is assumed before any measurement, so that each unknown is held by something."""
+        """Return the equations of what is assumed before any measurement: each unknown is held by something."""
         k = state.count
         wander = self.scatter.wander_m
         col = np.concatenate([STATES * np.arange(k) + 2, [3, 4, 5, 6], STATES * k + np.arange(GLOBALS)])

@@ -69,6 +69,11 @@ from .simulate.checks import (
 from .simulate.drive import (
     DriveSettings as DriveSettings,
 )
+from .simulate.drive_log import (
+    RecordedWay as RecordedWay,
+    RecordSettings as RecordSettings,
+    record_way as record_way,
+)
 from .simulate.journal import (
     Journal as Journal,
 )
@@ -121,6 +126,25 @@ from .train.train import (
 )
 from .train.training import (
     EpochReport as EpochReport,
+)
+from .worlds.drives.files import (
+    write_drive_files as write_drive_files,
+)
+from .worlds.drives.grades import (
+    GNSS as GNSS,
+    IMUS as IMUS,
+    ClockFault as ClockFault,
+    DriveSensors as DriveSensors,
+    Vibration as Vibration,
+)
+from .worlds.drives.log import (
+    SensedDrive as SensedDrive,
+    sense_drive as sense_drive,
+)
+from .worlds.drives.motion import (
+    TrueDrive as TrueDrive,
+    read_motion as read_motion,
+    save_motion as save_motion,
 )
 from .worlds.sample._surfaces import (
     CROWN as CROWN,

@@ -20,7 +20,7 @@ from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
 from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
 from bumpymap.lab.simulate.relief import ReliefGround
 from bumpymap.lab.simulate.way import Stop
-from bumpymap.lab.worlds import TrueDrive, read_motion, save_motion
+from bumpymap.lab.worlds.drives import TrueDrive, read_motion, save_motion
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Vehicle
 from bumpytiles import TileWindow
@@ -42,7 +42,7 @@ class KeptDrive:
     folder: Path
     layers: Path
 
-    @cached_property
+    @property
     def motion(self) -> TrueDrive:
         """The motion; easting and northing are those of the map."""
         return read_motion(self.folder / f"{self.name}.npz")

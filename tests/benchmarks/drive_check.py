@@ -23,8 +23,10 @@ from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives,
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from bumpymap.check import DriveMeasure, MeasureSettings, WayStretch, cut_stretches, measure_drive, metre_places
-from bumpymap.core import BadInputError
+from bumpymap.check import DriveMeasure, MeasureSettings, WayStretch, agreement_of
+from bumpymap.check.pipeline import _Done, _field, _measured, _stretches
+from bumpymap.check.place_on_map import places_on_map
+from bumpymap.core import BadInputError, MapAgreement
 from bumpymap.lab.worlds.drives import SensedDrive, TrueDrive, sense_drive
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Calibration, Vehicle
@@ -39,10 +41,19 @@ class Row:
     """One drive with one set of sensors."""
 
     sensed: SensedDrive
-    found: DriveMeasure
-    cut: WayStretch
+    done: _Done
     true: Floats
     """(n,) C_r of the stretches, rad/m."""
+
+    @property
+    def found(self) -> DriveMeasure:
+        """What was found about the sensors."""
+        return self.done.drive
+
+    @property
+    def cut(self) -> WayStretch:
+        """The stretches."""
+        return self.done.cut
 
 
 def true_c_r(drive: TrueDrive, found: DriveMeasure, cut: WayStretch, start_s: float) -> Floats:
@@ -86,12 +97,12 @@ def measured(kept: KeptDrive, set_name: str, seed: int) -> Row:
     """Simulate the sensors of a drive and measure it."""
     sensors = SETS[set_name](np.random.default_rng([seed, 1]))
     epsg = EPSG if "library" in kept.name else GODIE_EPSG
-    sensed = sense_drive(kept.motion, sensors, seed, f"{kept.name}_{set_name}", f"EPSG:{epsg}")
-    track = sensed.log.places
-    places = metre_places(track, *site_of(kept.layers).from_lonlat(track.x, track.y), sensed.log.name)
-    found = measure_drive(sensed.log, places, MeasureSettings())
-    cut = cut_stretches(found, 10.0)
-    return Row(sensed, found, cut, true_c_r(kept.motion, found, cut, sensed.start_s))
+    motion = kept.motion
+    sensed = sense_drive(motion, sensors, seed, f"{kept.name}_{set_name}", f"EPSG:{epsg}")
+    site = site_of(kept.layers)
+    places = places_on_map(sensed.log, site)
+    done = _measured(sensed.log, places, MeasureSettings(), site, _field(site, [places]))
+    return Row(sensed, done, true_c_r(motion, done.drive, done.cut, sensed.start_s))
 
 
 def say(text: str) -> None:
@@ -103,25 +114,46 @@ def say(text: str) -> None:
 def report(name: str, rows: list[Row], refused: int, seconds: float) -> None:
     """Print what was found with one set of sensors."""
     true, read, sd = (np.concatenate([part(row) for row in rows]) for part in (_true, _read, _sd))
-    ratio = read / true
     inside = np.abs(read - true) <= _IN_80 * sd
-    say(
-        f"{name:12} {len(rows):3} drives ({refused} refused), {len(true):3} stretches: Spearman "
-        f"{spearmanr(read, true).statistic:.3f}, median error {100 * np.median(np.abs(ratio - 1)):.1f} %, 90 % "
-        f"{100 * np.quantile(np.abs(ratio - 1), 0.9):.0f} %, ratio {np.median(ratio):.3f}, in the stated 80 %: "
-        f"{100 * inside.mean():.0f} %, {seconds / len(rows):.1f} s a drive"
-    )
+    say(f"{name}: {len(rows)} drives ({refused} refused), {seconds / len(rows):.1f} s each")
+    say(f"  measured against truth: {_compare(read, true)}, in the stated 80 %: {100 * inside.mean():.0f} %")
+    said = np.concatenate([row.done.reading.c_r for row in rows if row.done.reading])
+    say(f"  map against truth: {_compare(said, true)}")
+    agreement = agreement_of(_stretches([row.done for row in rows], site_limits()))
+    say(f"  map against measured: {_words(agreement)}")
     offset = 1000 * np.array([row.found.clock_offset_s - row.sensed.truth.clock_offset_s for row in rows])
     drift = np.array([row.found.clock_drift_ppm - row.sensed.truth.clock_drift_ppm for row in rows])
     mount = np.array([row.found.mount_deg for row in rows]) - np.array([row.sensed.truth.mount_deg for row in rows])
     floor = np.array([row.found.floor_radps for row in rows])
     true_floor = np.array([row.sensed.truth.floor_radps for row in rows])
-    say(f"{'':12} clock offset {_spread(offset)} ms; drift {_spread(drift)} ppm")
-    say(f"{'':12} roll {_spread(mount[:, 0])}, pitch {_spread(mount[:, 1])}, yaw {_spread(mount[:, 2])} degrees")
+    say(f"  clock offset {_spread(offset)} ms; drift {_spread(drift)} ppm")
+    say(f"  roll {_spread(mount[:, 0])}, pitch {_spread(mount[:, 1])}, yaw {_spread(mount[:, 2])} degrees")
     if (true_floor > 0).all():
-        say(
-            f"{'':12} floor {np.median(true_floor):.4f} rad/s, found off by {_spread(100 * (floor / true_floor - 1))} %"
-        )
+        say(f"  floor {np.median(true_floor):.4f} rad/s, found off by {_spread(100 * (floor / true_floor - 1))} %")
+
+
+def _compare(values: Floats, true: Floats) -> str:
+    """Describe how values agree with the truth."""
+    known = np.isfinite(values)
+    ratio = values[known] / true[known]
+    error = 100 * np.abs(ratio - 1)
+    return (
+        f"{known.sum()} stretches, Spearman {spearmanr(values[known], true[known]).statistic:.3f}, median error "
+        f"{np.median(error):.1f} %, 90 % within {np.quantile(error, 0.9):.0f} %, ratio {np.median(ratio):.3f}"
+    )
+
+
+def _words(agreement: MapAgreement) -> str:
+    return (
+        f"{agreement.stretches} stretches, Spearman {agreement.spearman:.3f}, median error "
+        f"{100 * agreement.median_error:.1f} %, ratio {agreement.median_ratio:.3f}, in the interval "
+        f"{100 * agreement.inside:.0f} %, same class {100 * agreement.same_class:.0f} %"
+    )
+
+
+def site_limits() -> tuple[float, ...]:
+    """Return the class limits of the vehicle, rad/m."""
+    return tuple(Calibration.shipped("warthog").class_limits)
 
 
 def _true(row: Row) -> Floats:
@@ -171,7 +203,10 @@ def main() -> None:
                 continue
             rows.append(row)
             if given.each:
-                say(f"  {kept.name}: {len(row.true)} stretches, ratio {np.round(row.cut.measured / row.true, 2)}")
+                ratio, told = np.round(row.cut.measured / row.true, 2), row.sensed.truth
+                off = 1000 * (row.found.clock_offset_s - told.clock_offset_s)
+                mount = np.subtract(row.found.mount_deg, told.mount_deg).round(2)
+                say(f"  {kept.name}: clock {off:.0f} ms, mounting {mount} degrees, ratio {ratio}")
         report(name, rows, refused, time.process_time() - begin)
 
 

@@ -1,7 +1,5 @@
 from .drives.motion import (
     TrueDrive as TrueDrive,
-    read_motion as read_motion,
-    save_motion as save_motion,
 )
 from .scans.lidar import (
     simulate_scan as simulate_scan,
