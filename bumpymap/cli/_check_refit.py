@@ -25,8 +25,8 @@ class Refit:
     out: Path
     overwrite: bool
 
-    def move(self, stretches: DrivenStretches) -> "DriveUpdate":
-        """Move the calibration and write it.
+    def move(self, stretches: DrivenStretches, speed_mps: float) -> "DriveUpdate":
+        """Move the calibration to drives over a map at a speed, and write it.
 
         Raises
         ------
@@ -35,9 +35,9 @@ class Refit:
         OutputError
             The file cannot be written.
         """
-        from bumpymap.rating import update_from_drives
+        from bumpymap.rating import UpdateSettings, update_from_drives
 
-        moved, update = update_from_drives(self.calibration, stretches)
+        moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
         with locked(self.out.parent, f".{self.out.name}.lock"):
             _refuse_replacing(self.out, self.overwrite)
             with atomic(self.out) as beside:
@@ -127,16 +127,21 @@ def _words(update: "DriveUpdate") -> Iterator[str]:
     ends = sorted((abs(low), abs(high))) if low * high > 0 else (low, high)
     several = f" of {update.drives} drives" if update.drives > 1 else ""
     yield (
-        f"{update.new_m:.0f} m of different ground on {update.stretches} stretches{several}: this vehicle pitches "
-        f"{abs(middle):.0%} {more} than the calibration says (80 % interval: {ends[0]:.0%} to {ends[1]:.0%})"
+        f"{update.way_m:.0f} m of driving on {update.stretches} stretches{several}, {update.new_m:.0f} m of it on "
+        f"different ground: this vehicle pitches {_percent(abs(middle))} {more} than the calibration says (80 % "
+        f"interval: {_percent(ends[0])} to {_percent(ends[1])})"
     )
     yield (
         f"C_r / measured, median: {update.ratio[0]:.2f} before, {update.ratio[1]:.2f} with the new calibration; on "
-        f"parts of the drives left out in turn, the median error falls from {update.held_out_error[0]:.0%} to "
-        f"{update.held_out_error[1]:.0%}"
+        f"parts of the drives left out in turn, the median error goes from {_percent(update.held_out_error[0])} to "
+        f"{_percent(update.held_out_error[1])}"
     )
     if update.posterior.map_scale > _LEAST_WIDENING:
         yield (
             f"Over the same ground the drives are off the map {update.posterior.map_scale:.1f} times as far as its "
             "intervals say; those of the new calibration are wider by that"
         )
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"

@@ -1,7 +1,7 @@
 """The summary that ``check`` prints."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from bumpymap.check import CheckConfig, CheckRun
@@ -12,10 +12,10 @@ from bumpymap.layers import check_headline
 __all__ = ["show"]
 
 
-def show(run: CheckRun, config: CheckConfig, *, as_json: bool) -> None:
-    """Print what was found, or one JSON object."""
+def show(run: CheckRun, config: CheckConfig, refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
+    """Print what was found, or one JSON object, with what became of the calibration."""
     if as_json:
-        print_json(_record(run, config))
+        print_json(_record(run, config) | ({} if refit is None else {"refit": refit}))
         return
     result = run.result
     for drive in result.drives:

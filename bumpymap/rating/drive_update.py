@@ -234,8 +234,8 @@ def _agree(update: DriveUpdate) -> str:
         f"the drives agree with the calibration {update.calibration_id}, so it is not moved: over {update.way_m:.0f} m "
         f"({update.stretches} stretches) the map's C_r is {update.ratio[0]:.2f} times the measured in the median; "
         "moved, it would not predict left-out parts of the drives better than by chance (median error "
-        f"{update.held_out_error[1]:.1%}, as it is {update.held_out_error[0]:.1%}). The drives leave room for a factor "
-        f"of {low:.2f} to {high:.2f} on C_r; longer ones would tell"
+        f"{100 * update.held_out_error[1]:.1f} %, as it is {100 * update.held_out_error[0]:.1f} %). The drives leave "
+        f"room for a factor of {low:.2f} to {high:.2f} on C_r; longer ones would tell"
     )
 
 

@@ -1,0 +1,38 @@
+"""Maps with a moved calibration have the C_r that was promised."""
+
+import math
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from bumpymap.rating import Calibration
+from bumpymap.rating.update import LogMove, moved_calibration
+from bumpymap.survey import map_survey
+
+ROUGH = ("c_r", "c_r_low", "c_r_high", "p_fail", "coverage")
+
+
+def mapped(survey, folder, **options):
+    map_survey(survey, folder, **options)
+    table = pq.read_table(folder / "tiles.parquet", columns=["col", "row", *ROUGH]).to_pydict()
+    return {name: np.array([np.nan if v is None else v for v in values], float) for name, values in table.items()}
+
+
+@pytest.mark.parametrize("rating", ["ride", pytest.param("table", marks=pytest.mark.slow)])
+def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, rating, request):
+    survey = request.config.rootpath / "sample_data" / "quarry.laz"
+    old = Calibration.shipped("warthog")
+    move = LogMove(math.log(old.class_limits[1]), 0.25, 0.1, np.diag([1e-6, 1e-6]), 1.0)
+    file = tmp_path / "moved.json"
+    file.write_text(moved_calibration(old, move, {}).to_json(), encoding="utf-8")
+    before = mapped(survey, tmp_path / "before", vehicle="warthog", rating=rating)
+    after = mapped(survey, tmp_path / "after", calibration=file, rating=rating)
+    known = np.isfinite(before["c_r"])
+    assert np.array_equal(known, np.isfinite(after["c_r"]))
+    off = np.log(after["c_r"][known]) - move.log(np.log(before["c_r"][known]))
+    # Beyond the calibrated range C_r stays proportional to the ground, and thin tiles lean on neighbours.
+    assert np.quantile(np.abs(off), 0.9) < 0.02
+    assert np.median(np.abs(off)) < 1e-3
+    assert np.median(after["c_r"][known] / before["c_r"][known]) > 1.02
+    assert np.mean(np.abs(after["p_fail"][known] - before["p_fail"][known]) < 1e-3) > 0.95
