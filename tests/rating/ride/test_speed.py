@@ -140,4 +140,4 @@ def test_a_floor_is_a_rate_in_time():
     (found,) = motion_felt(husky, (2 * own,), factors, c_r)
     np.testing.assert_allclose(found, [np.hypot(2 * driven, husky.floor / 2), 3 * driven, 4 * driven], rtol=1e-5)
     (level,) = motion_felt(husky, (2 * own,), factors, np.array([husky.floor], np.float32))
-    np.testing.assert_allclose(level, [husky.floor / 2, 0.0, 0.0], atol=1e-5)
+    np.testing.assert_allclose(level, [husky.floor / 2, 0.0, 0.0], atol=1e-4)
