@@ -36,9 +36,9 @@ smoothest ground is: with a tenth below, four in ten of the smooth tiles would b
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 _MODEL_ERROR = 0.10
-"""Standard deviation of ln C_r between simulations of one vehicle. tests/benchmarks/second_simulator.py measures 0.07
-to 0.13, depending on wheels and tyres; a simulation of another author differed by 12 % in the median and 5 % in
-bias, which is 0.18 with the scatter of both sides' drives."""
+"""Standard deviation of ln C_r between simulations of one vehicle: root mean square over 140 pairs of means that
+tests/benchmarks/second_simulator.py measured, with four kinds of wheels and tyres. A simulation of another author
+differed by 12 % in the median and 5 % in bias, the scatter of both sides' drives included."""
 
 
 @dataclass(frozen=True, slots=True)
