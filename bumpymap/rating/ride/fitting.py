@@ -30,9 +30,9 @@ _MIN_NOISY = 120
 """Fewest patches that a quantile of the noise tables is computed from."""
 _NOISY_SHARE = 80
 """Otherwise one of so many."""
-_LOW_TAIL = ((0.1, TAIL), (0.4, 0.05))
-"""Excess, and probability below the low end of the interval, linear in between. Strong noise hides how smooth the
-smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
+_STRONG_EXCESS, _STRONG_TAIL = (0.1, 0.4), 0.05
+"""From the first excess to the second, the probability below the low end of the interval falls from ``TAIL`` to that.
+Strong noise hides how smooth the smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 _MODEL_ERROR = 0.10
@@ -231,7 +231,7 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
     log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
     log_points = np.log(noisy.pixel_points)
     nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
-    low_tail = np.interp(_EXCESS, *zip(*_LOW_TAIL, strict=True))
+    low_tail = np.interp(_EXCESS, _STRONG_EXCESS, (TAIL, _STRONG_TAIL))
     tables = []
     for points in _PIXEL_POINTS:
         row = []

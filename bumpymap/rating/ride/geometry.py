@@ -60,7 +60,8 @@ def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
         rides,
         ride_scratch(patches.shape[1], operator.nodes, margin),
     )
-    return Rides(*rides.T.copy(), *_heights(np.where(known[:, None, None], patches, np.float32(np.nan))))
+    heights = _heights(np.where(known[:, None, None], patches, np.float32(np.nan)))
+    return Rides(*(*rides.T.copy(), *heights))
 
 
 def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
