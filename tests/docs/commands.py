@@ -71,6 +71,7 @@ RULES = (
     Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in", "--out new_vehicle.toml"),
     Rule(r"^bumpymap calibrate ", "hours of drives", f"{_FEW} --overwrite"),
     Rule(r"^python tests/benchmarks/ground_compare\.py", "takes labelled frames and Patchwork++", None),
+    Rule(r"^python tests/benchmarks/second_simulator\.py", "takes MuJoCo, and drives for minutes", None),
     Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),
     Rule(r"^bumpymap evaluate --scans --scenes", "made-up scenes", "--scenes 2"),
     Rule(r"^bumpymap evaluate --scans ", "takes some seconds for each frame", ""),

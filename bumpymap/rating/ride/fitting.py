@@ -30,15 +30,15 @@ _MIN_NOISY = 120
 """Fewest patches that a quantile of the noise tables is computed from."""
 _NOISY_SHARE = 80
 """Otherwise one of so many."""
-_LOW_TAIL = ((0.1, TAIL), (0.4, 0.05))
-"""Excess, and probability below the low end of the interval, linear in between. Strong noise hides how smooth the
-smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
+_STRONG_EXCESS, _STRONG_TAIL = (0.1, 0.4), 0.05
+"""From the first excess to the second, the probability below the low end of the interval falls from ``TAIL`` to that.
+Strong noise hides how smooth the smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 _MODEL_ERROR = 0.10
-"""Standard deviation of ln C_r between simulations of one vehicle. tests/benchmarks/second_simulator.py measures 0.07
-to 0.12, depending on the shape of the wheels; a simulation of another author differed by 12 % in the median and 5 % in
-bias, which is 0.18 with the scatter of both sides' drives."""
+"""Standard deviation of ln C_r between simulations of one vehicle: root mean square over 140 pairs of means that
+tests/benchmarks/second_simulator.py measured, with four kinds of wheels and tyres. A simulation of another author
+differed by 12 % in the median and 5 % in bias, the scatter of both sides' drives included."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,12 +147,12 @@ def _fit_spread(
     place = (log_g - log_range[0]) / (log_range[1] - log_range[0])
     best, found = np.inf, (ends[0], ends[0])
     for low in ends:
-        for high in ends:
-            variance = np.exp(2 * (low + (high - low) * place)) + error**2
-            # Student's t with five degrees of freedom: there are more outliers than a normal distribution has.
-            score = float(np.sum(np.log(variance) / 2 + 3 * np.log1p(residual**2 / (5 * variance))))
-            if score < best:
-                best, found = score, (low, high)
+        variance = np.exp(2 * (low + (ends[:, None] - low) * place)) + error**2
+        # Student's t with five degrees of freedom: there are more outliers than a normal distribution has.
+        score = np.sum(np.log(variance) / 2 + 3 * np.log1p(residual**2 / (5 * variance)), axis=1)
+        at = int(np.argmin(score))
+        if score[at] < best:
+            best, found = float(score[at]), (low, ends[at])
     # Scale of that distribution as the standard deviation of the normal one with the same 80 % interval.
     widen = np.log(1.475884 / 1.281552)
     return float(found[0] + widen), float(found[1] + widen)
@@ -231,7 +231,7 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
     log_excess = np.log(np.maximum(noisy.excess, _MIN_EXCESS))
     log_points = np.log(noisy.pixel_points)
     nearest = max(_MIN_NOISY, len(log_excess) // _NOISY_SHARE)
-    low_tail = np.interp(_EXCESS, *zip(*_LOW_TAIL, strict=True))
+    low_tail = np.interp(_EXCESS, _STRONG_EXCESS, (TAIL, _STRONG_TAIL))
     tables = []
     for points in _PIXEL_POINTS:
         row = []

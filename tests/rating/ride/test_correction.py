@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import astuple, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -37,6 +38,12 @@ def no_noise(count=500):
     )
 
 
+@cache
+def fitted():
+    """The fit to those drives."""
+    return fit_correction(made_up(), no_noise())
+
+
 def predicted(correction, driven, excess=0.0):
     felt = driven.rides.pitch_change * np.sqrt(np.expm1(2 * excess))
     return correction.predict(driven.rides, driven.slope_deg, felt, np.full(len(felt), 4.0))
@@ -44,7 +51,7 @@ def predicted(correction, driven, excess=0.0):
 
 @pytest.mark.slow
 def test_a_fit_finds_what_the_drives_follow():
-    correction = fit_correction(made_up(), no_noise())
+    correction = fitted()
     unseen = made_up(2)
     found = predicted(correction, unseen)
     good = unseen.failed <= 2
@@ -67,7 +74,7 @@ def test_intervals_hold_their_share():
 
 @pytest.mark.slow
 def test_the_chance_to_fail_is_in_step_with_the_drives():
-    correction = fit_correction(made_up(), no_noise())
+    correction = fitted()
     unseen = made_up(2)
     p_fail = predicted(correction, unseen).p_fail
     share = unseen.failed / 8
@@ -78,7 +85,7 @@ def test_the_chance_to_fail_is_in_step_with_the_drives():
 
 @pytest.mark.slow
 def test_below_what_was_driven_c_r_is_proportional():
-    correction = fit_correction(made_up(), no_noise())
+    correction = fitted()
     rides = replace(Rides(*(np.array([1e-3, 1e-4]) for _ in range(8))), belly_reach=np.zeros(2))
     found = correction.predict(rides, np.zeros(2), np.zeros(2), np.full(2, 4.0))
     assert np.diff(found.log_c_r) == pytest.approx(np.log(0.1))
@@ -86,7 +93,7 @@ def test_below_what_was_driven_c_r_is_proportional():
 
 @pytest.mark.slow
 def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
-    correction = fit_correction(made_up(), no_noise())
+    correction = fitted()
     rides = replace(Rides(*(np.array([1e-5, 1e-3, 0.2]) for _ in range(8))), belly_reach=np.zeros(3))
     found = correction.predict(rides, np.zeros(3), np.full(3, 0.1), np.full(3, 4.0))
     assert found.log_c_r[0] == found.log_c_r[1] < found.log_c_r[2]
@@ -97,14 +104,14 @@ def test_ground_is_not_called_smoother_than_its_noise_lets_one_tell():
 
 @pytest.mark.slow
 def test_noise_widens_the_interval():
-    correction, driven = fit_correction(made_up(), no_noise()), made_up(2)
+    correction, driven = fitted(), made_up(2)
     quiet, loud, unknown = (predicted(correction, driven, excess) for excess in (0.0, 1.5, np.nan))
     assert np.all(loud.below > quiet.below)
     assert np.all(unknown.below > quiet.below)
 
 
 def test_a_record_gives_the_same_predictions():
-    correction, driven = fit_correction(made_up(), no_noise()), made_up(2)
+    correction, driven = fitted(), made_up(2)
     again = Correction.from_record(json.loads(json.dumps(correction.to_record())))
     assert again == correction
     assert np.array_equal(predicted(again, driven, 0.3).below, predicted(correction, driven, 0.3).below)
@@ -113,7 +120,7 @@ def test_a_record_gives_the_same_predictions():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["c_r", "noise_low", "excess"])
 def test_a_damaged_record_is_refused(name):
-    record = fit_correction(made_up(), no_noise()).to_record()
+    record = fitted().to_record()
     del record[name]
     with pytest.raises(BadInputError, match="damaged"):
         Correction.from_record(record)
@@ -124,7 +131,7 @@ def test_a_damaged_record_is_refused(name):
 
 @pytest.mark.slow
 def test_a_record_of_other_terms_is_refused():
-    record = fit_correction(made_up(), no_noise()).to_record()
+    record = fitted().to_record()
     with pytest.raises(BadInputError, match="9 coefficients of p_fail, not 8 or 10"):
         Correction.from_record(record | {"fail": record["fail"][:-1]})
     with pytest.raises(BadInputError, match="7 coefficients of C_r, not 6 or 9"):
@@ -133,7 +140,7 @@ def test_a_record_of_other_terms_is_refused():
 
 @pytest.mark.slow
 def test_a_record_with_fewer_terms_is_one_whose_last_are_zero():
-    record, driven = fit_correction(made_up(), no_noise()).to_record(), made_up(2)
+    record, driven = fitted().to_record(), made_up(2)
     few = {key: value for key, value in record.items() if key != "model_error"}
     few |= {"c_r": record["c_r"][:6], "fail": record["fail"][:8]}
     padded = record | {"c_r": [*few["c_r"], 0, 0, 0], "fail": [*few["fail"], 0, 0], "model_error": 0.0}
@@ -144,7 +151,7 @@ def test_a_record_with_fewer_terms_is_one_whose_last_are_zero():
 
 @pytest.mark.slow
 def test_what_another_simulation_adds_widens_every_interval():
-    record, driven = fit_correction(made_up(), no_noise()).to_record(), made_up(2)
+    record, driven = fitted().to_record(), made_up(2)
     own, world = (predicted(Correction.from_record(record | {"model_error": e}), driven, 0.3) for e in (0.0, 0.2))
     np.testing.assert_allclose(world.below, np.hypot(own.below, 0.2))
     np.testing.assert_allclose(world.above, np.hypot(own.above, 0.2))
@@ -154,7 +161,7 @@ def test_what_another_simulation_adds_widens_every_interval():
 @pytest.mark.slow
 @pytest.mark.parametrize("wrong", [-0.1, float("nan"), float("inf"), "wide"])
 def test_a_wrong_model_error_is_refused(wrong):
-    record = fit_correction(made_up(), no_noise()).to_record()
+    record = fitted().to_record()
     with pytest.raises(BadInputError, match="damaged"):
         Correction.from_record(record | {"model_error": wrong})
 
