@@ -142,7 +142,7 @@ def test_tiles_and_regions_are_geodataframes(layers):
 
 def test_the_text_says_place_size_vehicle_and_classes(layers):
     text = repr(layers)
-    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 64.6%"):
+    for part in ("EPSG:32632", "512,340.00", "1,426 tiles of 3 m", "1,228,505 points", "warthog", "smooth 64.7%"):
         assert part in text
 
 
