@@ -58,7 +58,7 @@ def test_ground_below_the_range_stays_proportional():
     _, new = moved_by(old)
     now = Correction.from_record(new.ride)
     g = np.exp(np.array([now.log_range[0], now.log_range[0] - 1.0]))
-    rides = Rides(**{field.name: g for field in fields(Rides)})
+    rides = replace(Rides(**{field.name: g for field in fields(Rides)}), belly_reach=np.zeros(2))
     found = now.predict(rides, np.zeros(2), np.zeros(2), np.full(2, 10.0))
     assert found.log_c_r[0] - found.log_c_r[1] == pytest.approx(1.0)
 
