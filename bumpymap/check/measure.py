@@ -26,6 +26,8 @@ SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 """Easting, northing [m] and course [rad] -> rise of the ground ahead and to the left over a metre, NaN if unknown."""
 
 _UNSURE_OFFSET_S = 0.2
+_SURE_OFFSET_S = 0.05
+"""An offset that starts and stops tell so closely needs no turns."""
 _UNSURE_DRIFT = 5e-5
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
@@ -81,7 +83,9 @@ def measure_drive(
     _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is not None:  # again, with gravity and driving told apart
-        start = replace(start, force=level_force(imu, mounting.rotation, mounting.upward), rough=False)
+        force = level_force(imu, mounting.rotation, mounting.upward)
+        begun = track.offset_s if places is not None else start.offset_s
+        start = replace(start, offset_s=begun, force=force, rough=False)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
@@ -92,7 +96,8 @@ def measure_drive(
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
-    told = places is not None and rates.clock.sure and track.offset_sd_s < _UNSURE_OFFSET_S
+    sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
+    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S
     return DriveMeasure(
         name=log.name,
         time=imu.time,

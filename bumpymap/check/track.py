@@ -28,6 +28,9 @@ _SPEED_CHANGES = (0.02, 0.06, 0.2, 0.6)
 """Candidates of how fast the speed changes, beside what the acceleration says, m/s/sqrt(s)."""
 _FIRST_CHANGES = (0.06, 0.2)
 """Candidates of a rough fit."""
+_FIRST_OFFSETS_S = (-0.9, -0.45, 0.0, 0.45, 0.9)
+"""A rough fit begins at these offsets beside the first estimate: vehicles that steer by skidding slip sideways in
+turns, so that the course tells the offset to a second only."""
 _FORCE_CHANGE = 0.01
 """How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _BESIDE_STOP_S = 2.5
@@ -121,16 +124,15 @@ def fit_track(
     """
     knots = _knots(imu, heading, standing, wheels, start)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
-    first = _first(knots, places, start)
     if places is None:
         blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
         problem = TrackProblem(blind, None, scatter, _SPEED_CHANGES[-2], _FORCE_CHANGE, start.offset_s)
-        return _track(problem, *_solve(problem, first)[:2])
-    return _track(*_best(knots, places, scatter, first, start))
+        return _track(problem, *_solve(problem, _first(knots, None, start))[:2])
+    return _track(*_best(knots, places, scatter, start))
 
 
 def _best(
-    knots: Knots, places: MetrePlaces, scatter: Scatter, first: TrackState, start: TrackStart
+    knots: Knots, places: MetrePlaces, scatter: Scatter, start: TrackStart
 ) -> tuple[TrackProblem, TrackState, SuperLU, float]:
     """Try how fast speed and errors change; return the most probable, and how far their clock offsets differ."""
     blind = replace(knots, gained=np.full_like(knots.gained, np.nan))
@@ -139,10 +141,13 @@ def _best(
     tries = [(own, speed, _FORCE_CHANGE) for own in ([knots] if felt else [blind]) for speed in speeds]
     tries += [(blind, speed, _FORCE_CHANGE) for speed in speeds if felt and not start.rough]
     found: list[tuple[float, TrackProblem, TrackState, SuperLU]] = []
-    for own, speed_change, force_change in tries:
-        problem = TrackProblem(own, places, scatter, speed_change, force_change, start.offset_s)
-        state, factor, badness = _solve(problem, first)
-        found.append((badness, problem, state, factor))
+    for shift in _FIRST_OFFSETS_S if start.rough else (0.0,):
+        begun = replace(start, offset_s=start.offset_s + shift)
+        first = _first(knots, places, begun)
+        for own, speed_change, force_change in tries:
+            problem = TrackProblem(own, places, scatter, speed_change, force_change, begun.offset_s)
+            state, factor, badness = _solve(problem, first)
+            found.append((badness, problem, state, factor))
     best = min(found, key=lambda one: one[0])
     offsets = [float(state.whole[OFFSET]) for _, problem, state, _ in found if problem.knots is best[1].knots]
     return *best[1:], float(np.median(np.abs(np.array(offsets) - best[2].whole[OFFSET])))
