@@ -66,12 +66,11 @@ def check_drives(
     >>> result.agreement.stretches == len(result.stretches.measured)
     True
     """
-    each = [drives] if isinstance(drives, str | os.PathLike) else list(drives)
-    if isinstance(layers, Layers):
-        site: Path | None = layers.folder
-    else:
-        site = None if layers is None else Path(layers)
-    config = CheckConfig(
-        tuple(os.fspath(drive) for drive in each), site, None if out is None else Path(out), columns, band_hz, window_m, overwrite
-    )
-    return run_check(config).result
+    each = [drives] if isinstance(drives, str | os.PathLike) else drives
+    site = layers.folder if isinstance(layers, Layers) else _path(layers)
+    named = tuple(os.fspath(drive) for drive in each)
+    return run_check(CheckConfig(named, site, _path(out), columns, band_hz, window_m, overwrite)).result
+
+
+def _path(given: PathLike | None) -> Path | None:
+    return None if given is None else Path(given)
