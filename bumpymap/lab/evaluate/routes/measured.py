@@ -40,8 +40,9 @@ def driven_heights(heights: NDArray[np.floating], objects: NDArray[np.uint8]) ->
 
 def driven_field(field: TileField, floor: float) -> TileField:
     """Return a map's tiles without the floor of the vehicle [rad/m], which simulated drives do not have."""
-    bands = {name: less_floor(getattr(field, name), floor) for name in ("c_r", "c_r_low", "c_r_high")}
-    return replace(field, **{name: values.astype(np.float32) for name, values in bands.items()})
+    ends = (field.c_r, field.c_r_low, field.c_r_high)
+    c_r, low, high = (less_floor(values, floor).astype(np.float32) for values in ends)
+    return replace(field, c_r=c_r, c_r_low=low, c_r_high=high)
 
 
 def ride_without_correction(model: RideModel, heights: NDArray[np.floating], known: NDArray[np.bool_]) -> Floats:
