@@ -2,6 +2,7 @@
 
 import math
 
+import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -13,6 +14,17 @@ from bumpymap.survey import map_survey
 ROUGH = ("c_r", "c_r_low", "c_r_high", "p_fail", "coverage")
 
 
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory, request):
+    """A part of the sample survey of 60 m by 60 m."""
+    whole = laspy.read(request.config.rootpath / "sample_data" / "quarry.laz")
+    east, north = whole.x - whole.x.min(), whole.y - whole.y.min()
+    part = laspy.LasData(whole.header, whole.points[(east > 30) & (east < 90) & (north > 20) & (north < 80)])
+    path = tmp_path_factory.mktemp("survey") / "part.laz"
+    part.write(path)
+    return path
+
+
 def mapped(survey, folder, **options):
     map_survey(survey, folder, **options)
     table = pq.read_table(folder / "tiles.parquet", columns=["col", "row", *ROUGH]).to_pydict()
@@ -20,8 +32,7 @@ def mapped(survey, folder, **options):
 
 
 @pytest.mark.parametrize("rating", ["ride", pytest.param("table", marks=pytest.mark.slow)])
-def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, rating, request):
-    survey = request.config.rootpath / "sample_data" / "quarry.laz"
+def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, rating, survey):
     old = Calibration.shipped("warthog")
     move = LogMove(math.log(old.class_limits[1]), 0.25, 0.1, np.diag([1e-6, 1e-6]), 1.0)
     file = tmp_path / "moved.json"
