@@ -28,7 +28,7 @@ from bumpymap.lab.simulate.motion_drive import drive_motion
 from bumpymap.lab.simulate.pool import drive_jobs
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.patches import join_stacks
-from bumpymap.rating import QUANTITIES, RideModel, Vehicle, find_calibration
+from bumpymap.rating import QUANTITIES, RideModel, Vehicle, find_calibration, motion_felt
 from bumpymap.readers import ReadOptions
 from bumpytiles import Grid
 
@@ -69,8 +69,8 @@ def driven_means(record):
     return mean, np.nanstd(found, axis=1, ddof=1) / np.sqrt(done) / mean
 
 
-def main():
-    """Drive, compare, print a table."""
+def arguments():
+    """Return what was given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("survey", type=Path)
     parser.add_argument("--crs")
@@ -82,36 +82,36 @@ def main():
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--raw", action="store_true", help="rate the ground with its noise")
     parser.add_argument("--workers", type=int, default=1)
-    args = parser.parse_args()
-    args.data.mkdir(parents=True, exist_ok=True)
-    speeds = tuple(float(word) for word in args.speeds.split(","))
-    calibration = find_calibration(args.vehicle).without_floor()  # simulated drives have none
-    profile = Vehicle.from_dict(calibration.vehicle, args.vehicle)
-    grid = Grid(calibration.tile_size, calibration.pixels)
-    patches = survey_patches(args, grid, FeatureSettings())
-    model = RideModel(calibration, speeds)
+    return parser.parse_args()
+
+
+def chosen_patches(args, patches, model):
+    """Return patches of all levels of roughness that few drives fail on."""
     rated = model.rate(patches, TextureMap.unknown(len(patches.reason)), Georeference(None))
     stratum = strata(rated.c_r.astype(float), rated.p_fail.astype(float))
     crossed = np.flatnonzero(rated.p_fail < 0.2)
     priority = uniform_by_key(args.seed, patches.col[crossed], patches.row[crossed])
-    rows = crossed[choose_patches(stratum[crossed], priority, args.patches)]
-    chosen = take_tiles(patches, rows)
-    model = NoisyRide(calibration, speeds) if args.raw else model
-    rated = model.rate(chosen, TextureMap.unknown(len(rows)), Georeference(None))
-    felt = (rated.motion * rated.c_r[:, None]).reshape(len(rows), len(speeds), len(QUANTITIES)).astype(float)
+    return take_tiles(patches, crossed[choose_patches(stratum[crossed], priority, args.patches)])
+
+
+def driven_patches(args, profile, speeds, chosen):
+    """Drive over patches; return means and their errors, (patches, quantities, speeds) each."""
+    names = list(zip(chosen.col.tolist(), chosen.row.tolist(), strict=True))
     ground = driven_ground(chosen)
-    names = [(int(patches.col[row]), int(patches.row[row])) for row in rows]
     jobs = [Job(name, heights, args.starts * len(speeds)) for name, heights in zip(names, ground, strict=True)]
     settings = {"vehicle": profile.to_dict(), "speeds": speeds, "starts": args.starts, "seed": args.seed}
     driven = drive_jobs(
-        partial(drive_patch, profile, grid.tile_size, speeds, args.starts, args.seed),
+        partial(drive_patch, profile, chosen.grid.tile_size, speeds, args.starts, args.seed),
         jobs,
         lambda done, every: (args.data / "progress").write_text(f"{done}/{every}\n"),
         workers=args.workers,
         journal=JobJournal(args.data / f"motion-{args.vehicle}.jsonl", settings, MotionRecord.read),
     )
-    means, errors = (np.stack(part) for part in zip(*(driven_means(driven[name]) for name in names), strict=True))
-    print(f"{len(names)} patches, {args.starts} starts each; median standard error of the driven means beside")
+    return tuple(np.stack(part) for part in zip(*(driven_means(driven[name]) for name in names), strict=True))
+
+
+def show(felt, means, errors, speeds):
+    """Print a line for each quantity and speed."""
     print(f"{'':8s} {'m/s':>5s} {'n':>4s} {'Spearman':>9s} {'median error':>13s} {'bias':>7s} {'driven error':>13s}")
     for q, name in enumerate(QUANTITIES):
         for v, speed in enumerate(speeds):
@@ -120,6 +120,28 @@ def main():
             rank = spearmanr(felt[known, v, q], means[known, q, v]).statistic
             shares = [np.expm1(np.median(np.abs(ratio))), np.expm1(np.median(ratio)), np.median(errors[known, q, v])]
             print(f"{name:8s} {speed:5g} {known.sum():4d} {rank:9.3f} " + " ".join(f"{x:12.1%}" for x in shares))
+
+
+def main():
+    """Drive, compare, print a table."""
+    args = arguments()
+    args.data.mkdir(parents=True, exist_ok=True)
+    speeds = tuple(float(word) for word in args.speeds.split(","))
+    calibration = find_calibration(args.vehicle).without_floor()  # simulated drives have none
+    profile = Vehicle.from_dict(calibration.vehicle, args.vehicle)
+    grid = Grid(calibration.tile_size, calibration.pixels)
+    model = RideModel(calibration, speeds)
+    chosen = chosen_patches(args, survey_patches(args, grid, FeatureSettings()), model)
+    model = NoisyRide(calibration, speeds) if args.raw else model
+    rated = model.rate(chosen, TextureMap.unknown(len(chosen.reason)), Georeference(None))
+    felt = (
+        motion_felt(calibration, speeds, rated.motion, rated.c_r)
+        .reshape(-1, len(speeds), len(QUANTITIES))
+        .astype(float)
+    )
+    means, errors = driven_patches(args, profile, speeds, chosen)
+    print(f"{len(felt)} patches, {args.starts} starts each; median standard error of the driven means beside")
+    show(felt, means, errors, speeds)
 
 
 if __name__ == "__main__":
