@@ -149,8 +149,9 @@ def _best(
             state, factor, badness = _solve(problem, first)
             found.append((badness, problem, state, factor))
     best = min(found, key=lambda one: one[0])
-    offsets = [float(state.whole[OFFSET]) for _, problem, state, _ in found if problem.knots is best[1].knots]
-    return *best[1:], float(np.median(np.abs(np.array(offsets) - best[2].whole[OFFSET])))
+    odds = np.exp(0.5 * (best[0] - np.array([one[0] for one in found])))
+    off = np.array([one[2].whole[OFFSET] for one in found]) - best[2].whole[OFFSET]
+    return *best[1:], float(np.sqrt((odds * off**2).sum() / odds.sum()))
 
 
 def _knots(imu: EvenImu, heading: Floats, standing: Mask, wheels: WheelTrack | None, start: TrackStart) -> Knots:

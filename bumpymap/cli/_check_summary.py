@@ -39,12 +39,21 @@ def _drive_lines(drive: CheckedDrive) -> Iterator[str]:
         lost = ", ".join(f"{reason} {metres:.0f} m" for reason, metres in drive.left_out_m.items() if metres >= 0.5)
         if lost:
             yield f"  left out: {lost}"
-    columns = ", ".join(f"{quantity}: {column}" for quantity, column in drive.columns.items())
-    if columns:
-        yield f"  read from {columns}"
+    for place, columns in _by_file(drive).items():
+        yield f"  read from {place}: {', '.join(columns)}"
     yield f"  {'; '.join(_sensor_words(drive))}"
     for note in drive.notes:
         yield f"  {note}"
+
+
+def _by_file(drive: CheckedDrive) -> dict[str, list[str]]:
+    """Return what was read from each file: the column, with the quantity where its name differs."""
+    found: dict[str, list[str]] = {}
+    for quantity, column in drive.columns.items():
+        place, separator, name = column.rpartition(": ")
+        said = name if name.startswith(quantity) else f"{name} as {quantity}"
+        found.setdefault(place if separator else "the log", []).append(said)
+    return found
 
 
 def _sensor_words(drive: CheckedDrive) -> Iterator[str]:

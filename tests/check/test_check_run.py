@@ -1,0 +1,88 @@
+"""The whole check over the layers of a small survey: readings by stretch and tile, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import made_drives
+import numpy as np
+import pytest
+
+from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check.place_on_map import places_alone, places_on_map
+from bumpymap.core import BadInputError, PlaceTrack
+
+
+def csv_of(path: Path, *, with_places: bool = True) -> str:
+    """Write the log of a drive as tables; return the place to read it from."""
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    imu = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
+    head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
+    np.savetxt(path / "imu.csv", imu, delimiter=",", header=head, comments="")
+    if not with_places:
+        return str(path / "imu.csv")
+    lon, lat = -99.0 + log.places.x / 105_000.0, 19.0 + log.places.y / 110_700.0
+    places = np.column_stack([log.places.time, lon, lat])
+    np.savetxt(path / "gnss.csv", places, delimiter=",", header="time [s],longitude [deg],latitude [deg]", comments="")
+    return f"{path / 'imu.csv'},{path / 'gnss.csv'}"
+
+
+def test_drives_are_measured_without_a_map(tmp_path):
+    result = check_drives(CheckConfig((csv_of(tmp_path),)))
+    assert result.ground is None
+    assert result.agreement is None
+    drive = result.drives[0]
+    assert drive.way_m == pytest.approx(drive.used_m + sum(drive.left_out_m.values()))
+    assert drive.speed_mps == pytest.approx(1.0, rel=0.05)
+    assert np.isfinite(result.stretches.measured).all()
+    assert np.isnan(result.stretches.c_r).all()
+    assert (result.stretches.class_id == 255).all()
+
+
+def test_a_drive_without_positions_or_wheels_is_refused(tmp_path):
+    with pytest.raises(BadInputError, match="neither positions nor wheel speeds"):
+        check_drives(CheckConfig((csv_of(tmp_path, with_places=False),)))
+
+
+class Site:
+    """A map as far as positions need it: 100 x 100 tiles, perhaps without a CRS."""
+
+    def __init__(self, *, has_crs: bool):
+        from bumpymap.core import Georeference
+        from bumpytiles import Grid, TileWindow
+
+        self.has_crs, self.grid, self.window = has_crs, Grid(3.0, 15), TileWindow(0, 0, 100, 100)
+        self.georeference = Georeference(None)
+
+    def to_grid(self, x, y):
+        return x, y
+
+    to_crs = to_grid
+
+
+def placed(kind: str, shift: float = 0.0):
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0))
+    track = log.places
+    return replace(log, places=PlaceTrack(track.time, track.x + 50 + shift, track.y + 50, track.error, kind))
+
+
+def test_positions_of_the_map_s_crs_are_taken():
+    places = places_on_map(placed("projected"), Site(has_crs=False))
+    assert places.place.real.min() > 40
+
+
+def test_a_drive_elsewhere_says_where_it_is_and_where_the_map_is():
+    with pytest.raises(BadInputError, match=r"off the map: the drive lies around 9\d{5}.*covers 0\.0 to 300\.0"):
+        places_on_map(placed("projected", 9e5), Site(has_crs=False))
+
+
+@pytest.mark.parametrize(("kind", "word"), [("local", "odometry"), ("lonlat", "no CRS")])
+def test_positions_that_cannot_be_placed_are_refused(kind, word):
+    with pytest.raises(BadInputError, match=word):
+        places_on_map(placed(kind), Site(has_crs=False))
+
+
+def test_a_drive_without_positions_is_refused_with_a_map():
+    log = replace(placed("projected"), places=None)
+    assert places_alone(log) is None
+    with pytest.raises(BadInputError, match="no positions"):
+        places_on_map(log, Site(has_crs=False))
