@@ -11,10 +11,10 @@ from bumpymap.check.attitude import heading_of, levelling, turned, upward_in_sen
 from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
-from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
+from bumpymap.check.places import MetrePlaces, near_place
 from bumpymap.check.settings import ReadingSettings
 from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
-from bumpymap.check.standing import find_standing, rate_bias
+from bumpymap.check.standing import find_standing, rate_bias, rough_speed
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
 from bumpymap.core import BadInputError, DriveLog
 
@@ -130,8 +130,7 @@ def _usable_force(imu: EvenImu, notes: list[str]) -> EvenImu:
 
 
 def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: float) -> _Rates:
-    speed, error = _rough_speed(log, imu, places)
-    standing = find_standing(imu, speed, error, band_hz)
+    standing = find_standing(imu, rough_speed(imu, places, log.wheels), band_hz)
     upward = np.median(imu.force[imu.known], axis=0) if imu.has_force else np.array([0.0, 0.0, 1.0])
     upward /= np.linalg.norm(upward)
     rate = (imu.rate - rate_bias(imu, standing, upward)) * imu.known[:, None]
@@ -145,21 +144,6 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
         refuse_wrong_unit(places, clock, imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
-
-
-def _rough_speed(log: DriveLog, imu: EvenImu, places: MetrePlaces | None) -> tuple[Floats, float]:
-    """Return a rough speed at the samples of the IMU, and its error, m/s."""
-    if log.wheels is not None and np.isfinite(log.wheels.speed).sum() > 1:
-        good = np.isfinite(log.wheels.speed)
-        return np.interp(imu.time, log.wheels.time[good], log.wheels.speed[good], left=np.nan, right=np.nan), 0.0
-    if places is None:
-        return np.full(len(imu.time), np.nan), 0.0
-    even = np.arange(imu.time[0], imu.time[-1], 0.1)
-    velocity, known = smooth_velocity(places, even, 1.0)
-    speed = np.where(known, np.abs(velocity), np.nan)
-    still = speed[np.isfinite(speed)]
-    error = float(np.quantile(still, 0.02)) if len(still) else 0.0
-    return np.interp(imu.time, even, speed), min(error, 0.3)
 
 
 def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
