@@ -28,6 +28,8 @@ SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 _UNSURE_OFFSET_S = 0.2
 _SURE_OFFSET_S = 0.05
 """An offset that starts and stops tell so closely needs no turns."""
+_LEAST_CLOCK_M = 20.0
+"""A shorter way tells no offset, whatever the fit says of its error."""
 _UNSURE_DRIFT = 5e-5
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
@@ -85,7 +87,7 @@ def measure_drive(
     if mounting is not None:  # again, with gravity and driving told apart
         force = level_force(imu, mounting.rotation, mounting.upward)
         begun = track.offset_s if places is not None else start.offset_s
-        start = replace(start, offset_s=begun, force=force, rough=False)
+        start = replace(start, offset_s=begun, force=force, rough=False, spread_s=track.offset_spread_s)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
@@ -97,7 +99,8 @@ def measure_drive(
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
     sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
-    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S
+    driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
+    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
     return DriveMeasure(
         name=log.name,
         time=imu.time,
