@@ -31,6 +31,8 @@ _SURE_OFFSET_S = 0.05
 _LEAST_CLOCK_M = 20.0
 """A shorter way tells no offset, whatever the fit says of its error."""
 _UNSURE_DRIFT = 5e-5
+_BESIDE_GAP_S, _LEAST_FAR = 5.0, 0.2
+"""The mounting of the sensor rests on what is so far from gaps, unless that is less than this share of the drive."""
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
 """Yaw rates are averaged over this: bumps turn a vehicle to and fro."""
@@ -170,9 +172,16 @@ def _mounting(
     if slope_at is not None:
         along, left = slope_at(easting, northing, course)
     yaw_rate = np.gradient(rates.heading) * imu.hertz
-    moving = imu.known & (np.abs(speed) > settings.least_speed_mps)
+    moving = _far_from_gaps(imu) & (np.abs(speed) > settings.least_speed_mps)
     motion = DrivenMotion(speed, yaw_rate, along, left)
     return find_mounting(imu, rates.rate, rates.attitude, motion, moving)
+
+
+def _far_from_gaps(imu: EvenImu) -> Mask:
+    """Return when the sensor has been known for a while: how it turned in a gap is not, and spoils what is upward."""
+    share = rolling_mean(imu.known.astype(np.float64), round(2.0 * _BESIDE_GAP_S * imu.hertz))
+    far = np.asarray(imu.known & (share > 1.0 - 1e-9), np.bool_)
+    return far if far.mean() > _LEAST_FAR else imu.known
 
 
 def _reasons(
