@@ -1,5 +1,6 @@
 """``bumpymap check --refit``: move the calibration of a map to the drives over it."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,11 +84,23 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
+    site = open_map([layers])
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+    return Refit(_calibration_of(site, calibration), out, overwrite)
+
+
+def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
+    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
+    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
+    if not math.isclose(own, speed):
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
+            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
+            f"whose speed is {speed:g} m/s"
+        )
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
@@ -112,6 +125,7 @@ def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
         raise UsageError(
             f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
         ) from error
+    _require_own_speed(found, site)
     if found.id != site.calibration_id:
         raise BadInputError(
             f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
