@@ -136,7 +136,7 @@ def remove_map_files(folder: Path) -> None:
 
 
 def remove_speeds(folder: Path) -> None:
-    """Remove the layer of other speeds, and its style, that an earlier run wrote, in a folder where the last one wrote none.
+    """Remove the layer of other speeds and its style, which an earlier run left where the last one wrote none.
 
     Raises
     ------
