@@ -79,7 +79,7 @@ def _intervals(limits: list[float]) -> tuple[str, ...]:
 
 
 def _setting(record: Mapping[str, Any], name: str) -> Any:
-    """Return a setting of a run or None: settings are a dataclass until they are written, and an object of JSON then."""
+    """Return a setting of a run, or None; settings are a dataclass until they are written, then an object of JSON."""
     settings = record.get("settings")
     return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
 
