@@ -1,6 +1,7 @@
 """Drive the Husky over made-up surfaces in simulation, beside what a real one measured: python docs/drives/surfaces.py.
 
-Heights are random fields by statistics of roughness, where we could from the literature, on a grid of 2 cm that goes on forever:
+Heights are random fields on a grid of 2 cm that goes on forever, by statistics of roughness from the literature where
+there are some:
 
 - paved and gravel roads: ISO 8608, the power of profiles falls with the square of the wave number; at 0.1 periods per
   metre it is 16 (class A, asphalt), 256 (class C) to 1,024 (class D, gravel) times 1e-6 m3. Ice: the smooth end of
