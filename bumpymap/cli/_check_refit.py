@@ -143,8 +143,9 @@ def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
         raise UsageError(
             f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
         ) from error
-    _require_own_speed(found, site)
     if found.id != site.calibration_id:
+        if found.vehicle["name"] == site.vehicle.name:
+            _require_own_speed(found, site)
         raise BadInputError(
             f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
             f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "
