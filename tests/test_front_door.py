@@ -402,8 +402,8 @@ def write_drive(path):
 
 
 def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
-    drive = write_drive(tmp_path / "drive.csv")
-    one, several = bumpymap.check_drives(layers, drive), bumpymap.check_drives(layers.folder, [str(drive), drive])
+    drive, again = (write_drive(tmp_path / name) for name in ("drive.csv", "again.csv"))
+    one, several = bumpymap.check_drives(layers, drive), bumpymap.check_drives(layers.folder, [str(drive), again])
     assert (len(one.drives), len(several.drives)) == (1, 2)
     np.testing.assert_array_equal(np.tile(one.stretches.measured, 2), several.stretches.measured)
     alone = bumpymap.check_drives(None, drive, tmp_path / "alone", band_hz=5, window_m=20)

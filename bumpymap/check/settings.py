@@ -63,6 +63,9 @@ class CheckConfig:
     def __post_init__(self) -> None:
         if not self.drives:
             raise UsageError("no drive is given. Give the log of a drive with `drives`, such as a CSV file or a bag")
+        twice = [drive for number, drive in enumerate(self.drives) if drive in self.drives[:number]]
+        if twice:
+            raise UsageError(f"the drive {twice[0]} is given twice, and would count twice. Give each once")
         _ = self.measuring  # refuses what is out of range
 
     @property

@@ -1,12 +1,13 @@
 """``bumpymap check --refit``: move the calibration of a map to the drives over it."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked
+from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked, parse_json
 
 if TYPE_CHECKING:
     from bumpymap.layers import RouteMap
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Refit", "prepare_refit"]
 
 _LEAST_WIDENING = 1.05
+_MOST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +40,7 @@ class Refit:
         from bumpymap.rating import UpdateSettings, update_from_drives
 
         moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+        _make_folder(self.out)
         with locked(self.out.parent, f".{self.out.name}.lock"):
             _refuse_replacing(self.out, self.overwrite)
             with atomic(self.out) as beside:
@@ -83,18 +86,46 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
+    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+
+
+def _make_folder(out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+
+
+def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
+    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
+    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
+    if not math.isclose(own, speed):
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
+            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
+            f"whose speed is {speed:g} m/s"
+        )
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
+    above = next(folder for folder in out.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise OutputError(f"cannot write {out}: {above} is a file; choose a file in a folder that you may write")
     if out.is_dir():
         raise OutputError(f"{out} is a folder; `refit` takes the file to write, such as `refit='my_robot.json'`")
     if (out.exists() or out.is_symlink()) and not overwrite:
         raise OutputError(f"{out} exists; give `overwrite=True` to replace it, or another file with `refit`")
+    if out.is_file() and not out.is_symlink() and not _is_calibration(out):
+        raise OutputError(f"{out} is no calibration, and was not touched; choose another file with `refit`")
+
+
+def _is_calibration(path: Path) -> bool:
+    """Return whether a file is one, of any version: no other file is replaced by one."""
+    try:
+        found = parse_json(path.read_text(encoding="utf-8")) if path.stat().st_size <= _MOST_BYTES else None
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
 
 
 def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
@@ -113,6 +144,8 @@ def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
             f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
         ) from error
     if found.id != site.calibration_id:
+        if found.vehicle["name"] == site.vehicle.name:
+            _require_own_speed(found, site)
         raise BadInputError(
             f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
             f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "

@@ -49,6 +49,7 @@ from .check.record import (
 from .check.words import (
     check_headline as check_headline,
     check_verdict as check_verdict,
+    columns_words as columns_words,
     level_words as level_words,
 )
 from .colours import (
@@ -115,6 +116,7 @@ from .placement import (
     fits_one_map as fits_one_map,
 )
 from .products import (
+    EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,
