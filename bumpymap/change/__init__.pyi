@@ -17,6 +17,7 @@ from .pipeline import (
     find_changes as find_changes,
 )
 from .ride import (
+    CommonError as CommonError,
     ride_z as ride_z,
 )
 from .settings import (

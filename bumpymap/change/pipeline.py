@@ -16,7 +16,7 @@ from bumpymap.change.ground import GroundChange
 from bumpymap.change.heights import cell_pixels, ground_changes, height_offset
 from bumpymap.change.notes import remarks
 from bumpymap.change.regions import connect, describe_regions, region_names
-from bumpymap.change.ride import ride_z
+from bumpymap.change.ride import CommonError, ride_z
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
 from bumpymap.layers import (
@@ -99,7 +99,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     offset = height_offset(pair, cell)
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
-    decision = decide(ground, _ride(*surveys), config.fdr)
+    decision = decide(ground, _ride(pair, *surveys), config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {
         "offset_m": None if np.isnan(offset) else round(offset, 4),
@@ -117,11 +117,19 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
 
 
-def _ride(before: SurveyTiles, after: SurveyTiles) -> NDArray[np.float64]:
+def _ride(pair: SurveyPair, before: SurveyTiles, after: SurveyTiles) -> NDArray[np.float64]:
+    # Both have one calibration, or they could not be compared.
     return ride_z(
         (before.c_r, before.c_r_low, before.c_r_high),
         (after.c_r, after.c_r_low, after.c_r_high),
+        _common(pair),
     )
+
+
+def _common(pair: SurveyPair) -> CommonError:
+    """Return what both maps have in common; one may be of an earlier version, and say nothing of it."""
+    found = [CommonError.of(site.manifests[0]) for site in (pair.before, pair.after)]
+    return found[0] if found[0] == found[1] else CommonError()
 
 
 def _field(

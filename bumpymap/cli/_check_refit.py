@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked
+from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked, parse_json
 
 if TYPE_CHECKING:
     from bumpymap.layers import RouteMap
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 __all__ = ["Refit", "prepare_refit"]
 
 _LEAST_WIDENING = 1.05
+_MOST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +40,7 @@ class Refit:
         from bumpymap.rating import UpdateSettings, update_from_drives
 
         moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+        _make_folder(self.out)
         with locked(self.out.parent, f".{self.out.name}.lock"):
             _refuse_replacing(self.out, self.overwrite)
             with atomic(self.out) as beside:
@@ -86,11 +88,14 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     _refuse_replacing(out, overwrite)
     site = open_map([layers])
     _require_own_speed(site)
+    return Refit(_calibration_of(site, calibration), out, overwrite)
+
+
+def _make_folder(out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
-    return Refit(_calibration_of(site, calibration), out, overwrite)
 
 
 def _require_own_speed(site: "RouteMap") -> None:
@@ -105,10 +110,24 @@ def _require_own_speed(site: "RouteMap") -> None:
 
 
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
+    above = next(folder for folder in out.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise OutputError(f"cannot write {out}: {above} is a file; choose a file in a folder that you may write")
     if out.is_dir():
         raise OutputError(f"{out} is a folder; `refit` takes the file to write, such as `refit='my_robot.json'`")
     if (out.exists() or out.is_symlink()) and not overwrite:
         raise OutputError(f"{out} exists; give `overwrite=True` to replace it, or another file with `refit`")
+    if out.is_file() and not out.is_symlink() and not _is_calibration(out):
+        raise OutputError(f"{out} is no calibration, and was not touched; choose another file with `refit`")
+
+
+def _is_calibration(path: Path) -> bool:
+    """Return whether a file is one, of any version: no other file is replaced by one."""
+    try:
+        found = parse_json(path.read_text(encoding="utf-8")) if path.stat().st_size <= _MOST_BYTES else None
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
 
 
 def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
@@ -127,6 +146,8 @@ def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
             f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
         ) from error
     if found.id != site.calibration_id:
+        if found.vehicle["name"] == site.vehicle.name:
+            _require_own_speed(found, site)
         raise BadInputError(
             f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
             f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "

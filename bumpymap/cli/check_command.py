@@ -34,7 +34,7 @@ _SETTINGS = {"band": "band_hz", "window": "window_m"}
 )
 @click.option(
     "--columns",
-    metavar="NAME=COLUMN,...",
+    metavar="LIST",
     help="Columns or topics of the log, such as rate_y=GyrY[deg/s],time=t [default: guessed and shown].",
 )
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: page, picture, tables, GIS layers.")

@@ -116,6 +116,7 @@ from .placement import (
     fits_one_map as fits_one_map,
 )
 from .products import (
+    EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,

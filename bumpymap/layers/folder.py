@@ -23,7 +23,7 @@ from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
 from bumpymap.layers.metadata import as_tags, layer_metadata
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import EVERY_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
+from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.relief import write_relief
 from bumpymap.layers.sheets.folders import remove_speeds
@@ -46,7 +46,7 @@ def _report(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 _VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project, _report)
-"""Write the files of ``VIEW_NAMES`` to a folder, from the layers in it and the record of its run."""
+"""Write the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run."""
 
 
 def write_products(
@@ -81,7 +81,7 @@ def write_products(
     Returns
     -------
     list of Path
-        The files, in the order of ``EVERY_NAME`` and ``VIEW_NAMES``.
+        The files, in the order of ``EVERY_NAME`` and ``EVERY_VIEW_NAME``.
     MapSummary
         Counts and medians of the map.
 
@@ -114,12 +114,12 @@ def write_products(
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     if not table.speeds:
         remove_speeds(folder)
-    names = EVERY_NAME if table.speeds else PRODUCT_NAMES
-    return [folder / name for name in (*names, *VIEW_NAMES)], summary
+    names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
+    return [folder / name for name in names], summary
 
 
 def write_views(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write the files of ``VIEW_NAMES`` for the layers in a folder, from them and the content of run.json."""
+    """Write the files of ``EVERY_VIEW_NAME`` for the layers in a folder, from them and the content of run.json."""
     for view in _VIEWS:
         view(folder, record)
 

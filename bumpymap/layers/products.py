@@ -15,6 +15,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME
 __all__ = [
     "CATALOG_NAME",
     "EVERY_NAME",
+    "EVERY_VIEW_NAME",
     "ITEM_NAME",
     "NAMED_RASTERS",
     "PRODUCT_NAMES",
@@ -22,6 +23,7 @@ __all__ = [
     "SHEET_FOLDER",
     "SHEET_TABLE_NAME",
     "SPEEDS_NAME",
+    "SPEEDS_STYLE_NAME",
     "SPEEDS_VIRTUAL_NAME",
     "VIEW_NAMES",
     "VIRTUAL_NAMES",
@@ -61,6 +63,10 @@ VIEW_NAMES: tuple[str, ...] = (
     REPORT_NAME,
 )
 """Files to look at the others with: styles, a project, a page. GIS programs rewrite them, so they have no checksum."""
+SPEEDS_STYLE_NAME = SPEEDS_NAME.replace(".tif", ".qml")
+"""One more, of a run that was asked for other speeds."""
+EVERY_VIEW_NAME = (*VIEW_NAMES, SPEEDS_STYLE_NAME)
+"""The files to look at the others with that a run may write."""
 NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
 """Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""
 SHEET_FOLDER = "sheets"
@@ -118,7 +124,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
             remove_path(left)
-        names = (*EVERY_NAME, *VIEW_NAMES, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME)
+        names = (*EVERY_NAME, *EVERY_VIEW_NAME, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME)
         present = [name for name in names if lexists(folder / name)]
         sheets = sheets_in(folder)
     except OSError as error:

@@ -18,8 +18,8 @@ from bumpymap.core import (
     without_keys,
 )
 from bumpymap.layers import (
+    EVERY_VIEW_NAME,
     MANIFEST_NAME,
-    VIEW_NAMES,
     MapSummary,
     made_names,
     refuse_replacing,
@@ -98,7 +98,7 @@ def earlier_result(
     refuse_replacing(config.out, differences(before, now, same_content))
     require_whole(config.out, record)
     # Views may be deleted, or rewritten by other programs.
-    views = [name for name in VIEW_NAMES if (config.out / name).exists()]
+    views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
     return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, in_sheets, True)
 
@@ -140,6 +140,7 @@ def run_manifest(
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
             **({"floor_radpm": calibration.map_floor} if calibration.map_floor else {}),
+            **_model_error(config, calibration.ride),
         },
         "vehicle": {
             "name": calibration.vehicle["name"],
@@ -151,6 +152,12 @@ def run_manifest(
         | ({} if config.speed is None else {"drives_mps": float(calibration.vehicle["speed_mps"])}),
         "seconds": seconds,
     }
+
+
+def _model_error(config: MapConfig, ride: Mapping[str, Any] | None) -> dict[str, float]:
+    """Return the part of the intervals that all maps with this calibration share; nothing if they hold none."""
+    error = float(ride.get("model_error", 0.0)) if ride and (config.rating, config.compat) == ("ride", "none") else 0.0
+    return {"model_error": error} if error else {}
 
 
 def _skipped_identity(path: Path | str) -> dict[str, Any] | None:

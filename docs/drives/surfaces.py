@@ -1,13 +1,15 @@
 """Drive the Husky over made-up surfaces in simulation, beside what a real one measured: python docs/drives/surfaces.py.
 
-Heights are random fields by published statistics of roughness, on a grid of 2 cm that goes on forever:
+Heights are random fields on a grid of 2 cm that goes on forever, by statistics of roughness from the literature where
+there are some:
 
 - paved and gravel roads: ISO 8608, the power of profiles falls with the square of the wave number; at 0.1 periods per
   metre it is 16 (class A, asphalt), 256 (class C) to 1,024 (class D, gravel) times 1e-6 m3. Ice: the smooth end of
   class A, 8e-6 m3.
-- indoor floor: tiles of 0.3 m whose edges are up to 0.8 mm apart, the most that setters of tiles allow.
-- soil: random roughness by tool (Zobeck and Onstad 1987: 15 mm after a field cultivator, 18 mm after a disk, 32 mm
-  after a mouldboard plough), correlated over 0.1 m; furrows: ridges of 5 cm every 0.75 m besides.
+- indoor floor: tiles of 0.3 m whose edges are up to 0.8 mm apart, an assumption.
+- soil: random roughness by tool as commonly cited after Zobeck and Onstad (1987), whose paper we have not read (15 mm
+  after a field cultivator, 18 mm after a disk, 32 mm after a mouldboard plough); that it is correlated over 0.1 m is
+  an assumption, and so are furrows, ridges of 5 cm every 0.75 m besides.
 - snow with footprints: 12 mm, correlated over 0.15 m. An assumption: snow yields under the wheels.
 
 A drive is simulated on means over pixels of 0.2 m, which is what a map sees; on the grid of 2 cm, where a rigid wheel

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from bumpymap.change import coarsen, compare_heights, ride_z
+from bumpymap.change import CommonError, coarsen, compare_heights, ride_z
 
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
 
@@ -120,3 +120,30 @@ def test_ride_costs_are_compared_by_their_logarithms():
     z = ride_z(bands([0.1, 0.1, 0.2, np.nan, 0.1]), bands([0.1, 0.2, 0.1, 0.1, 0.0]))
     expected = np.log(2.0) / (spread * np.sqrt(2.0))
     assert z == pytest.approx([0.0, expected, -expected, np.nan, np.nan], nan_ok=True)
+
+
+@pytest.mark.parametrize("floor", [0.0, 0.05])
+def test_what_both_maps_share_is_no_part_of_the_spread(floor):
+    own, shared = 0.08, 0.1
+    ground = np.array([0.05, 0.1])
+    tail = 1.2815515655446004 * np.hypot(own, shared)
+
+    def bands(factor):
+        return tuple(np.hypot(factor * ground * np.exp(by), floor) for by in (0.0, -tail, tail))
+
+    before, after = bands(1.0), bands(1.02)
+    z = ride_z(before, after, CommonError(shared, floor))
+    assert z == pytest.approx(np.full(2, np.log(1.02) / (own * np.sqrt(2.0))), rel=0.05)
+    assert (z > 1.5 * ride_z(before, after)).all()
+
+
+def test_spreads_smaller_than_what_is_shared_stay_above_zero():
+    narrow = (np.array([0.1]), np.array([0.099]), np.array([0.101]))
+    (z,) = ride_z(narrow, tuple(2 * band for band in narrow), CommonError(0.5))
+    assert z == pytest.approx(2.0 * ride_z(narrow, tuple(2 * band for band in narrow))[0])
+
+
+def test_records_without_a_common_error_have_none():
+    for record in ({}, {"calibration": "c0ffee"}, {"calibration": {"model_error": None, "floor_radpm": "0.1"}}):
+        assert CommonError.of(record) == CommonError()
+    assert CommonError.of({"calibration": {"model_error": 0.1, "floor_radpm": 0.03}}) == CommonError(0.1, 0.03)

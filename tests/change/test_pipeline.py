@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from route_maps import RUN, VEHICLE, write_folder
+from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
@@ -89,6 +89,15 @@ def test_the_same_layers_have_not_changed(may, root):
     assert result.counts["changed"] == 0
     assert not result.field.d_height.any()
     assert not result.field.z_c_r.any()
+
+
+def test_the_error_that_both_maps_share_is_taken_off(may, june, root):
+    knows = RUN["calibration"] | {"model_error": 0.08}
+    both = [copy_folder(site, root / f"{site.name}_shared", calibration=knows) for site in (may, june)]
+    plain, taken, mixed = (compare(*pair).field.z_c_r for pair in ((may, june), both, (both[0], june)))
+    assert np.array_equal(mixed, plain)
+    own = np.sqrt((np.log(1.13) / 1.2816) ** 2 - 0.08**2)
+    assert np.median(taken / plain) == pytest.approx(np.log(1.13) / 1.2816 / own, rel=0.05)
 
 
 def test_thin_surveys_are_compared_in_coarser_cells(may, root):

@@ -29,6 +29,8 @@ CHECK_FORMAT = "bumpymap-check"
 _MOST_BYTES = 200_000_000
 _COUNTS = {"drive", "col", "row"}
 _CLASSES = {"class_id", "measured_class"}
+_MOST = 1e12
+"""Largest number that a check may hold: no length, angle or time of a drive comes near it."""
 _REMEDY = "Give the folder that `bumpymap check` wrote, as `check`"
 
 
@@ -70,12 +72,12 @@ def read_check(folder: Path) -> tuple[CheckResult, dict[str, Any]]:
         if not isinstance(record, dict) or record.get("format") != CHECK_FORMAT:
             raise BadInputError(f"{path} is not that of a check. {_REMEDY}")
         return result_of(record), record
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, OverflowError, KeyError, TypeError, AttributeError) as error:
         raise BadInputError(f"cannot read {path} as a check: {error!r}. {_REMEDY}") from error
 
 
 def result_of(record: Mapping[str, Any]) -> CheckResult:
-    """Return the findings that `check_entries` wrote. Raises ValueError, KeyError or TypeError if they are damaged."""
+    """Return the findings that `check_entries` wrote; ValueError, OverflowError, KeyError or TypeError if damaged."""
     ground, tiles, whole = record["map"], record["tiles"], record["agreement"]
     stretches = DrivenStretches(**_arrays(DrivenStretches, record["stretches"]))
     drives = tuple(_drive(entry) for entry in record["drives"])
@@ -117,6 +119,8 @@ def _arrays(kind: Any, columns: Mapping[str, Sequence[Any]]) -> dict[str, NDArra
             found[field.name] = np.array(values, np.float64)  # None becomes NaN
     if len({array.shape for array in found.values()}) > 1 or any(array.ndim != 1 for array in found.values()):
         raise ValueError("columns differ in length")
+    if any((np.abs(array) > _MOST).any() for array in found.values()):
+        raise ValueError(f"a number is larger than {_MOST:g}")
     return found
 
 
@@ -125,10 +129,15 @@ def _class_of(code: Any) -> int:
 
 
 def _number(value: Any) -> float:
-    return float("nan") if value is None else float(value)
+    number = float("nan") if value is None else float(value)
+    if abs(number) > _MOST:
+        raise ValueError(f"{value} is larger than {_MOST:g}")
+    return number
 
 
 def _texts(values: Sequence[Any]) -> tuple[str, ...]:
+    if not isinstance(values, Sequence) or isinstance(values, str):
+        raise TypeError(f"{values!r} is no list of texts")
     return tuple(map(str, values))
 
 

@@ -32,6 +32,8 @@ class StyleFacts:
     scale: RideScale
     z_factor: float
     """Units of the CRS in a metre, which is the unit of all heights."""
+    speeds: tuple[float, ...] = ()
+    """Of speeds.tif, m/s, in the order of its bands."""
 
     @classmethod
     def of(cls, folder: Path, record: Mapping[str, Any]) -> "StyleFacts":
@@ -48,9 +50,10 @@ class StyleFacts:
         metres = units.get("horizontal") if isinstance(units, Mapping) else None
         return cls(
             None if limits is None else _intervals(limits),
-            _compat(record) != "paper",
+            _setting(record, "compat") != "paper",
             RideScale.of(record, sample),
             1.0 / metres if isinstance(metres, int | float) and metres > 0 else 1.0,
+            tuple(float(speed) for speed in _setting(record, "speeds") or ()),
         )
 
     @property
@@ -75,10 +78,10 @@ def _intervals(limits: list[float]) -> tuple[str, ...]:
     return (*between, f"from {texts[-1]} rad/m")
 
 
-def _compat(record: Mapping[str, Any]) -> object:
-    """Return the setting ``compat``: settings are a dataclass until they are written, and an object of JSON then."""
+def _setting(record: Mapping[str, Any], name: str) -> Any:
+    """Return a setting of a run, or None; settings are a dataclass until they are written, then an object of JSON."""
     settings = record.get("settings")
-    return settings.get("compat") if isinstance(settings, Mapping) else getattr(settings, "compat", None)
+    return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
 
 
 def _c_r_sample(path: Path) -> NDArray[np.float32]:

@@ -23,7 +23,11 @@ from bumpymap.layers.sheets.folders import raster_in
 __all__ = ["write_project"]
 
 _NAME = "map.qgs"
-_GROUPS = (
+_CLASS = ProjectLayer("class.tif", "roughness class", MULTIPLY, visible=True)
+_FAILS = ProjectLayer("roughness.tif", "most drives fail", visible=True, part="p_fail")
+_C_R = ProjectLayer("roughness.tif", "c_r of the drives that get through", MULTIPLY, visible=True)
+_COST = ProjectLayer("cost.tif", "cost of driving", MULTIPLY)
+_ABOVE = (
     LayerGroup(
         "Why not",
         (
@@ -34,32 +38,14 @@ _GROUPS = (
         expanded=False,
     ),
     LayerGroup("Regions", (ProjectLayer("cost.fgb", "regions", MULTIPLY),), expanded=False),
-    LayerGroup(
-        "Ride",
-        (
-            ProjectLayer("class.tif", "roughness class", MULTIPLY, visible=True),
-            LayerGroup(
-                "ride cost c_r",
-                (
-                    ProjectLayer("roughness.tif", "most drives fail", visible=True, part="p_fail"),
-                    ProjectLayer("roughness.tif", "c_r of the drives that get through", MULTIPLY, visible=True),
-                ),
-                expanded=False,
-                visible=False,
-            ),
-            ProjectLayer("cost.tif", "cost of driving", MULTIPLY),
-        ),
-        one_of=True,
-    ),
-    LayerGroup(
-        "Ground",
-        (
-            ProjectLayer("heightmap.tif", "measured heights, with holes"),
-            ProjectLayer("relief.tif", "relief, holes filled", visible=True),
-        ),
+)
+_GROUND = LayerGroup(
+    "Ground",
+    (
+        ProjectLayer("heightmap.tif", "measured heights, with holes"),
+        ProjectLayer("relief.tif", "relief, holes filled", visible=True),
     ),
 )
-"""The groups of the project, the topmost first."""
 
 
 def write_project(folder: Path, record: Mapping[str, Any]) -> None:
@@ -78,7 +64,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         The project cannot be written, or a layer cannot be read.
     """
     facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
-    groups = [group.found_in(partial(_in_folder, folder)) for group in _GROUPS]
+    groups = [group.found_in(partial(_in_folder, folder)) for group in _groups(facts.speeds)]
     root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
     add(root, "homePath", {"path": ""})
     add(root, "title", text=title)
@@ -100,6 +86,15 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     add(about, "title", text=title)
     add(about, "abstract", text=_abstract(record, facts))
     write_qgis(root, folder / _NAME)
+
+
+def _groups(speeds: tuple[float, ...]) -> tuple[LayerGroup, ...]:
+    """Return the groups of the project, the topmost first; the ride at other speeds [m/s] lies where the map's does."""
+    told = [(f"{speed:g}", f"c_r at {speed:g} m/s") for speed in speeds]
+    others = tuple(ProjectLayer("speeds.tif", title, MULTIPLY, part=part) for part, title in told)
+    rides = (LayerGroup("at one speed", (_C_R, *others), one_of=True),) if others else (_C_R,)
+    c_r = LayerGroup("ride cost c_r", (_FAILS, *rides), expanded=False, visible=False)
+    return (*_ABOVE, LayerGroup("Ride", (_CLASS, c_r, _COST), one_of=True), _GROUND)
 
 
 def _in_folder(folder: Path, layer: ProjectLayer) -> ProjectLayer | None:

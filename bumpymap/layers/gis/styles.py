@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason
+from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason, speed_bands
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, COST_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.raster_style import NORMAL, Colour, RasterStyle, hillshade, paletted, ramp
@@ -30,6 +30,7 @@ _FILES: dict[str, tuple[str, ...]] = {
     "obstacle.qml": ("obstacle.tif",),
     "heightmap.qml": ("heightmap.tif",),
     "relief.qml": ("relief.tif",),
+    "speeds.qml": ("speeds.tif",),
     "tiles.qml": ("tiles.parquet",),
 }
 """Each style file and the layers that QGIS uses it for, all with its stem: one file holds a part for rasters and one
@@ -81,8 +82,11 @@ def layer_style(
         As one of several layers of a project: clear where there is nothing to explain (passable tiles, tiles with a
         class); a pale relief.
     part : str
-        Show something else of the file: ``p_fail``, the tiles where at least half of the drives fail.
+        Show something else of the file: ``p_fail``, the tiles where at least half of the drives fail; of speeds.tif
+        the C_r at another of its speeds, such as ``0.5`` [m/s].
     """
+    if layer == "speeds.tif":
+        return _at_speed(facts, part).elements(blend)
     if part:
         return _PARTS[part].elements(blend)
     if layer in _AREAS:
@@ -96,9 +100,15 @@ def _class(facts: StyleFacts) -> RasterStyle:
     return paletted(enumerate(facts.class_labels), CLASS_COLOURS)
 
 
-def _roughness(facts: StyleFacts) -> RasterStyle:
+def _roughness(facts: StyleFacts, band: int = _C_R_BAND) -> RasterStyle:
     stops = zip(facts.scale.anchors, facts.ride_labels, strict=True)
-    return ramp(_C_R_BAND, [(value, label, CLASS_COLOURS[number]) for number, (value, label) in enumerate(stops)])
+    return ramp(band, [(value, label, CLASS_COLOURS[number]) for number, (value, label) in enumerate(stops)])
+
+
+def _at_speed(facts: StyleFacts, speed: str) -> RasterStyle:
+    """Return the style of the C_r in speeds.tif at a speed; without one at the first, in the colours of the map's."""
+    names = [band.name for band in speed_bands(facts.speeds)]
+    return _roughness(facts, 1 + names.index(f"c_r_{speed}") if speed else 1)
 
 
 def _cost() -> RasterStyle:

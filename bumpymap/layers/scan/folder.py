@@ -12,7 +12,7 @@ import pyarrow as pa
 from rasterio.errors import RasterioError
 
 from bumpymap.core import OutputError, remove_path
-from bumpymap.layers.products import EVERY_NAME, NAMED_RASTERS, VIEW_NAMES, check_folder
+from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, NAMED_RASTERS, check_folder
 from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
 __all__ = [
@@ -88,7 +88,7 @@ def remove_stale_products(folder: Path, kept: Sequence[str]) -> None:
         if name in kept or not lexists(folder / name):
             continue
         if name == MAP_FOLDER and not (folder / name).is_symlink():
-            for layer in (*EVERY_NAME, *VIEW_NAMES, *_SIDE):
+            for layer in (*EVERY_NAME, *EVERY_VIEW_NAME, *_SIDE):
                 (folder / name / layer).unlink(missing_ok=True)
             with suppress(OSError):  # a folder with other files in it stays
                 (folder / name).rmdir()

@@ -11,11 +11,12 @@ from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT
 from bumpymap.layers.products import (
     CATALOG_NAME,
     EVERY_NAME,
+    EVERY_VIEW_NAME,
     SHEET_FOLDER,
     SHEET_TABLE_NAME,
     SPEEDS_NAME,
+    SPEEDS_STYLE_NAME,
     SPEEDS_VIRTUAL_NAME,
-    VIEW_NAMES,
     VIRTUAL_NAMES,
     sheets_in,
 )
@@ -34,7 +35,7 @@ __all__ = [
 ]
 
 _SIDECAR = ".aux.xml"
-_OWN = (*EVERY_NAME, *VIEW_NAMES)
+_OWN = (*EVERY_NAME, *EVERY_VIEW_NAME)
 _FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -135,7 +136,7 @@ def remove_map_files(folder: Path) -> None:
 
 
 def remove_speeds(folder: Path) -> None:
-    """Remove the layer of other speeds that an earlier run wrote, in a folder where the last one wrote none.
+    """Remove the layer of other speeds and its style, which an earlier run left where the last one wrote none.
 
     Raises
     ------
@@ -143,7 +144,7 @@ def remove_speeds(folder: Path) -> None:
         It cannot be removed.
     """
     with _removing(folder):
-        _remove_files(folder.resolve(), (SPEEDS_NAME, SPEEDS_VIRTUAL_NAME))
+        _remove_files(folder.resolve(), (SPEEDS_NAME, SPEEDS_VIRTUAL_NAME, SPEEDS_STYLE_NAME))
 
 
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:

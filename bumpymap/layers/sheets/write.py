@@ -29,7 +29,7 @@ from bumpymap.layers.manifest import (
     write_manifest,
 )
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import CATALOG_NAME, SHEET_FOLDER, SHEET_TABLE_NAME, VIEW_NAMES
+from bumpymap.layers.products import CATALOG_NAME, EVERY_VIEW_NAME, SHEET_FOLDER, SHEET_TABLE_NAME
 from bumpymap.layers.sheets.finished import is_finished, virtual_names
 from bumpymap.layers.sheets.folders import (
     make_sheet_folder,
@@ -98,7 +98,7 @@ def write_sheets(
     Returns
     -------
     list of Path
-        The virtual rasters, the table of sheets, run.json, the catalogue, and the files of ``VIEW_NAMES`` for the
+        The virtual rasters, the table of sheets, run.json, the catalogue, and the files of ``EVERY_VIEW_NAME`` for the
         whole map.
     MapSummary
         Counts and medians of the whole map.
@@ -149,7 +149,7 @@ def write_sheets(
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
-    views = [name for name in VIEW_NAMES if (folder / name).is_file()]
+    views = [name for name in EVERY_VIEW_NAME if (folder / name).is_file()]
     return [folder / name for name in (*virtual, SHEET_TABLE_NAME, MANIFEST_NAME, CATALOG_NAME, *views)], summary
 
 

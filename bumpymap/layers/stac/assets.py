@@ -9,7 +9,7 @@ from typing import Any
 from pyproj import CRS
 
 from bumpymap.layers.manifest import MANIFEST_NAME
-from bumpymap.layers.products import EVERY_NAME, ITEM_NAME, VIEW_NAMES
+from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
 from bumpymap.layers.stac.classes import classes_of_band
 
 __all__ = ["describe_assets", "describe_crs", "describe_grid"]
@@ -106,7 +106,7 @@ def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
     """Return the names of the files of a folder in a lasting order; run.json will be there."""
     layers = [name for name in EVERY_NAME if name in known and name != ITEM_NAME]
     sides = [f"{name}.aux.xml" for name in layers]
-    return [*layers, MANIFEST_NAME, *(name for name in (*VIEW_NAMES, *sides) if (folder / name).is_file())]
+    return [*layers, MANIFEST_NAME, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
 
 
 def _role(name: str, known: Mapping[str, Any]) -> str:

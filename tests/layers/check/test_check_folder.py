@@ -209,6 +209,12 @@ def test_numbers_that_are_not_known_come_back(data):
         lambda record: record.update(agreement=[]),
         lambda record: record.update(drives=None),
         lambda record: record["map"].update(class_limits=[0.1]),
+        lambda record: record["stretches"]["drive"].__setitem__(0, 10**30),
+        lambda record: record["stretches"]["measured"].__setitem__(0, float("1e308")),
+        lambda record: record["stretches"]["easting"].__setitem__(0, -1e300),
+        lambda record: record["drives"][0].update(mount_deg=[1.0, 2.0, 1e200]),
+        lambda record: record["agreement"].update(stretches=1e999),
+        lambda record: record.update(warnings="off"),
     ],
 )
 def test_a_damaged_record_is_refused(ground, tmp_path, damage):
@@ -216,7 +222,7 @@ def test_a_damaged_record_is_refused(ground, tmp_path, damage):
     path = tmp_path / "check.json"
     record = json.loads(path.read_text())
     damage(record)
-    path.write_text(json.dumps(record))
+    path.write_text(json.dumps(record).replace("Infinity", "1e999"))
     with pytest.raises(BadInputError, match=r"check\.json.*Give the folder that `bumpymap check` wrote"):
         read_check(tmp_path)
 

@@ -148,6 +148,20 @@ def test_the_project_opens_as_a_map(seen):
     assert project["extent"][3] - project["extent"][1] < 1.3 * (north - south)
 
 
+def test_other_speeds_open_in_the_colours_of_the_map(tmp_path, at_two_speeds):
+    write_products(at_two_speeds, tmp_path, local=False, manifest=RUN | {"settings": {"speeds": (0.5, 2.0)}})
+    seen = load(tmp_path)
+    own, other = (seen["layers"][name] for name in ("roughness.tif", "speeds.tif"))
+    assert (other["renderer"], other["bands"], other["shades"]) == (own["renderer"], [1], own["shades"])
+    assert seen["project"]["read"]
+    assert not seen["project"]["error"]
+    bands = {part: seen["project"]["layers"][f"bumpymap_speeds_tif_{part}"]["bands"] for part in ("0.5", "2")}
+    assert bands == {"0.5": [1], "2": [4]}
+    assert all(found for *_, found in seen["project"]["tree"])
+    shown = {layer_id for _, _, layer_id, is_shown, _ in seen["project"]["tree"] if is_shown}
+    assert not any("speeds" in layer_id for layer_id in shown)
+
+
 def test_a_map_without_a_crs_lies_where_its_coordinates_say(seen_local):
     project = seen_local["project"]
     assert not project["crs_valid"]

@@ -175,6 +175,36 @@ def test_a_project_lists_what_is_there(folder):
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
 
 
+def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds):
+    """Each with the colours of the map's own speed, under the tiles where drives fail; hidden when it is opened."""
+    manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
+    files, _ = write_products(at_two_speeds, tmp_path, local=False, manifest=manifest)
+    assert all(path.exists() for path in files)
+    assert {"speeds.tif", "speeds.qml"} <= {path.name for path in files}
+    own, other = (read(tmp_path / name).find("pipe/rasterrenderer") for name in ("roughness.qml", "speeds.qml"))
+    assert ET.tostring(own) == ET.tostring(other)
+    root = read(tmp_path / "map.qgs")
+    group = next(group for group in root.iter("layer-tree-group") if group.get("name") == "ride cost c_r")
+    assert group[0].get("id") == "bumpymap_roughness_tif_p_fail"
+    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./speeds.tif"]
+    assert [(leaf.get("name"), leaf.get("checked")) for leaf in speeds] == [
+        ("c_r at 0.5 m/s", "Qt::Unchecked"),
+        ("c_r at 2 m/s", "Qt::Unchecked"),
+    ]
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    bands = [layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds]
+    assert bands == ["1", "4"]
+
+
+def test_a_map_without_other_speeds_removes_those_of_an_earlier_one(tmp_path, at_two_speeds, cost_map):
+    speeds = {"speeds.tif", "speeds.qml"}
+    manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
+    write_products(at_two_speeds, tmp_path, local=False, manifest=manifest)
+    assert speeds <= {path.name for path in tmp_path.iterdir()}
+    write_products(CostTable.of(cost_map), tmp_path, local=False, manifest={"calibration": CALIBRATION})
+    assert not speeds & {path.name for path in tmp_path.iterdir()}
+
+
 def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
     """The c_r there is that of the drives that got through, which may be low."""
     root = read(folder / "map.qgs")
