@@ -86,9 +86,7 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
-    site = open_map([layers])
-    _require_own_speed(site)
-    return Refit(_calibration_of(site, calibration), out, overwrite)
+    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
 
 
 def _make_folder(out: Path) -> None:
@@ -98,14 +96,14 @@ def _make_folder(out: Path) -> None:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
 
 
-def _require_own_speed(site: "RouteMap") -> None:
+def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
     """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
-    own, speed = site.manifests[0].get("vehicle", {}).get("drives_mps"), site.vehicle.speed_mps
-    if isinstance(own, int | float) and not math.isclose(own, speed):
+    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
+    if not math.isclose(own, speed):
         raise BadInputError(
-            f"the map is made for {speed:g} m/s, and its calibration rests on drives at {own:g} m/s, which is what a "
-            f"refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile whose speed is "
-            f"{speed:g} m/s"
+            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
+            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
+            f"whose speed is {speed:g} m/s"
         )
 
 
