@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 from scipy.signal import butter, find_peaks, sosfiltfilt, welch
 
-from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
 
 __all__ = ["FOLDERS", "WHOLE_SET", "BorealDrive", "lug_lines", "measure_surface", "read_boreal", "window_c_r"]
@@ -196,7 +196,7 @@ def checked_row(name: str, folder: Path, drive: BorealDrive) -> str:
     """Return a line of what `bumpymap check` finds of a drive, its sensor's floor taken off where it stands."""
     place = ",".join(str(folder / f"{kind}_{drive.name}.csv") for kind in ("imu", "pro"))
     try:
-        found = check_drives(CheckConfig((place,)))
+        found = check_drives(None, place)
     except BadInputError:
         return f"| {name} | {drive.name} | 0 | | no stretch of 5 m |"
     one, stretches = found.drives[0], found.stretches
