@@ -1,9 +1,9 @@
 """bumpymap: roughness layers and ride-cost maps from point clouds.
 
 ``map_survey`` maps a survey, ``map_batch`` many, ``open`` opens the layers of a run, ``find_routes`` and ``map_reach``
-plan ways over them, ``diff_surveys`` finds what has changed between two surveys, ``classify_scan`` and
-``ScanClassifier`` classify the ground in the scans of a robot; ``points_of`` and ``GroundGrid`` read and fill the
-messages of ROS 2. Names are imported on first use.
+plan ways over them, ``check_drives`` holds them against real drives, ``diff_surveys`` finds what has changed between
+two surveys, ``classify_scan`` and ``ScanClassifier`` classify the ground in the scans of a robot; ``points_of`` and
+``GroundGrid`` read and fill the messages of ROS 2. Names are imported on first use.
 """
 
 from importlib import import_module
@@ -11,6 +11,7 @@ from importlib import import_module
 TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
 if TYPE_CHECKING:
     from bumpymap.change import diff_surveys
+    from bumpymap.check import check_drives
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
     from bumpymap.layers import (
         GroundGrid,
@@ -39,6 +40,7 @@ __all__ = [
     "UsageError",
     "Vehicle",
     "__version__",
+    "check_drives",
     "classify_scan",
     "diff_surveys",
     "find_routes",
@@ -61,6 +63,7 @@ _EXPORTS = {
     "ScanResult": ("bumpymap.scan", "ScanResult"),
     "UsageError": ("bumpymap.core", "UsageError"),
     "Vehicle": ("bumpymap.rating", "Vehicle"),
+    "check_drives": ("bumpymap.check", "check_drives"),
     "classify_scan": ("bumpymap.scan", "classify_scan"),
     "diff_surveys": ("bumpymap.change", "diff_surveys"),
     "find_routes": ("bumpymap.route", "find_routes"),

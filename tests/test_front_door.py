@@ -11,6 +11,7 @@ from dataclasses import fields
 from pathlib import Path
 
 import geopandas
+import made_drives
 import numpy as np
 import pytest
 import rasterio
@@ -391,6 +392,34 @@ def test_a_calibration_is_read_from_a_string(tmp_path):
     assert bumpymap.Calibration.load(str(file)) == bumpymap.Calibration.shipped("warthog")
 
 
+# --- drives ---
+
+
+def write_drive(path):
+    """Write the log of a drive of 40 m over the quarry."""
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, turning=0.0))
+    return made_drives.write_table(path, log, (512350.0, 5403260.0))
+
+
+def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
+    drive, again = (write_drive(tmp_path / name) for name in ("drive.csv", "again.csv"))
+    one, several = bumpymap.check_drives(layers, drive), bumpymap.check_drives(layers.folder, [str(drive), again])
+    assert (len(one.drives), len(several.drives)) == (1, 2)
+    np.testing.assert_array_equal(np.tile(one.stretches.measured, 2), several.stretches.measured)
+    alone = bumpymap.check_drives(None, drive, tmp_path / "alone", band_hz=5, window_m=20)
+    assert alone.ground is None
+    assert alone.drives[0].band_hz == 5
+    assert (tmp_path / "alone" / "check.json").exists()
+    with pytest.raises(bumpymap.OutputError, match="overwrite"):
+        bumpymap.check_drives(None, drive, tmp_path / "alone")
+
+
+@pytest.mark.parametrize(("settings", "words"), [({"window_m": 1}, "window_m"), ({"band_hz": "10 Hz"}, "band_hz")])
+def test_wrong_settings_of_a_check_are_named(layers, settings, words):
+    with pytest.raises(bumpymap.UsageError, match=words):
+        bumpymap.check_drives(layers, "drive.csv", **settings)
+
+
 # --- examples ---
 
 
@@ -400,6 +429,7 @@ def test_a_calibration_is_read_from_a_string(tmp_path):
         "bumpymap.survey.api",
         "bumpymap.survey.batch.api",
         "bumpymap.change.api",
+        "bumpymap.check.api",
         "bumpymap.layers.opened",
         "bumpymap.scan.classifier",
     ],
@@ -407,6 +437,7 @@ def test_a_calibration_is_read_from_a_string(tmp_path):
 def test_the_examples_of_the_docstrings_run(module, layers, tmp_path, monkeypatch):
     shutil.copytree(layers.folder, tmp_path / "site_layers")
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
+    write_drive(tmp_path / "drive.csv")
     monkeypatch.chdir(tmp_path)
     done = doctest.testmod(importlib.import_module(module))
     assert done.attempted >= 3

@@ -10,6 +10,7 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.change import DiffConfig
+from bumpymap.check import CheckConfig
 from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
 from bumpymap.core.config import MapConfig
@@ -178,8 +179,7 @@ def test_every_setting_in_backquotes_is_one():
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
     known |= set(ScanConfig.__dataclass_fields__)
     known |= set(ExportSettings.__dataclass_fields__)
-    known |= set(DiffConfig.__dataclass_fields__)
-    known |= set(ScanConfig.__dataclass_fields__)
+    known |= set(DiffConfig.__dataclass_fields__) | set(CheckConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):
         if _is_for_commands(file):
             continue

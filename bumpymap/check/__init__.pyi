@@ -1,6 +1,9 @@
 from .agreement import (
     agreement_of as agreement_of,
 )
+from .api import (
+    check_drives as check_drives,
+)
 from .drive_measure import (
     LEFT_OUT as LEFT_OUT,
     DriveMeasure as DriveMeasure,
@@ -11,7 +14,6 @@ from .measure import (
 )
 from .pipeline import (
     CheckRun as CheckRun,
-    check_drives as check_drives,
     run_check as run_check,
 )
 from .places import (

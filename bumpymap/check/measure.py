@@ -11,10 +11,10 @@ from bumpymap.check.attitude import heading_of, levelling, turned, upward_in_sen
 from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
 from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
 from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
-from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
+from bumpymap.check.places import MetrePlaces, near_place
 from bumpymap.check.settings import ReadingSettings
 from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
-from bumpymap.check.standing import find_standing, rate_bias
+from bumpymap.check.standing import find_standing, rate_bias, rough_speed
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
 from bumpymap.core import BadInputError, DriveLog
 
@@ -28,7 +28,11 @@ SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 _UNSURE_OFFSET_S = 0.2
 _SURE_OFFSET_S = 0.05
 """An offset that starts and stops tell so closely needs no turns."""
+_LEAST_CLOCK_M = 20.0
+"""A shorter way tells no offset, whatever the fit says of its error."""
 _UNSURE_DRIFT = 5e-5
+_BESIDE_GAP_S, _LEAST_FAR = 5.0, 0.2
+"""The mounting of the sensor rests on what is so far from gaps, unless that is less than this share of the drive."""
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
 _TURN_S = 1.0
 """Yaw rates are averaged over this: bumps turn a vehicle to and fro."""
@@ -85,7 +89,7 @@ def measure_drive(
     if mounting is not None:  # again, with gravity and driving told apart
         force = level_force(imu, mounting.rotation, mounting.upward)
         begun = track.offset_s if places is not None else start.offset_s
-        start = replace(start, offset_s=begun, force=force, rough=False)
+        start = replace(start, offset_s=begun, force=force, rough=False, spread_s=track.offset_spread_s)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
@@ -97,7 +101,8 @@ def measure_drive(
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
     sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
-    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S
+    driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
+    told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
     return DriveMeasure(
         name=log.name,
         time=imu.time,
@@ -130,8 +135,7 @@ def _usable_force(imu: EvenImu, notes: list[str]) -> EvenImu:
 
 
 def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: float) -> _Rates:
-    speed, error = _rough_speed(log, imu, places)
-    standing = find_standing(imu, speed, error, band_hz)
+    standing = find_standing(imu, rough_speed(imu, places, log.wheels), band_hz)
     upward = np.median(imu.force[imu.known], axis=0) if imu.has_force else np.array([0.0, 0.0, 1.0])
     upward /= np.linalg.norm(upward)
     rate = (imu.rate - rate_bias(imu, standing, upward)) * imu.known[:, None]
@@ -145,21 +149,6 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
         refuse_wrong_unit(places, clock, imu.time, heading, log.name)
     force = level_force(imu, levelling(up.mean(axis=0)), up) if imu.has_force else None
     return _Rates(standing, rate, attitude, heading, clock, force)
-
-
-def _rough_speed(log: DriveLog, imu: EvenImu, places: MetrePlaces | None) -> tuple[Floats, float]:
-    """Return a rough speed at the samples of the IMU, and its error, m/s."""
-    if log.wheels is not None and np.isfinite(log.wheels.speed).sum() > 1:
-        good = np.isfinite(log.wheels.speed)
-        return np.interp(imu.time, log.wheels.time[good], log.wheels.speed[good], left=np.nan, right=np.nan), 0.0
-    if places is None:
-        return np.full(len(imu.time), np.nan), 0.0
-    even = np.arange(imu.time[0], imu.time[-1], 0.1)
-    velocity, known = smooth_velocity(places, even, 1.0)
-    speed = np.where(known, np.abs(velocity), np.nan)
-    still = speed[np.isfinite(speed)]
-    error = float(np.quantile(still, 0.02)) if len(still) else 0.0
-    return np.interp(imu.time, even, speed), min(error, 0.3)
 
 
 def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
@@ -183,9 +172,16 @@ def _mounting(
     if slope_at is not None:
         along, left = slope_at(easting, northing, course)
     yaw_rate = np.gradient(rates.heading) * imu.hertz
-    moving = imu.known & (np.abs(speed) > settings.least_speed_mps)
+    moving = _far_from_gaps(imu) & (np.abs(speed) > settings.least_speed_mps)
     motion = DrivenMotion(speed, yaw_rate, along, left)
     return find_mounting(imu, rates.rate, rates.attitude, motion, moving)
+
+
+def _far_from_gaps(imu: EvenImu) -> Mask:
+    """Return when the sensor has been known for a while: how it turned in a gap is not, and spoils what is upward."""
+    share = rolling_mean(imu.known.astype(np.float64), round(2.0 * _BESIDE_GAP_S * imu.hertz))
+    far = np.asarray(imu.known & (share > 1.0 - 1e-9), np.bool_)
+    return far if far.mean() > _LEAST_FAR else imu.known
 
 
 def _reasons(

@@ -88,7 +88,7 @@ def map_warnings(ground: CheckedMap, speeds: list[tuple[str, float]], agreement:
     """
     found = [
         f"{name} was driven at {speed:.2f} m/s and the map is made for {ground.speed_mps:g} m/s; C_r "
-        f"changes with speed. Drive at {ground.speed_mps:g} m/s, or map the survey for this speed"
+        f"changes with speed. Drive at {ground.speed_mps:g} m/s, or map the survey with `speed={speed:.2g}`"
         for name, speed in speeds
         if abs(speed / ground.speed_mps - 1.0) > _OTHER_SPEED
     ]

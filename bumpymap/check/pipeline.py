@@ -37,7 +37,7 @@ from bumpymap.core import (
 from bumpymap.layers import RouteMap, check_check_out, open_map, write_check
 from bumpymap.readers import read_drive
 
-__all__ = ["CheckRun", "check_drives", "run_check"]
+__all__ = ["CheckRun", "run_check"]
 
 Floats = NDArray[np.float64]
 
@@ -62,11 +62,6 @@ class _Done:
     cut: WayStretch
     steps: DriveSteps | None = None
     reading: MapReading | None = None
-
-
-def check_drives(config: CheckConfig, progress: Progress | None = None) -> CheckResult:
-    """Hold a map against drives as the settings ask; see `run_check`."""
-    return run_check(config, progress).result
 
 
 def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun:

@@ -14,6 +14,10 @@ LEAST_WINDOW_M = 5.0
 _LEAST_BAND_HZ = 1.0
 
 
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)
+
+
 @dataclass(frozen=True, slots=True)
 class ReadingSettings:
     """What decides how the C_r of a drive is measured."""
@@ -28,9 +32,9 @@ class ReadingSettings:
     """Parts that turn more sharply do not count, m."""
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.band_hz) and self.band_hz >= _LEAST_BAND_HZ):
+        if not (_is_number(self.band_hz) and self.band_hz >= _LEAST_BAND_HZ):
             raise UsageError(f"`band_hz` is {self.band_hz!r}; it must be a number of at least {_LEAST_BAND_HZ:g} Hz")
-        if not (math.isfinite(self.window_m) and self.window_m >= LEAST_WINDOW_M):
+        if not (_is_number(self.window_m) and self.window_m >= LEAST_WINDOW_M):
             raise UsageError(
                 f"`window_m` is {self.window_m!r}; a stretch must be at least {LEAST_WINDOW_M:g} m long, so that its "
                 "C_r is more than chance"
@@ -59,6 +63,9 @@ class CheckConfig:
     def __post_init__(self) -> None:
         if not self.drives:
             raise UsageError("no drive is given. Give the log of a drive with `drives`, such as a CSV file or a bag")
+        twice = [drive for number, drive in enumerate(self.drives) if drive in self.drives[:number]]
+        if twice:
+            raise UsageError(f"the drive {twice[0]} is given twice, and would count twice. Give each once")
         _ = self.measuring  # refuses what is out of range
 
     @property

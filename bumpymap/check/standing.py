@@ -1,11 +1,15 @@
 """When the vehicle stood still, by how quiet the sensor is and how little the positions move."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.check.places import MetrePlaces, smooth_velocity
 from bumpymap.check.signals import EvenImu, low_pass, pieces, rolling_mean
+from bumpymap.core import WheelTrack
 
-__all__ = ["find_standing", "rate_bias"]
+__all__ = ["RoughSpeed", "find_standing", "rate_bias", "rough_speed"]
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -21,18 +25,51 @@ _LEAST_S = 2.0
 _MARGIN_S = 0.5
 """Taken off at both ends of a stop: the vehicle still rocks."""
 _SLOW_MPS = 0.15
+"""A vehicle whose positions move less than this may stand."""
+_TURNING_MPS = 0.03
+"""Wheels that turn faster move the vehicle, however quiet the ground is."""
+_MOST_ERROR_MPS = 0.3
+"""Of the speed by positions."""
 
 
-def find_standing(imu: EvenImu, speed: Floats, speed_sd: float, band_hz: float) -> Mask:
+@dataclass(frozen=True, slots=True)
+class RoughSpeed:
+    """How fast the vehicle may have moved, before its way is known."""
+
+    value: Floats
+    """(n,) at the samples of the IMU, m/s; NaN where not known. Of wheels, that of the faster side."""
+    slow: float
+    """A vehicle that is slower may stand, m/s."""
+    sure: bool = False
+    """By wheels: a vehicle that is slower stands unless it shakes."""
+
+
+def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> RoughSpeed:
+    """Return a rough speed, from wheels if their speed is known, else from positions."""
+    if wheels is not None and np.isfinite(wheels.speed).sum() > 1:
+        good = np.isfinite(wheels.speed)
+        faster = np.abs(wheels.speed[good]) + 0.5 * np.abs(np.nan_to_num(wheels.difference[good]))
+        return RoughSpeed(
+            np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, sure=True
+        )
+    if places is None:
+        return RoughSpeed(np.full(len(imu.time), np.nan), _SLOW_MPS)
+    even = np.arange(imu.time[0], imu.time[-1], 0.1)
+    velocity, known = smooth_velocity(places, even, 1.0)
+    speed = np.where(known, np.abs(velocity), np.nan)
+    still = speed[np.isfinite(speed)]
+    error = min(float(np.quantile(still, 0.02)) if len(still) else 0.0, _MOST_ERROR_MPS)
+    return RoughSpeed(np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error)
+
+
+def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
     """Return when the vehicle stood still.
 
     Parameters
     ----------
     imu : EvenImu
-    speed : float64 array (n,)
-        Rough speed from positions or wheels, m/s; NaN where not known.
-    speed_sd : float
-        Error of it, m/s.
+    speed : RoughSpeed
+        From positions or wheels.
     band_hz : float
 
     Returns
@@ -43,13 +80,13 @@ def find_standing(imu: EvenImu, speed: Floats, speed_sd: float, band_hz: float) 
     samples = round(_WINDOW_S * imu.hertz)
     mean = rolling_mean(rate, samples)
     spread = np.sqrt(np.maximum(rolling_mean(rate**2, samples) - mean**2, 0.0).sum(axis=1))
-    slow = ~(np.abs(speed) > _SLOW_MPS + 2.0 * speed_sd)
+    slow = ~(speed.value > speed.slow)
     known = imu.known & slow
     if not known.any():
         return np.zeros_like(known)
-    moving = np.abs(np.nan_to_num(speed, nan=0.0)) > 2.0 * (_SLOW_MPS + speed_sd)
+    moving = speed.value > 2.0 * speed.slow
     usual = float(np.median(spread[imu.known & moving])) if (imu.known & moving).any() else np.inf
-    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), _QUIET_SHARE * usual)
+    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if speed.sure else _QUIET_SHARE * usual)
     quiet = known & (spread <= max(limit, _SILENT_RADPS))
     standing = np.zeros_like(known)
     margin = round(_MARGIN_S * imu.hertz)

@@ -60,6 +60,19 @@ class Knots:
     wheels: Floats
     """(k,) speed by wheels, m/s; NaN where not known."""
 
+    def between(self, part: slice) -> "Knots":
+        """Return some of the knots, one after another."""
+        steps = slice(part.start, part.stop - 1)
+        return Knots(
+            self.time[part],
+            self.steps[steps],
+            self.heading[part],
+            self.gained[steps],
+            self.standing[part],
+            self.changing[steps],
+            self.wheels[part],
+        )
+
     @property
     def step_s(self) -> float:
         """Seconds from knot to knot."""

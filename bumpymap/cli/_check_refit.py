@@ -1,5 +1,6 @@
 """``bumpymap check --refit``: move the calibration of a map to the drives over it."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -95,6 +96,17 @@ def _make_folder(out: Path) -> None:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
 
 
+def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
+    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
+    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
+    if not math.isclose(own, speed):
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
+            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
+            f"whose speed is {speed:g} m/s"
+        )
+
+
 def _refuse_replacing(out: Path, overwrite: bool) -> None:
     above = next(folder for folder in out.absolute().parents if folder.exists())
     if not above.is_dir():
@@ -132,6 +144,8 @@ def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
             f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
         ) from error
     if found.id != site.calibration_id:
+        if found.vehicle["name"] == site.vehicle.name:
+            _require_own_speed(found, site)
         raise BadInputError(
             f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
             f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "

@@ -7,7 +7,7 @@ from typing import Any
 from bumpymap.check import CheckConfig, CheckRun
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import CLASS_NAMES, CheckedDrive, CheckResult, MapAgreement
-from bumpymap.layers import check_headline
+from bumpymap.layers import check_headline, columns_words
 
 __all__ = ["show"]
 
@@ -39,21 +39,11 @@ def _drive_lines(drive: CheckedDrive) -> Iterator[str]:
         lost = ", ".join(f"{reason} {metres:.0f} m" for reason, metres in drive.left_out_m.items() if metres >= 0.5)
         if lost:
             yield f"  left out: {lost}"
-    for place, columns in _by_file(drive).items():
-        yield f"  read from {place}: {', '.join(columns)}"
+    for columns in columns_words(drive):
+        yield f"  {columns}"
     yield f"  {'; '.join(_sensor_words(drive))}"
     for note in drive.notes:
         yield f"  {note}"
-
-
-def _by_file(drive: CheckedDrive) -> dict[str, list[str]]:
-    """Return what was read from each file: the column, with the quantity where its name differs."""
-    found: dict[str, list[str]] = {}
-    for quantity, column in drive.columns.items():
-        place, separator, name = column.rpartition(": ")
-        said = name if name.startswith(quantity) else f"{name} as {quantity}"
-        found.setdefault(place if separator else "the log", []).append(said)
-    return found
 
 
 def _sensor_words(drive: CheckedDrive) -> Iterator[str]:

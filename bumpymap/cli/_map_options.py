@@ -22,9 +22,11 @@ _RATING = (
         "--vehicle", metavar="NAME_OR_FILE", help="Name of an included vehicle, or a TOML file [default: warthog]."
     ),
     click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle."),
-    click.option("--speed", type=float, metavar="M/S", help="Speed to rate the ride at [default: the vehicle's]."),
     click.option(
-        "--speeds", type=NumberList(), metavar="M/S,...", help="Write pitch, roll and a_w at these speeds: 0.5,1,2."
+        "--speed", type=float, metavar="SPEED", help="Speed to rate the ride at, in m/s [default: the vehicle's]."
+    ),
+    click.option(
+        "--speeds", type=NumberList(), metavar="LIST", help="Write pitch, roll and a_w at these speeds, in m/s."
     ),
     click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own texture network."),
     click.option(

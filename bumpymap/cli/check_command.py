@@ -1,6 +1,5 @@
 """``bumpymap check``: a map against real drives over it."""
 
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +34,7 @@ _SETTINGS = {"band": "band_hz", "window": "window_m"}
 )
 @click.option(
     "--columns",
-    metavar="NAME=COLUMN,...",
+    metavar="LIST",
     help="Columns or topics of the log, such as rate_y=GyrY[deg/s],time=t [default: guessed and shown].",
 )
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: page, picture, tables, GIS layers.")
@@ -60,10 +59,11 @@ def command(
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     set_up_logging(as_json=log_json)
     from bumpymap.check import CheckConfig, run_check
+    from bumpymap.readers import parse_columns
 
     refit = _refit(layers, given.pop("refit"), given.pop("calibration"), overwrite=given["overwrite"])
     settings = {_SETTINGS.get(name, name): value for name, value in given_options(given).items()}
-    config = CheckConfig(drives, layers, columns=None if columns is None else _columns(columns), **settings)
+    config = CheckConfig(drives, layers, columns=None if columns is None else parse_columns(columns), **settings)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         run = run_check(config, progress)
     update, refused = _moved(refit, run.result)
@@ -96,21 +96,3 @@ def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate |
         return refit.move(result.stretches, result.ground.speed_mps), None
     except BumpymapError as error:
         return None, error
-
-
-def _columns(text: str) -> Mapping[str, str]:
-    """Return quantity -> column of ``rate_y=GyrY,time=t``."""
-    return dict(_pair(part) for part in _parts(text))
-
-
-def _parts(text: str) -> Sequence[str]:
-    return [part for part in text.split(",") if part.strip()]
-
-
-def _pair(part: str) -> tuple[str, str]:
-    name, equals, column = part.partition("=")
-    if not equals:
-        raise UsageError(
-            f"`columns` holds {part!r}; it takes pairs joined by commas, such as `columns='rate_y=GyrY[deg/s],time=t'`"
-        )
-    return name.strip(), column.strip()

@@ -49,6 +49,7 @@ from .check.record import (
 from .check.words import (
     check_headline as check_headline,
     check_verdict as check_verdict,
+    columns_words as columns_words,
     level_words as level_words,
 )
 from .colours import (

@@ -101,6 +101,9 @@ from .textures import (
     normalise as normalise,
     remove_plane as remove_plane,
 )
+from .vehicle.floor import (
+    less_floor as less_floor,
+)
 from .vehicle.profile import (
     Vehicle as Vehicle,
     load_profile as load_profile,

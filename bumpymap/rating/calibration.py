@@ -14,7 +14,7 @@ import numpy as np
 
 from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, VehicleBody, parse_json
 from bumpymap.rating.vehicle.body import body_of, body_table
-from bumpymap.rating.vehicle.floor import floor_of, with_floor
+from bumpymap.rating.vehicle.floor import Floor, floor_of, with_floor
 
 __all__ = ["DEFAULT_FAIL_WEIGHT", "MAP_SPEED", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
 
@@ -310,7 +310,7 @@ class Calibration:
         if (body := body_table(profile)) != body_table(self.vehicle):
             changed["body"] = body
         if floor_of(profile) not in (self.floor, self.floor_before):
-            changed["floor"] = profile["floor"]
+            changed["floor"] = asdict(Floor(floor_of(profile)))
         return replace(self, vehicle=self.vehicle | changed) if changed else self
 
 
@@ -335,11 +335,13 @@ def _check_numbers(calibration: Calibration) -> None:
     numbers += [vehicle["ride_weight"], vehicle["slope_limit_deg"], rule.fail_weight, rule.drive_m]
     numbers += [*calibration.z_range, *calibration.class_limits, *calibration.class_c_r]
     numbers += [calibration.tile_size, calibration.pixels, *asdict(calibration.body).values(), calibration.floor]
-    numbers += [calibration.floor_before]
+    numbers += [calibration.floor_before, calibration.map_speed]
     if sum(map(_is_number, numbers)) + len(gaps) != len(numbers):
         raise ValueError("a number is missing, not finite, or no number")
     if calibration.floor < 0:
         raise ValueError("[floor] must not be negative")
+    if calibration.map_speed <= 0:
+        raise ValueError(f"{MAP_SPEED} must be positive")
     if rule.drive_m <= 0 or min(rule.ride_weight, rule.fail_weight) < 0:
         raise ValueError("speed_mps and measure_s must be positive, ride_weight and fail_weight not negative")
 

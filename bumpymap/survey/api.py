@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
@@ -42,6 +42,8 @@ class EachSettings(TypedDict, total=False):
     compat: Compat
     vehicle: PathLike
     calibration: PathLike | None
+    speed: float | None
+    speeds: Sequence[float] | None
     model: PathLike | None
     crs: str | None
     z_unit: ZUnit | None

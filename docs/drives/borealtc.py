@@ -5,6 +5,8 @@ FOLDER holds drives of the BorealTC data set (LaRocque et al. 2024, arXiv 2403.1
 [m/s], 6.5 Hz). Printed are the tables of docs/pages/radian-per-metre.md: C_r of each drive and surface with its spread
 over windows of 5 m, and what the pitch rate on paved ground is made of.
 
+Last comes what `bumpymap check --drive imu_NN.csv,pro_NN.csv` finds of the same drives, by its own rules.
+
 A drive counts if it goes forward (mean wheel speed above 0.15 m/s) and nearly straight (the wheel speeds of the two
 sides less than 0.3 m/s apart in the mean); of such a drive, the samples that do both count. Pitch rates are less their
 median and low-passed at 10 Hz (Butterworth of order 4, run both ways).
@@ -18,6 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_erosion
 from scipy.signal import butter, find_peaks, sosfiltfilt, welch
+
+from bumpymap.check import check_drives
+from bumpymap.core import BadInputError
 
 __all__ = ["FOLDERS", "WHOLE_SET", "BorealDrive", "lug_lines", "measure_surface", "read_boreal", "window_c_r"]
 
@@ -179,11 +184,25 @@ def main(folder: Path) -> None:
     print("| surface | drive | speed, m/s | mean abs pitch rate, rad/s | rms | lines | below 2 Hz | rest |")
     print("|---|---|---|---|---|---|---|---|")
     for name, drives in surfaces.items():
-        for drive in drives:
-            if drive.is_driven:
-                print(_parts(name, drive, lugs))
+        print("\n".join(_parts(name, drive, lugs) for drive in drives if drive.is_driven))
     rates = np.array([np.abs(drive.felt[drive.counts]).mean() for _, drive in paved])
     print(f"\nmean absolute pitch rate on paved ground: median {np.median(rates):.4f} rad/s of {len(rates)} drives")
+    print("\n| surface | drive | counts, m | C_r, rad/m | left out |\n|---|---|---|---|---|")
+    for name, sub in FOLDERS.items():
+        print("\n".join(checked_row(name, folder / sub, drive) for drive in surfaces[name] if drive.is_driven))
+
+
+def checked_row(name: str, folder: Path, drive: BorealDrive) -> str:
+    """Return a line of what `bumpymap check` finds of a drive, its sensor's floor taken off where it stands."""
+    place = ",".join(str(folder / f"{kind}_{drive.name}.csv") for kind in ("imu", "pro"))
+    try:
+        found = check_drives(None, place)
+    except BadInputError:
+        return f"| {name} | {drive.name} | 0 | | no stretch of 5 m |"
+    one, stretches = found.drives[0], found.stretches
+    c_r = np.average(stretches.measured, weights=stretches.way_m)
+    lost = ", ".join(f"{reason} {metres:.1f} m" for reason, metres in one.left_out_m.items() if metres >= 0.5)
+    return f"| {name} | {drive.name} | {one.used_m:.1f} | {c_r:.4f} | {lost} |"
 
 
 def _parts(name: str, drive: BorealDrive, lugs: float) -> str:

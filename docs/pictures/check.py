@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import bumpymap
-from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check import CheckConfig, run_check
 from bumpymap.lab.evaluate.routes.measured import driven_heights
 from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
 from bumpymap.lab.simulate.relief import ReliefGround
@@ -65,7 +65,7 @@ def main(folder: Path) -> None:
     sensed = sense_drive(read_motion(motion), SENSORS, 1, "quarry", "EPSG:32632")
     logs = write_drive_files(sensed.log, folder)
     config = CheckConfig((",".join(map(str, logs)),), layers=layers, out=folder / "checked", overwrite=True)
-    check_drives(config)
+    run_check(config)
     shutil.copy(folder / "checked" / "check.png", ROOT / "docs" / "pages" / "img" / "check.png")
 
 

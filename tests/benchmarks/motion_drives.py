@@ -85,7 +85,7 @@ def main():
     args = parser.parse_args()
     args.data.mkdir(parents=True, exist_ok=True)
     speeds = tuple(float(word) for word in args.speeds.split(","))
-    calibration = find_calibration(args.vehicle)
+    calibration = find_calibration(args.vehicle).without_floor()  # simulated drives have none
     profile = Vehicle.from_dict(calibration.vehicle, args.vehicle)
     grid = Grid(calibration.tile_size, calibration.pixels)
     patches = survey_patches(args, grid, FeatureSettings())

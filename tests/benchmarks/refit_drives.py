@@ -20,7 +20,7 @@ from _sensor_sets import SETS
 from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives
 from unlike_vehicles import VARIANTS
 
-from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check import check_drives
 from bumpymap.core import BadInputError, DrivenStretches
 from bumpymap.lab.worlds.drives import sense_drive, write_drive_files
 from bumpymap.rating import Calibration, DriveUpdate, Vehicle, update_from_drives
@@ -54,7 +54,7 @@ def checked(kept: KeptDrive, layers: Path, sensors: str, number: int) -> DrivenS
     sensed = sense_drive(kept.motion, drawn, 1000 + number, kept.name, f"EPSG:{GODIE_EPSG}")
     with tempfile.TemporaryDirectory() as folder:
         place = ",".join(str(path) for path in write_drive_files(sensed.log, Path(folder)) if "wheels" not in path.name)
-        return check_drives(CheckConfig((place,), layers)).stretches
+        return check_drives(layers, place).stretches
 
 
 def joined(parts: list[DrivenStretches]) -> DrivenStretches:

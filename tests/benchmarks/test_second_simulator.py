@@ -22,11 +22,16 @@ def second(monkeypatch):
     return second_simulator
 
 
+@pytest.fixture
+def vehicle_module(second):
+    return sys.modules[second.MujocoVehicle.__module__]
+
+
 @pytest.mark.parametrize("heading", [0.0, 0.7, 2.5, -1.2])
-def test_field_holds_the_strip_and_its_nodes_are_those_of_the_ground(second, heading):
+def test_field_holds_the_strip_and_its_nodes_are_those_of_the_ground(vehicle_module, heading):
     ground = SineGround(0.05, 2.0)
     strip = Strip(3.05, -1.3, heading, 11.0, 2.8)
-    field = second._field(ground, strip)
+    field = vehicle_module.field_under(ground, strip)
     rows, cols = field.heights.shape
     east = field.middle[0] + (np.arange(cols) - (cols - 1) / 2) * 0.1
     north = field.middle[1] + (np.arange(rows) - (rows - 1) / 2) * 0.1

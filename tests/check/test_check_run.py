@@ -7,7 +7,7 @@ import made_drives
 import numpy as np
 import pytest
 
-from bumpymap.check import CheckConfig, check_drives
+from bumpymap.check import check_drives
 from bumpymap.check.place_on_map import places_alone, places_on_map
 from bumpymap.core import BadInputError, PlaceTrack
 
@@ -27,7 +27,7 @@ def csv_of(path: Path, *, with_places: bool = True) -> str:
 
 
 def test_drives_are_measured_without_a_map(tmp_path):
-    result = check_drives(CheckConfig((csv_of(tmp_path),)))
+    result = check_drives(None, csv_of(tmp_path))
     assert result.ground is None
     assert result.agreement is None
     drive = result.drives[0]
@@ -40,7 +40,7 @@ def test_drives_are_measured_without_a_map(tmp_path):
 
 def test_a_drive_without_positions_or_wheels_is_refused(tmp_path):
     with pytest.raises(BadInputError, match="neither positions nor wheel speeds"):
-        check_drives(CheckConfig((csv_of(tmp_path, with_places=False),)))
+        check_drives(None, csv_of(tmp_path, with_places=False))
 
 
 class Site:

@@ -161,3 +161,26 @@ def test_few_positions_are_refused(good):
     _, log, _, _, _, _ = good
     few = replace(log.places, **{name: getattr(log.places, name)[:5] for name in ("time", "x", "y", "error")})
     assert "5 usable positions" in refused(replace(log, places=few))
+
+
+def test_a_short_way_tells_no_offset_of_the_clocks():
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=32.0, offset=0.3, noise=0.01, place_white=0.015))
+    found, _ = measured(log)
+    assert np.abs(found.speed).sum() / found.hertz < 20.0
+    assert np.isnan(found.clock_offset_s)
+
+
+def test_positions_of_metres_tell_no_offset_or_state_its_error():
+    made = made_drives.MadeDrive(offset=0.31, noise=0.01, place_white=0.25, place_wander=1.5, turning=0.3, seed=3)
+    found, _ = measured(made_drives.log_of(made)[0])
+    assert not abs(found.clock_offset_s - made.offset) > 3.0 * found.clock_offset_sd_s
+
+
+def test_the_way_of_a_long_drive_is_found_as_well(good, monkeypatch):
+    _, log, pitch_rate, way, found, cut = good
+    monkeypatch.setattr("bumpymap.check.track._TRIED_KNOTS", 360)
+    again, cut_again = measured(log)
+    assert again.track.offset_s == pytest.approx(found.clock_offset_s, abs=0.02)
+    assert np.abs(again.speed).sum() / again.hertz == pytest.approx(way[-1], rel=0.01)
+    assert np.median(np.abs(cut_again.measured / true_c_r(log, cut_again, pitch_rate, way) - 1.0)) < 0.03
+    assert cut_again.measured_sd == pytest.approx(cut.measured_sd, rel=0.2)

@@ -132,3 +132,8 @@ def test_settings_out_of_range_are_refused(wrong):
 def test_a_check_needs_a_drive():
     with pytest.raises(UsageError, match="no drive"):
         CheckConfig(())
+
+
+def test_a_drive_given_twice_would_count_twice():
+    with pytest.raises(UsageError, match="twice"):
+        CheckConfig(("a.csv", "b.csv", "a.csv"))

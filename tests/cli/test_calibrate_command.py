@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from bumpymap.cli import main
 from bumpymap.lab import KINDS
 from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, ride_fit, steps, thin_surveys
-from bumpymap.lab.simulate.checks import CheckResult
+from bumpymap.lab.simulate.checks import SimulatorCheck
 from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob
 from bumpymap.rating.calibration import Calibration
@@ -130,7 +130,7 @@ def test_place_that_cannot_be_written_is_refused_before_the_work(tmp_path):
 
 
 def test_failing_check_gives_a_table_and_an_exit_code(monkeypatch):
-    results = [CheckResult("level", 0.0001, "< 0.001", ok=True), CheckResult("sine", 7.1, "+-5", ok=False)]
+    results = [SimulatorCheck("level", 0.0001, "< 0.001", ok=True), SimulatorCheck("sine", 7.1, "+-5", ok=False)]
     monkeypatch.setattr("bumpymap.lab.all_checks", lambda *_args: iter(results))
     result = calibrate("--check")
     assert result.exit_code == 1

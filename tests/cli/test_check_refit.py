@@ -93,3 +93,9 @@ def test_a_calibration_that_is_gone_is_asked_for(tmp_path):
     assert (
         prepare_refit(tmp_path / "layers", moved, tmp_path / "a.json", overwrite=False).calibration.id == CALIBRATION.id
     )
+
+
+def test_a_map_at_another_speed_is_refused_since_the_drives_of_the_calibration_had_their_own(tmp_path):
+    map_survey(write_survey(tmp_path / "site.laz"), tmp_path / "fast", speed=1.5)
+    with pytest.raises(BadInputError, match=r"made for 1\.5 m/s.*drives at 1 m/s"):
+        prepare_refit(tmp_path / "fast", None, tmp_path / "a.json", overwrite=False)

@@ -15,7 +15,14 @@ from bumpymap.core.settings_file import read_settings_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
-OWN_PAGES = {"batch": "batch.md", "scan": "scans.md", "route": "routes.md", "diff": "diff.md", "report": "report.md"}
+OWN_PAGES = {
+    "batch": "batch.md",
+    "scan": "scans.md",
+    "route": "routes.md",
+    "diff": "diff.md",
+    "check": "check.md",
+    "report": "report.md",
+}
 COMMANDS = main.list_commands(click.Context(main))
 
 

@@ -50,6 +50,7 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
+    monkeypatch.setattr("bumpymap.check.run_check", ends("check"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr("bumpymap.scan.fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
@@ -75,6 +76,7 @@ WORDS = {
     "train": ["--out", "m.onnx"],
     "export": ["site_layers", "--to", "nav2", "--out", "o"],
     "diff": ["may_layers", "june_layers"],
+    "check": ["--drive", "drive.csv"],
 }
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
@@ -96,7 +98,7 @@ def numbers():
     for name in COMMANDS:
         for option in options(name):
             known = option.type.name in {"integer", "float", "integer range", "float range"}
-            if known or (option.metavar in {"SIZE", "LIST"} and option.name not in {"skip", "products"}):
+            if known or (option.metavar in {"SIZE", "LIST"} and option.name not in {"skip", "products", "columns"}):
                 # After an option that may stand alone, click takes a word with a dash for the next option.
                 for value in ("0", "nan") if option._flag_needs_value else ("0", "-1", "nan"):
                     yield pytest.param(name, option, value, id=f"{name} --{option.name} {value}")

@@ -72,7 +72,7 @@ def test_the_real_drives_give_the_figures_of_the_page(shared_data, capsys):
     boreal.main(shared_data / "drives" / "borealtc")
     printed, page = capsys.readouterr().out, PAGE.read_text(encoding="utf-8")
     rows = [line for line in printed.splitlines() if line.startswith("|") and "---" not in line]
-    assert len(rows) == 33  # 15 drives, 5 surfaces, 10 drives that count, 3 heads
+    assert len(rows) == 44  # 15 drives, 5 surfaces, twice 10 drives that count, 4 heads
     assert [row for row in rows if row not in page] == []
 
 

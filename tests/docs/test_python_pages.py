@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import made_drives
 import pytest
 
 import bumpymap
@@ -28,6 +29,7 @@ def test_the_python_of_a_page_runs(page, site_layers, tmp_path, monkeypatch):
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
     for name in ("site_layers", "may_layers", "june_layers"):
         (tmp_path / name).symlink_to(site_layers.folder)
+    write_drives(tmp_path)
     monkeypatch.chdir(tmp_path)
     text = page.read_text(encoding="utf-8")
     blocks = list(_BLOCK.finditer(text))
@@ -38,6 +40,17 @@ def test_the_python_of_a_page_runs(page, site_layers, tmp_path, monkeypatch):
         exec(compile("\n" * line + block[1], str(page), "exec"), names)  # noqa: S102 (our own pages)
     if page.stem == "notebook":
         check_notebook(names, tmp_path)
+
+
+def write_drives(folder):
+    """Write a drive of 40 m over the survey as one file, and as one for each sensor."""
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, turning=0.0))
+    names = ("monday.csv", "imu.csv", "gnss.csv")
+    whole = made_drives.write_table(folder / names[0], log, (512350.0, 5403260.0))
+    rows = [line.split(",") for line in whole.read_text("utf-8").splitlines()]
+    for name, columns in (("imu.csv", slice(0, 7)), ("gnss.csv", slice(7, None))):
+        lines = [",".join([row[0], *row[columns][columns.start == 0 :]]) for row in rows]
+        (folder / name).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def check_notebook(names, folder):

@@ -80,3 +80,13 @@ def log_of(made: MadeDrive) -> tuple[DriveLog, np.ndarray, np.ndarray]:
     places = PlaceTrack(at - made.offset, seen.real, seen.imag, np.full(len(at), np.nan), "projected")
     imu = ImuTrack(time, rate, force)
     return DriveLog("made", (Path("made.csv"),), imu, places, None), turns[:, 1], np.cumsum(speed) * step
+
+
+def write_table(path: Path, log: DriveLog, corner: tuple[float, float]) -> Path:
+    """Write a log as one CSV file, its way from a corner (easting, northing) [m] on."""
+    imu, places = log.imu, log.places
+    at = [np.interp(imu.time, places.time, (places.x, places.y)[axis]) + corner[axis] for axis in (0, 1)]
+    head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
+    table = np.column_stack([imu.time, imu.rate, imu.acceleration, *at])
+    np.savetxt(path, table, delimiter=",", header=f"{head},easting [m],northing [m]", comments="")
+    return path

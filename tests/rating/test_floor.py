@@ -117,6 +117,8 @@ def test_it_is_no_property_of_the_drives(tmp_path):
     assert given.without_floor().floor == 0.0
     assert given.without_floor().id == SHIPPED.id
     assert given.with_preferences(profile, "x").floor == 0.0
+    without = {key: value for key, value in profile.items() if key != "floor"}
+    assert given.with_preferences(without, "x").floor == 0.0
     path = tmp_path / "mine.json"
     path.write_text(given.to_json())
     assert find_calibration("warthog", path).floor == 0.03

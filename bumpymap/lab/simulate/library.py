@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from bumpymap.core import BadInputError
 from bumpymap.lab.simulate.journal import Key
 from bumpymap.lab.simulate.patch import PatchDrives
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
+from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings, library_terrain
 from bumpymap.lab.worlds import KINDS, Terrain
 from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
@@ -113,13 +113,7 @@ def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenT
         The record is damaged.
     """
     driven = library_terrains(calibration)
-    settings = CalibrationSettings(
-        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
-        seed=calibration.settings["seed"],
-        tile_size=calibration.tile_size,
-        pixels=calibration.pixels,
-    )
-    return library_ground(settings, driven), driven
+    return library_ground(calibrated_settings(calibration), driven), driven
 
 
 def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:

@@ -20,13 +20,11 @@ from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
 from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.lab.worlds import KINDS
-from bumpymap.rating import Calibration, Vehicle
 
 __all__ = [
     "MotionEffort",
     "MotionJob",
     "MotionRecord",
-    "calibrated_settings",
     "drive_library",
     "motion_jobs",
     "motion_journal",
@@ -149,16 +147,6 @@ def motion_journal(path: Path, settings: CalibrationSettings, effort: MotionEffo
     effort_record = {name: value for name, value in asdict(effort).items() if name != "terrains"}
     plain = {**about, "effort": {k: list(v) if isinstance(v, tuple) else v for k, v in effort_record.items()}}
     return JobJournal(path, plain | {"versions": versions}, MotionRecord.read)
-
-
-def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
-    """Return the settings of the library that a calibration was made with."""
-    return CalibrationSettings(
-        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
-        seed=int(calibration.settings.get("seed", 1)),
-        tile_size=calibration.tile_size,
-        pixels=calibration.pixels,
-    )
 
 
 def _known(value: float) -> float | None:

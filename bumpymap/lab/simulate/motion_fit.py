@@ -12,17 +12,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, UsageError
+from bumpymap.core import BadInputError, UsageError, atomic
 from bumpymap.lab.simulate.journal import JobJournal
 from bumpymap.lab.simulate.motion import (
     MotionEffort,
     MotionRecord,
-    calibrated_settings,
     drive_library,
     motion_jobs,
     motion_journal,
 )
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
+from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings, library_terrain
 from bumpymap.lab.simulate.pool import Progress
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
 from bumpymap.lab.worlds import KINDS, Terrain
@@ -189,7 +188,8 @@ def _main(files: Sequence[str]) -> None:
         effort = MotionEffort()
         journal = motion_journal(path.with_name(f"{path.name}.motion.jsonl"), calibrated_settings(calibration), effort)
         made = add_motion(calibration, effort=effort, journal=journal)
-        path.write_text(made.to_json(), encoding="utf-8")
+        with atomic(path) as temporary:
+            temporary.write_text(made.to_json(), encoding="utf-8")
         journal.remove()
 
 

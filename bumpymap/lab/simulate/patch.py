@@ -11,7 +11,7 @@ from bumpymap.lab.simulate.drive import DriveSettings, Outcome, drive
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.rating import Vehicle
 
-__all__ = ["Effort", "PatchDrives", "drive_patch"]
+__all__ = ["Effort", "PatchDrives", "drive_patch", "start_seed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +107,7 @@ def drive_patch(
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
     while len(drives.outcome) < effort.most and not _is_enough(drives, effort):
-        made = drive(profile, ground, _seed(seed, (*stream, len(drives.outcome))), settings)
+        made = drive(profile, ground, start_seed(seed, (*stream, len(drives.outcome))), settings)
         c_r = made.c_r if made.outcome == "completed" else None
         drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
     return drives
@@ -121,5 +121,6 @@ def _is_enough(drives: PatchDrives, effort: Effort) -> bool:
     return mean is None or (error is not None and error <= effort.target_error * mean)
 
 
-def _seed(seed: int, stream: tuple[int, ...]) -> int:
+def start_seed(seed: int, stream: tuple[int, ...]) -> int:
+    """Return the seed of one drive from that of all and the numbers of its own random stream."""
     return int(np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0])

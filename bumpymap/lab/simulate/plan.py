@@ -18,9 +18,17 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.journal import Key
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.worlds import KINDS, Terrain, make_terrain
-from bumpymap.rating import Vehicle, make_textures
+from bumpymap.rating import Calibration, Vehicle, make_textures
 
-__all__ = ["CalibrationSettings", "LibraryJob", "TableJob", "library_terrain", "log_spaced", "run_job"]
+__all__ = [
+    "CalibrationSettings",
+    "LibraryJob",
+    "TableJob",
+    "calibrated_settings",
+    "library_terrain",
+    "log_spaced",
+    "run_job",
+]
 
 _LIBRARY_STREAM = len(TEXTURES)
 """First number of the random streams of library drives; no texture has this index."""
@@ -137,6 +145,16 @@ class LibraryJob:
     def key(self) -> Key:
         """Name of the job in a journal."""
         return ("library", self.kind, self.index)
+
+
+def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
+    """Return the settings of the vehicle, the seed and the tiles that a calibration was made with."""
+    return CalibrationSettings(
+        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
+        seed=int(calibration.settings.get("seed", 1)),
+        tile_size=calibration.tile_size,
+        pixels=calibration.pixels,
+    )
 
 
 def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:

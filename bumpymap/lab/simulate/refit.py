@@ -26,8 +26,9 @@ def refit(calibration: Calibration) -> Calibration:
     Raises
     ------
     UsageError
-        It holds no drives over the terrain library.
+        It holds no drives over the terrain library, or was moved to real drives, which a fit would forget.
     """
+    _require_unmoved(calibration)
     if "library" not in calibration.settings:
         raise UsageError(
             f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
@@ -44,13 +45,25 @@ def refit_thin(calibration: Calibration) -> Calibration:
     Raises
     ------
     UsageError
-        It has no ride model.
+        It has no ride model, or was moved to real drives.
     """
+    _require_unmoved(calibration)
     if calibration.ride is None:
         raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
     terrains, _ = read_library(calibration)
     profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
     return replace(calibration, thin=fit_thin_surveys(profile, terrains, calibration.ride, calibration.class_limits[0]))
+
+
+def _require_unmoved(calibration: Calibration) -> None:
+    """Raise UsageError if a calibration was moved to real drives: what they told is not among the simulated ones."""
+    moved = calibration.settings.get("moved_to_drives")
+    if moved is not None:
+        raise UsageError(
+            f"the calibration {calibration.id} was moved to real drives, and a new fit to the simulated ones would "
+            f"discard that. Fit the calibration {moved['calibration_id']}, which it was before, and move that again "
+            "with: bumpymap check --refit"
+        )
 
 
 if __name__ == "__main__":

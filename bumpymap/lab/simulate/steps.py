@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.lab.simulate.drive import Drive, Start, drive_from
 from bumpymap.lab.simulate.journal import Journal, Key
 from bumpymap.lab.simulate.patch import PatchDrives
-from bumpymap.lab.simulate.plan import CalibrationSettings
+from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings
 from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
@@ -127,7 +127,7 @@ def add_steps(
     UsageError
         The calibration holds no ride model.
     """
-    settings = _settings_of(calibration)
+    settings = calibrated_settings(calibration)
     tiles = _rated_tiles(calibration, settings)
     driven = drive_jobs(
         partial(run_crossing, settings),
@@ -145,17 +145,8 @@ def rate_steps(calibration: Calibration) -> Calibration:
     """Return a calibration whose ``steps``, if it has them, hold what its ride model predicts; crossings stay."""
     if calibration.steps is None:
         return calibration
-    tiles = _rated_tiles(calibration, _settings_of(calibration))
+    tiles = _rated_tiles(calibration, calibrated_settings(calibration))
     return replace(calibration, steps=calibration.steps | {"tile": tiles})
-
-
-def _settings_of(calibration: Calibration) -> CalibrationSettings:
-    return CalibrationSettings(
-        Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}"),
-        seed=int(calibration.settings.get("seed", 1)),
-        tile_size=calibration.tile_size,
-        pixels=calibration.pixels,
-    )
 
 
 def _crossings(profile: Vehicle, driven: Mapping[Key, PatchDrives]) -> dict[str, Any]:

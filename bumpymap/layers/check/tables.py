@@ -7,7 +7,7 @@ import numpy as np
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckedDrive, CheckResult, MapAgreement
 from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.check.words import metres, percent, sorted_reasons
+from bumpymap.layers.check.words import columns_words, metres, percent, sorted_reasons
 from bumpymap.layers.report.numbers import DASH, number
 
 __all__ = [
@@ -120,18 +120,13 @@ def _mount(angles: Iterable[float]) -> str:
 
 def drive_notes(result: CheckResult) -> list[str]:
     """Return from which columns each drive was read and what was guessed, a sentence each."""
-    return [note for drive in result.drives for note in _named(result, drive, [*_columns(drive), *drive.notes])]
+    return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
 
 
 def warnings_of(result: CheckResult) -> list[str]:
     """Return the warnings of the whole check and of each drive, each once."""
     own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
     return list(dict.fromkeys([*result.warnings, *own]))
-
-
-def _columns(drive: CheckedDrive) -> list[str]:
-    columns = ", ".join(f"{quantity} from {column}" for quantity, column in drive.columns.items())
-    return [f"read: {columns}"] if columns else []
 
 
 def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:

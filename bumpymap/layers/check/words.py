@@ -4,12 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bumpymap.core import CheckResult, DrivenStretches, MapAgreement
+from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
 
 __all__ = [
     "FEW",
     "check_headline",
     "check_verdict",
+    "columns_words",
     "level_words",
     "measured_mean",
     "metres",
@@ -62,6 +63,16 @@ def check_verdict(result: CheckResult) -> str:
     if round(rank, 2) >= ROUGHLY:
         return f"The map ranks the ground only roughly{'' if level else ', and its level is off'}"
     return "The map does not rank this ground as the vehicle felt it"
+
+
+def columns_words(drive: CheckedDrive) -> list[str]:
+    """Return which columns a drive was read from, and the quantity where its name differs, for each file."""
+    found: dict[str, list[str]] = {}
+    for quantity, column in drive.columns.items():
+        place, separator, name = column.rpartition(": ")
+        said = name if name.startswith(quantity) else f"{name} as {quantity}"
+        found.setdefault(place if separator else "the log", []).append(said)
+    return [f"read from {place}: {', '.join(columns)}" for place, columns in found.items()]
 
 
 def level_words(agreement: MapAgreement) -> str:

@@ -42,6 +42,14 @@ def headline(site: Site) -> str:
     return f"{text}. {calm} of the ground can be crossed and is smooth or fair to ride on."
 
 
+def _speeds(vehicle: Mapping[str, Any]) -> str:
+    """Return the speed of the drives, and that of the map if it was asked for another."""
+    asked, driven = vehicle.get("speed_mps"), vehicle.get("drives_mps")
+    if driven is None or driven == asked:
+        return number(asked, 2, " m/s")
+    return f"{number(driven, 2, ' m/s')}; the ride costs of this map are for {number(asked, 2, ' m/s')}"
+
+
 def meaning_of(site: Site) -> list[str]:
     """Return what the numbers of the vehicle mean, in sentences."""
     vehicle: Mapping[str, Any] = site.record.get("vehicle") or {}
@@ -56,7 +64,7 @@ def meaning_of(site: Site) -> list[str]:
         sizes = {key: number(vehicle.get(key), 2, " m") for key in ("width_m", "height_m", "clearance_m")}
         sentences.append(
             f"It is {sizes['width_m']} wide and {sizes['height_m']} high, with {sizes['clearance_m']} under its belly, "
-            f"and was driven in simulation at {number(vehicle.get('speed_mps'), 1, ' m/s')}."
+            f"and was driven in simulation at {_speeds(vehicle)}."
         )
     return [
         *sentences,

@@ -5,7 +5,14 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.rating.ride._ride_kernels import GROUP, PatchesToRide, RideScratch, lay_nodes, roll_wheel, sample_means
+from bumpymap.rating.ride._ride_kernels import (
+    PatchesToRide,
+    RideScratch,
+    lay_nodes,
+    roll_wheel,
+    sample_means,
+    take_group,
+)
 from bumpymap.rating.ride.lattice import PitchSamples
 from bumpymap.rating.ride.operator import WheelShape
 from bumpytiles import kernel
@@ -29,21 +36,9 @@ def move_over_patches(
     ``motions`` (tiles, groups, 2) is filled: mean absolute value and root mean square of the samples of each group, the
     rows from one of ``bounds`` to the next.
     """
-    tiles, pixels = len(patches.known), patches.relief.shape[1]
-    nodes = pixels * patches.fine + 1
-    t = 0
-    while t < tiles:
-        held = 0
-        while t < tiles and held < GROUP:
-            if patches.known[t]:
-                for r in range(pixels):
-                    for c in range(pixels):
-                        scratch.relief[r, c, held] = patches.relief[t, r, c]
-                scratch.members[held] = t
-                held += 1
-            t += 1
-        if held == 0:
-            continue
+    nodes = patches.relief.shape[1] * patches.fine + 1
+    held = take_group(patches, 0, scratch)
+    while held > 0:
         lay_nodes(patches.fine, nodes, scratch)
         roll_wheel(nodes, wheel, scratch)
         for group in range(len(bounds) - 1):
@@ -51,3 +46,4 @@ def move_over_patches(
             for lane in range(held):
                 for k in range(2):
                     motions[scratch.members[lane], group, k] = scratch.rides[k, lane]
+        held = take_group(patches, scratch.members[held - 1] + 1, scratch)

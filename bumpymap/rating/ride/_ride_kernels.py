@@ -37,6 +37,7 @@ __all__ = [
     "ride_scratch",
     "roll_wheel",
     "sample_means",
+    "take_group",
 ]
 
 Floats = NDArray[np.float64]
@@ -141,6 +142,22 @@ def _above(ground: Any, level: Any, ahead: Any, pitch: Any) -> Any:
 @helper
 def _larger(least: Any, above: Any, clearance: Any) -> Any:
     return max(least, above / clearance)
+
+
+@helper
+def take_group(patches: PatchesToRide, first: int, scratch: RideScratch) -> int:
+    """Fill the scratch with the next known patches from the ``first`` on, a group at most; return their number."""
+    pixels, held = patches.relief.shape[1], 0
+    for t in range(first, len(patches.known)):
+        if held == GROUP:
+            break
+        if patches.known[t]:
+            for r in range(pixels):
+                for c in range(pixels):
+                    scratch.relief[r, c, held] = patches.relief[t, r, c]
+            scratch.members[held] = t
+            held += 1
+    return held
 
 
 @helper
@@ -265,21 +282,9 @@ def ride_patches(
     ``rides`` (tiles, 6) is filled: mean and root mean square of the pitch change [rad/m]; root mean square of pitch,
     roll and twist [rad]; reach of the ground towards the belly (1: it touches).
     """
-    tiles, pixels = len(patches.known), patches.relief.shape[1]
-    nodes = pixels * patches.fine + 1
-    t = 0
-    while t < tiles:
-        held = 0
-        while t < tiles and held < GROUP:
-            if patches.known[t]:
-                for r in range(pixels):
-                    for c in range(pixels):
-                        scratch.relief[r, c, held] = patches.relief[t, r, c]
-                scratch.members[held] = t
-                held += 1
-            t += 1
-        if held == 0:
-            continue
+    nodes = patches.relief.shape[1] * patches.fine + 1
+    held = take_group(patches, 0, scratch)
+    while held > 0:
         lay_nodes(patches.fine, nodes, scratch)
         roll_wheel(nodes, wheel, scratch)
         sample_means(samples, 0, len(samples.starts) - 1, scratch.envelope, scratch.rides)
@@ -288,6 +293,7 @@ def ride_patches(
         for lane in range(held):
             for k in range(6):
                 rides[scratch.members[lane], k] = scratch.rides[k, lane]
+        held = take_group(patches, scratch.members[held - 1] + 1, scratch)
 
 
 @kernel

@@ -20,6 +20,8 @@ __all__ = ["BlockRating", "dense_share", "is_rateable", "rate_thin", "ride_weigh
 Floats = NDArray[np.float64]
 _ALL_THIN = 0.35
 """Coverage up to which a tile is rated from its points; up to ``DENSE_COVERAGE`` both are mixed."""
+_LOST_SHARE = 1e-3
+"""C_r below this share of a floor is lost beside it: results are stored as float32."""
 _RATEABLE = (Reason.OK, Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES)
 
 
@@ -176,7 +178,7 @@ def _at_map_speed(found: Prediction, calibration: Calibration) -> Prediction:
 def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:
     """Mix with the first pass less its floor, (rows, cols); the result is continuous in the coverage."""
     ends = (first.c_r, first.c_r_low, first.c_r_high)
-    log_c_r, low, high = (np.log(less_floor(values, floor)) for values in ends)
+    log_c_r, low, high = (np.log(np.maximum(less_floor(values, floor), _LOST_SHARE * floor)) for values in ends)
     ride: tuple[Floats, ...] = (
         log_c_r,
         (log_c_r - low) / NORMAL_TAIL,

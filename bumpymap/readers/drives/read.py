@@ -1,6 +1,8 @@
 """Read a recorded drive from files of any format."""
 
+import re
 from collections.abc import Mapping, Sequence
+from itertools import takewhile
 from pathlib import Path
 
 from bumpymap.core import BadInputError, DriveLog, UsageError
@@ -46,8 +48,17 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     wanted = dict(columns or {})
     unknown_quantities(wanted, (*QUANTITIES, *TOPICS))
     paths = _paths(place)
-    name = paths[0].stem if len(paths) == 1 else ",".join(path.stem for path in paths)
-    return assemble(name, paths, _sources(paths, wanted))
+    return assemble(_name([path.stem for path in paths]), paths, _sources(paths, wanted))
+
+
+def _name(stems: Sequence[str]) -> str:
+    """Return what the names of files have in common, such as "monday" of monday_imu and monday_gnss; else all."""
+    if len(stems) == 1:
+        return stems[0]
+    words = [re.split(r"(?<=[^0-9A-Za-z])|(?=[^0-9A-Za-z])", stem) for stem in stems]
+    common = list(takewhile(lambda each: len(set(each)) == 1, zip(*words, strict=False)))
+    shared = "".join(each[0] for each in common).rstrip(" _-.,+")
+    return shared or ",".join(stems)
 
 
 def _paths(place: str) -> list[Path]:

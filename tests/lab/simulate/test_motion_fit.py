@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.lab.simulate.motion import MotionEffort, MotionRecord, calibrated_settings, motion_jobs, motion_journal
+from bumpymap.lab.simulate.motion import MotionEffort, MotionRecord, motion_jobs, motion_journal
 from bumpymap.lab.simulate.motion_fit import add_motion, fit_motion, refit_motion
+from bumpymap.lab.simulate.plan import calibrated_settings
 from bumpymap.rating import Calibration, MotionModel
 from bumpymap.rating.calibration import shipped_calibrations
 

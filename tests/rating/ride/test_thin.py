@@ -168,6 +168,23 @@ def test_a_floor_is_added_once(unseen, coverage):
         np.testing.assert_allclose(getattr(with_it, name), np.hypot(getattr(found, name), 0.05), rtol=1e-4)
 
 
+def test_a_low_end_that_is_lost_in_the_floor_keeps_no_tile_from_its_points(unseen):
+    """Stored as float32, an end far below the floor is the floor itself."""
+    floor = np.float32(0.05)
+    raised = replace(CALIBRATION, vehicle=CALIBRATION.vehicle | {"floor": {"c_r_radpm": float(floor)}})
+    values = np.full((18, 18), 0.06, np.float32)
+    low = np.where(np.arange(18) % 2 == 0, floor, np.float32(0.055)) + 0 * values
+    first = replace(
+        first_pass(), class_id=np.zeros((18, 18), np.uint8), c_r=values, c_r_low=low,
+        c_r_high=1.3 * values, p_fail=values, confidence=values,
+    )  # fmt: skip
+    found = rate_thin(block_of(unseen), first, *maps(coverage=0.6), raised)
+    assert (found.c_r != values[1:-1, 1:-1]).all()
+    assert (found.c_r_low <= found.c_r).all()
+    assert (found.c_r <= found.c_r_high).all()
+    assert np.isfinite(found.c_r_high).all()
+
+
 def test_too_steep_ground_is_not_passable(unseen):
     found = rate_thin(block_of(unseen), first_pass(), *maps(slope=31.0), CALIBRATION)
     assert (found.p_fail == 1).all()

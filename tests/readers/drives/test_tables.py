@@ -381,3 +381,23 @@ def test_the_shortest_table_needs_no_line_end(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text("time,wx,wy,wz\n" + "\n".join(lines), encoding="utf-8")
     assert len(read_drive(str(path)).imu.time) == 30
+
+
+@pytest.mark.parametrize(
+    ("names", "said"),
+    [
+        (("monday_imu", "monday_gnss"), "monday"),
+        (("2026-11-22.imu", "2026-11-22.gnss"), "2026-11-22"),
+        (("imu_03", "imu_04"), "imu"),
+        (("drive1_imu", "drive10_gnss"), "drive1_imu,drive10_gnss"),
+        (("imu", "gnss"), "imu,gnss"),
+    ],
+)
+def test_a_drive_of_several_files_has_what_their_names_have_in_common(tmp_path, names, said):
+    imu, places = (tmp_path / f"{name}.csv" for name in names)
+    time = np.arange(100) * 0.02
+    rates = np.column_stack([time, np.sin(time), np.cos(time), np.sin(2 * time)])
+    np.savetxt(imu, rates, delimiter=",", header="time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s]", comments="")
+    place = np.column_stack([time, -99 + time * 1e-6, 19 + time * 1e-6])
+    np.savetxt(places, place, delimiter=",", header="time [s],longitude [deg],latitude [deg]", comments="")
+    assert read_drive(f"{imu},{places}").name == said

@@ -6,15 +6,16 @@ of the noise in the difference between map and drive.
 """
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE
+from bumpymap.core import OBSTACLE, TileField
 from bumpymap.lab.simulate import fill_gaps
-from bumpymap.rating import RideModel, roll_over
+from bumpymap.rating import RideModel, less_floor, roll_over
 
-__all__ = ["OBSTACLE_M", "driven_heights", "ride_without_correction"]
+__all__ = ["OBSTACLE_M", "driven_field", "driven_heights", "ride_without_correction"]
 
 Floats = NDArray[np.float64]
 OBSTACLE_M = 1.0
@@ -35,6 +36,13 @@ def driven_heights(heights: NDArray[np.floating], objects: NDArray[np.uint8]) ->
     """
     raised: Floats = fill_gaps(heights) + OBSTACLE_M * (objects == OBSTACLE)
     return raised
+
+
+def driven_field(field: TileField, floor: float) -> TileField:
+    """Return a map's tiles without the floor of the vehicle [rad/m], which simulated drives do not have."""
+    ends = (field.c_r, field.c_r_low, field.c_r_high)
+    c_r, low, high = (less_floor(values, floor).astype(np.float32) for values in ends)
+    return replace(field, c_r=c_r, c_r_low=low, c_r_high=high)
 
 
 def ride_without_correction(model: RideModel, heights: NDArray[np.floating], known: NDArray[np.bool_]) -> Floats:

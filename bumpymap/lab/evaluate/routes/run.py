@@ -21,7 +21,7 @@ from bumpymap.lab.evaluate.routes.compare import (
     order,
     results_of,
 )
-from bumpymap.lab.evaluate.routes.measured import ride_without_correction
+from bumpymap.lab.evaluate.routes.measured import driven_field, ride_without_correction
 from bumpymap.lab.evaluate.routes.pairs import PlanWay, WayPair, choose_pairs
 from bumpymap.lab.evaluate.routes.predicted import predict_line
 from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
@@ -100,8 +100,9 @@ def evaluate_routes(
     pairs = choose_pairs(field, plan, settings, options.progress)
     c_r_raw = _raw(route_map, calibration, field, pairs)
     lines = {(number, name): line for number, pair in enumerate(pairs) for name, line in pair.lines().items()}
-    predicted = {key: predict_line(field, line, c_r_raw) for key, line in lines.items()}
     profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+    field = driven_field(field, calibration.floor)
+    predicted = {key: predict_line(field, line, c_r_raw) for key, line in lines.items()}
     driven = drive_pairs(route_map, profile, pairs, settings, options)
     ways = results_of(field, lines, predicted, driven)
     best, straight = ([way for way in ways if way.name == name] for name in WAYS)

@@ -113,6 +113,15 @@ def fake_drives(monkeypatch):
     return made
 
 
+def test_the_floor_of_a_vehicle_is_left_out_as_its_drives_have_none(made_up, warthog, tmp_path, monkeypatch):
+    fake_drives(monkeypatch)
+    bare, _ = evaluate_routes(made_up, warthog, round_the_wall, SETTINGS, options(tmp_path))
+    raised = replace(warthog, vehicle=warthog.vehicle | {"floor": {"c_r_radpm": 0.05}})
+    felt = replace(made_up, calibration=raised, c_r=math.hypot(made_up.c_r, 0.05))
+    with_it, _ = evaluate_routes(felt, raised, round_the_wall, SETTINGS, options(tmp_path, overwrite=True))
+    assert [way.predicted.c_r for way in with_it.ways] == pytest.approx([way.predicted.c_r for way in bare.ways], 1e-3)
+
+
 def test_drives_are_recorded_and_not_made_again(made_up, warthog, tmp_path, monkeypatch):
     made = fake_drives(monkeypatch)
     first, _ = evaluate_routes(made_up, warthog, round_the_wall, SETTINGS, options(tmp_path))
