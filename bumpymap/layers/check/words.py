@@ -23,6 +23,8 @@ FEW = 5
 """Fewer stretches on the map say nothing about it."""
 LEVEL = 1.15
 """Up to this factor of its median ratio from 1 a map holds."""
+INSIDE = 0.8
+"""Share of readings that the map's interval should hold; a level that is off with fewer is off beyond all errors."""
 RANKS, ROUGHLY = 0.8, 0.5
 """From these Spearman correlations on a map ranks ground rightly, and roughly."""
 EVEN = 1.5
@@ -54,14 +56,15 @@ def check_verdict(result: CheckResult) -> str:
     if agreement is None or not np.isfinite(agreement.median_ratio):
         return "The map cannot be judged"
     level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
+    allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
     rank = agreement.spearman
     if _is_even(result.stretches) or not np.isfinite(rank):
-        even = "the ground driven is too even to say whether it ranks ground rightly"
-        return f"The level of the map holds; {even}" if level else f"The level of the map is off; {even}"
+        even = "the ground driven is too even to say whether the map ranks ground rightly"
+        return f"The level of the map holds; {even}" if level else f"The map's level is off{allowed}; {even}"
     if round(rank, 2) >= RANKS:  # as it is shown
-        return "The map holds" if level else "The map ranks the ground rightly, but its level is off"
+        return "The map holds" if level else f"The map ranks the ground rightly, but its level is off{allowed}"
     if round(rank, 2) >= ROUGHLY:
-        return f"The map ranks the ground only roughly{'' if level else ', and its level is off'}"
+        return f"The map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
     return "The map does not rank this ground as the vehicle felt it"
 
 

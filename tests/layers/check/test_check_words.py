@@ -31,14 +31,20 @@ def judged(n=40, **figures):
     ],
 )
 def test_the_verdict_follows_from_rank_and_level(rank, ratio, words):
-    assert check_verdict(judged(spearman=rank, median_ratio=ratio)) == words
+    assert check_verdict(judged(spearman=rank, median_ratio=ratio, inside=0.79)) == words
+
+
+@pytest.mark.parametrize("rank", [0.95, 0.7])
+def test_a_level_that_errors_explain_is_said_to_be_so(rank):
+    words = check_verdict(judged(spearman=rank, median_ratio=1.4, inside=0.8))
+    assert words.endswith("its level is off by no more than its interval allows")
 
 
 def test_even_ground_cannot_be_ranked():
-    result = judged(spearman=0.1, median_ratio=0.7)
+    result = judged(spearman=0.1, median_ratio=0.7, inside=0.3)
     even = replace(result.stretches, measured=np.full(40, 0.1))
     words = check_verdict(replace(result, stretches=even))
-    assert words == "The level of the map is off; the ground driven is too even to say whether it ranks ground rightly"
+    assert words == "The map's level is off; the ground driven is too even to say whether the map ranks ground rightly"
     held = replace(result, stretches=even, agreement=replace(result.agreement, median_ratio=1.05))
     assert check_verdict(held).startswith("The level of the map holds; ")
 
