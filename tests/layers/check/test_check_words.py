@@ -134,7 +134,7 @@ def test_the_name_of_a_drive_stands_before_what_does_not_say_it_if_there_are_sev
     )
     page = check_page(replace(result, drives=drives, warnings=("odd",)), ())
     assert "- odd\n- drive 1: no standstill\n- drive 1: too fast\n- drive 2: too fast\n" in page
-    assert "- drive 1: read: rate_y from gyro_y" in page
+    assert "- drive 1: read from the log: gyro_y [deg/s] as rate_y" in page.replace("\\", "")
     assert "- drive 2: times are Unix seconds" in page
 
 
