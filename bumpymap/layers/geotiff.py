@@ -1,6 +1,5 @@
 """Write the raster layers: roughness, class, reason, cost, barred, heightmap and obstacle."""
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +21,11 @@ from bumpymap.core import (
     CostTable,
     Reason,
 )
-from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
+from bumpymap.layers._tile_bands import write_bands, write_codes
 from bumpymap.layers._tile_pixels import HEIGHT_BLOCK, layer_tags, write_pixels
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import Placement, RasterWindow
-from bumpytiles import BLOCK_TILES, TileTable
 
 __all__ = [
     "write_barred",
@@ -38,10 +36,6 @@ __all__ = [
     "write_reasons",
     "write_roughness",
 ]
-
-_TILE_BLOCK = 128
-_TILE_WINDOW = 16 * BLOCK_TILES
-"""Side of a window, tiles: whole blocks, so that none is read twice."""
 
 
 def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -63,19 +57,10 @@ def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None =
     BadInputError
         The extent is too large for a raster.
     """
-    place = Placement.of(table)
-    gaps = {band.name: np.nan for band in BANDS}
-    spec = RasterSpec(
-        bands=[BandSpec(band.name, band.unit, band.description) for band in BANDS],
-        dtype="float32",
-        nodata=float("nan"),
-        pixels=1,
-        crs=place.horizontal_crs,
-        overviews="AVERAGE",
-        block=_TILE_BLOCK,
-        tags=layer_tags(table, "ride cost and roughness of each tile", about),
-    )
-    write_cog(path, place, spec, _painter(table.tiles, gaps, "float32"), _TILE_WINDOW)
+    bands = [BandSpec(band.name, band.unit, band.description) for band in BANDS]
+    names = tuple(band.name for band in BANDS)
+    tags = layer_tags(table, "ride cost and roughness of each tile", about)
+    write_bands(table, path, bands, tags, names, lambda found: [found[name] for name in names])
 
 
 def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -85,7 +70,7 @@ def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = N
     For parameters and errors see `write_roughness`.
     """
     band = BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES)
-    _write_codes(table, path, "class_id", band, CLASS_COLOURS, layer_tags(table, "roughness class of each tile", about))
+    write_codes(table, path, "class_id", band, CLASS_COLOURS, layer_tags(table, "roughness class of each tile", about))
 
 
 def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -96,7 +81,7 @@ def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = N
     band = BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason))
     colours = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     colours[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
-    _write_codes(table, path, "reason", band, colours, layer_tags(table, "why tiles have no class", about))
+    write_codes(table, path, "reason", band, colours, layer_tags(table, "why tiles have no class", about))
 
 
 def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -104,34 +89,20 @@ def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None
 
     Overviews average the passable tiles. For parameters and errors see `write_roughness`.
     """
-    place = Placement.of(table)
     rule = table.rule
     own = {
         "fail_weight_m": f"{rule.fail_weight:g}",
         "drive_m": f"{rule.drive_m:g}",
         "slope_limit_deg": f"{rule.slope_limit_deg:g}",
     }
-    spec = RasterSpec(
-        bands=[BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
-        dtype="float32",
-        nodata=float("nan"),
-        pixels=1,
-        crs=place.horizontal_crs,
-        overviews="AVERAGE",
-        block=_TILE_BLOCK,
-        tags=layer_tags(table, "cost of driving over each tile", own | (about or {})),
-    )
+    band = BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")
+    tags = layer_tags(table, "cost of driving over each tile", own | (about or {}))
 
-    def paint(window: RasterWindow) -> NDArray[np.float32] | None:
-        if not table.tiles.holds(window.tiles):
-            return None
-        found = table.tiles.read(("c_r", "p_fail", "barred"), window.tiles)
+    def costs(found: dict[str, NDArray[Any]]) -> tuple[NDArray[np.float64]]:
         cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
-        canvas = np.full((1, window.tiles.rows, window.tiles.cols), np.nan, dtype=np.float32)
-        canvas[0][window.pixel_indices(found)] = np.where(found["barred"] == 0, cost, np.nan)
-        return canvas
+        return (np.where(found["barred"] == 0, cost, np.nan),)
 
-    write_cog(path, place, spec, paint, _TILE_WINDOW)
+    write_bands(table, path, [band], tags, ("c_r", "p_fail", "barred"), costs)
 
 
 def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -141,7 +112,7 @@ def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = No
     """
     names = tuple(BARRED_TEXT[code] for code in Barred)
     band = BandSpec("barred", text="why the tile is not passable", categories=names)
-    _write_codes(table, path, "barred", band, BARRED_COLOURS, layer_tags(table, "why tiles are not passable", about))
+    write_codes(table, path, "barred", band, BARRED_COLOURS, layer_tags(table, "why tiles are not passable", about))
 
 
 def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -194,47 +165,3 @@ def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None =
         return np.where(hidden, np.uint8(UNKNOWN_OBJECT), objects)
 
     write_pixels(table, path, spec, ("objects", "obstacle"), states)
-
-
-def _write_codes(
-    table: CostTable,
-    path: Path,
-    column: str,
-    band: BandSpec,
-    colours: Mapping[int, tuple[int, int, int, int]],
-    tags: dict[str, str],
-) -> None:
-    """Write a uint8 raster with one pixel per tile: a column of codes, ``NO_CLASS`` without a tile."""
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=[band],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        pixels=1,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        block=_TILE_BLOCK,
-        colours=dict(colours),
-        tags=tags,
-        counts_nodata=True,
-    )
-    write_cog(path, place, spec, _painter(table.tiles, {column: NO_CLASS}, "uint8"), _TILE_WINDOW)
-
-
-def _painter(
-    tiles: TileTable, gaps: Mapping[str, float], dtype: str
-) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
-    """Return a function that paints one value per tile and band; ``gaps`` are the values of pixels without a tile."""
-
-    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not tiles.holds(window.tiles):
-            return None
-        canvas = np.empty((len(gaps), window.tiles.rows, window.tiles.cols), dtype=dtype)
-        found = tiles.read(tuple(gaps), window.tiles)
-        place = window.pixel_indices(found)
-        for band, (name, gap) in zip(canvas, gaps.items(), strict=True):
-            band[...] = gap
-            band[place] = found[name]
-        return canvas
-
-    return paint

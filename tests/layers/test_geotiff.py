@@ -244,7 +244,7 @@ def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(raste
 def test_counts_are_those_of_the_whole_raster_when_it_is_made_in_several_windows(
     tmp_path, make_field, monkeypatch, name
 ):
-    monkeypatch.setattr("bumpymap.layers.geotiff._TILE_WINDOW", 16)
+    monkeypatch.setattr("bumpymap.layers._tile_bands.TILE_WINDOW", 16)
     monkeypatch.setattr("bumpymap.layers._tile_pixels._WINDOW_PIXELS", 64)
     monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     WRITERS[name](make_field(70, 50, grid=Grid(3.0, 4)), tmp_path / f"{name}.tif")
