@@ -28,11 +28,12 @@ _DTYPES = {
     "cost.tif": "float32",
     "heightmap.tif": "float32",
     "obstacle.tif": "uint8",
+    "passage.tif": "uint8",
     "class.tif": "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
 """What a route reads; a comparison of surveys reads the classes too."""
-_PER_PIXEL = ("heightmap.tif", "obstacle.tif")
+_PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
 _CHECKED = ("barred.tif", "roughness.tif", "cost.tif")
 _CHECKED_BYTES = 64 << 20
 """Largest file whose checksum is compared, except for the first of these, which is small and must be right."""

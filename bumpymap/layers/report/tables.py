@@ -89,6 +89,7 @@ _WHY = {
     Barred.SLOPE: "steeper than the vehicle may drive",
     Barred.FAILS: "at least half of the simulated drives rolled over or got stuck",
     Barred.STEP: "a step to or in the tile that the vehicle cannot climb",
+    Barred.SPLIT: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
 }
 _REASONS = {
     Reason.OK: "rated, but without a ride cost",
