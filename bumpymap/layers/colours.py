@@ -8,9 +8,9 @@ __all__ = [
     "CLASS_COLOURS",
     "COST_COLOURS",
     "OBJECT_COLOURS",
+    "OFF_COLOURS",
     "PASSAGE_COLOURS",
     "PASSAGE_NAMES",
-    "OFF_COLOURS",
     "REASON_COLOURS",
     "UNKNOWN_OBJECT",
 ]

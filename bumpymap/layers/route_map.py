@@ -169,7 +169,7 @@ class RouteMap:
                 out[place] = np.where(
                     known == NO_TILE, found, np.where(found == NO_TILE, known, np.minimum(known, found))
                 )
-        return (out > 0) & (out != NO_TILE)
+        return np.asarray((out > 0) & (out != NO_TILE))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert coordinates of the CRS to easting and northing on the grid, m."""

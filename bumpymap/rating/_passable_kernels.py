@@ -231,7 +231,7 @@ def _fill_area(free: Bytes, start: int, number: int, areas: Bytes, stack: Intege
 
 @helper
 def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) -> None:
-    """Number the areas of one tile."""
+    """Give the areas of one tile their numbers."""
     pixels = free.shape[0] * free.shape[0]
     found = 0
     for k in range(pixels):
@@ -259,7 +259,7 @@ def number_areas(
     stack: Annotated[Integers, 1],
     sizes: Annotated[Integers, 1],
 ) -> None:
-    """Number the areas of free pixels of every tile, from 1, the largest (of equal ones the northernmost); 0: closed.
+    """Give the areas of free pixels of every tile numbers from 1, the largest (of equal ones the northernmost), or 0.
 
     ``free`` and ``areas`` are (rows, cols, pixels, pixels); ``stack`` takes pixels^2 and ``sizes`` 255 numbers. Pixels
     hang together by their sides. Of more than 254 areas, the last share a number.
@@ -273,20 +273,20 @@ def number_areas(
 def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int) -> bool:
     """Whether an area of a tile and one of its southern neighbour touch across their border."""
     last = north.shape[0] - 1
+    meet = False
     for c in range(north.shape[0]):
-        if north[last, c] == upper and south[0, c] == lower:
-            return True
-    return False
+        meet |= north[last, c] == upper and south[0, c] == lower
+    return meet
 
 
 @helper
 def _meet_across(west: Bytes, left: int, east: Bytes, right: int) -> bool:
     """Whether an area of a tile and one of its eastern neighbour touch across their border."""
     last = west.shape[0] - 1
+    meet = False
     for r in range(west.shape[0]):
-        if west[r, last] == left and east[r, 0] == right:
-            return True
-    return False
+        meet |= west[r, last] == left and east[r, 0] == right
+    return meet
 
 
 @helper

@@ -120,7 +120,7 @@ def free_areas(
     count = len(barred) + 2
     pixels = len(objects) // count
     radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
-    scratch = grow_scratch(*objects.shape, pixels, radius)
+    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
     grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius), scratch)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
     return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None])
@@ -131,10 +131,10 @@ def close_split_tiles(
 ) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
     """Bar the tiles that obstacles split, and keep the vehicle off ground that it cannot drive on.
 
-    What reads tiles alone steps from one passable tile to any of the eight around it. So of two such tiles whose largest
-    areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable tiles is one
-    that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles that their ground
-    bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
+    What reads tiles alone steps from one passable tile to any of the eight around it. So of two such tiles whose
+    largest areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable
+    tiles is one that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles
+    that their ground bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def close_split_tiles(
 
 
 def _numbered(free: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """Number the areas of free pixels of tiles (n, m, pixels, pixels)."""
+    """Give the areas of free pixels of tiles numbers, (n, m, pixels, pixels)."""
     areas = np.empty(free.shape, np.uint8)
     number_areas(
         np.ascontiguousarray(free).view(np.uint8),

@@ -1,4 +1,4 @@
-"""What the neighbours of a tile change: the steps of `bumpymap.survey.second_pass` that a run applies to every block."""
+"""Changes of a tile by its neighbours: the steps of `bumpymap.survey.second_pass`, applied to every block of a run."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -186,7 +186,7 @@ class NeighbourRating:
 
 @dataclass(frozen=True, slots=True)
 class SplitClosing:
-    """Bars the tiles of a block that obstacles split, from what `NeighbourRating` found for them and their neighbours."""
+    """Bars the tiles of a block that obstacles split, from the results of `NeighbourRating` around them."""
 
     grid: Grid
     calibration: Calibration
