@@ -18,7 +18,7 @@ __all__ = ["find_routes", "map_reach"]
 PathLike: TypeAlias = str | os.PathLike[str]
 Point: TypeAlias = str | tuple[float, float]
 """``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
-_OF_COST = ("risk", "robust", "unknown", "avoid", "only")
+_OF_COST = ("risk", "robust", "unknown", "avoid", "only", "through_obstacles")
 
 
 def find_routes(
@@ -44,7 +44,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``compare``, ``memory``, ``overwrite``.
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``compare``, ``memory``, ``overwrite``,
+        ``through_obstacles``.
 
     Returns
     -------

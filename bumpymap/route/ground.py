@@ -10,19 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from bumpymap.core import OBSTACLE, TileField
+from bumpymap.core import OBSTACLE, Barred, TileField
 from bumpymap.layers import RouteMap
 from bumpymap.route._window import BYTES_PER_TILE
-from bumpymap.route.line import line_cost
+from bumpymap.route.line import is_clear
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
     from bumpymap.route.planner import Planner, WornTiles
 
-__all__ = ["Ground", "stretches", "window_around"]
+__all__ = ["PIXEL_MARGIN", "Ground", "stretches", "window_around"]
 
 Floats = NDArray[np.float64]
 
+PIXEL_MARGIN = 0.2
+"""Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
+_TOUCHING = 100.0
+"""Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
 _STRETCH_TILES = 48
 """Longest stretch of a line that is looked at together, tiles."""
 
@@ -38,11 +42,14 @@ class Ground:
         Weight of the hazard, m; None: that of the settings.
     worn : WornTiles, optional
         Tiles that are dearer.
+    touching : bool
+        Whether obstacles may be touched, at a hundred times the cost.
     """
 
     planner: "Planner"
     risk: float | None = None
     worn: "WornTiles | None" = None
+    touching: bool = False
 
     @property
     def site(self) -> RouteMap:
@@ -63,7 +70,9 @@ class Ground:
 
     def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
         """Return the same for tiles that have been read."""
-        cost = self.planner.cost(tiles, self.risk, through=through)
+        cost = self.planner.cost(tiles, self.risk, through=through or self.touching)
+        if self.touching and not through:
+            cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= _TOUCHING
         if self.worn is not None:
             cost *= self.worn.factors(tiles.window)
         return cost
@@ -72,7 +81,11 @@ class Ground:
         """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
         cost, pixels = self.on_tiles(window), self.site.grid.pixels
         out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
-        out[~self._free(window, np.isinf(out))] = np.inf
+        free = self._free(window, np.isinf(out))
+        if self.touching:
+            out[~free] *= np.float32(_TOUCHING)
+        else:
+            out[~free] = np.inf
         return out
 
     def _free(self, window: TileWindow, closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -109,7 +122,7 @@ class Ground:
         """Say whether the vehicle fits on all of a line, (n, 2) easting and northing, m."""
         for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
             window = window_around(self.site, part, 1)
-            if not np.isfinite(line_cost(self.on_pixels(window), self.in_window(part, window))):
+            if not is_clear(self.on_pixels(window), self.in_window(part, window), PIXEL_MARGIN):
                 return False
         return True
 

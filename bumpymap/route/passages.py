@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
+from bumpymap.route.ground import PIXEL_MARGIN
 from bumpymap.route.search import find_way
 from bumpytiles import TileWindow
 
@@ -203,7 +204,8 @@ def _on_pixels(
         pixels = ground.site.grid.pixels
         cost[~np.repeat(np.repeat(kept, pixels, 0), pixels, 1)] = np.inf
         start, goal = ((float(r), float(c)) for r, c in ground.in_window(np.array(ends), part))
-        found = find_way(cost, start, goal, least_saving=LEAST_SAVING_M / ground.site.grid.pixel_size)
+        saving = LEAST_SAVING_M / ground.site.grid.pixel_size
+        found = find_way(cost, start, goal, margin=PIXEL_MARGIN, least_saving=saving)
         if found is None:
             return None
         line = ground.on_grid(found.line, part)

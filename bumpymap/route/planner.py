@@ -1,7 +1,7 @@
 """Plan ways over a map: costs of its tiles by window, the search, and what a way costs."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.passages import way_over_areas
 from bumpymap.route.places import place_in_window
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.steering import steer_clear
+from bumpymap.route.steering import sample_line, steer_clear
 from bumpytiles import TileWindow
 
 __all__ = ["PlannedWay", "Planner", "WornTiles"]
@@ -158,7 +158,8 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        return PlannedWay(line, measure_way(self.site, line, stops, Ground(self).of_field))
+        touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
+        return PlannedWay(line, measure_way(self.site, line, stops, Ground(self).of_field, obstacle_m=touched))
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
@@ -189,7 +190,16 @@ class Planner:
         if steered is not None and not self._may_pass_between(steered):
             return steered
         lines = [line for line in (steered, way_over_areas(ground, start, goal)) if line is not None]
+        if not lines and self.settings.through_obstacles:
+            touching = replace(ground, touching=True)
+            over_tiles = self._tile_line(touching, start, goal)
+            return None if over_tiles is None else steer_clear(touching, over_tiles)
         return min(lines, key=partial(way_cost, self.site, cost_of=ground.of_field), default=None)
+
+    def _touched_m(self, line: Floats) -> float:
+        """Return the length of a line on which the vehicle touches obstacles, m."""
+        points, step = sample_line(line, self.site.grid)
+        return float((~Ground(self).clear_at(points)).sum()) * step
 
     def _may_pass_between(self, line: Floats) -> bool:
         """Return whether obstacles close tiles near a line."""

@@ -11,7 +11,7 @@ from bumpymap.layers import RouteMap
 from bumpymap.route.places import GridPoint, place_in_window
 from bumpytiles import TileWindow
 
-__all__ = ["NearestPoint", "nearest_usable", "usable_point"]
+__all__ = ["NearestPoint", "nearest_usable", "place_text", "usable_point"]
 
 _MARGIN = 0.25
 """Default distance of a found point from the sides of its tile, in tiles."""
@@ -156,13 +156,16 @@ def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, windo
         width, height = (side * route_map.grid.tile_size for side in (window.cols, window.rows))
         return f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used: choose another point"
     distance = math.dist(point, near)
-    if route_map.has_crs:
-        longitude, latitude = route_map.to_lonlat(*near)
-        where = f"{longitude:.7f},{latitude:.7f} (longitude, latitude)"
-    else:
-        x, y = route_map.to_crs(*near)
-        where = f"crs:{x:.2f},{y:.2f}"
     return (
-        f"The nearest point that can be used is {distance:.1f} m away, at {where}: give that one, or "
-        f"`snap={math.ceil(distance)}` to take it"
+        f"The nearest point that can be used is {distance:.1f} m away, at {place_text(route_map, near)}: give that "
+        f"one, or `snap={math.ceil(distance)}` to take it"
     )
+
+
+def place_text(route_map: RouteMap, point: "GridPoint | NDArray[np.float64]") -> str:
+    """Write a point (easting, northing, m) as an option of the command takes it."""
+    if route_map.has_crs:
+        longitude, latitude = route_map.to_lonlat(float(point[0]), float(point[1]))
+        return f"{longitude:.7f},{latitude:.7f} (longitude, latitude)"
+    x, y = route_map.to_crs(float(point[0]), float(point[1]))
+    return f"crs:{x:.2f},{y:.2f}"

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route.ground import Ground, window_around
+from bumpymap.route.ground import PIXEL_MARGIN, Ground, window_around
 from bumpymap.route.passages import LEAST_SAVING_M
 from bumpymap.route.search import find_way
 from bumpytiles import Grid
@@ -102,7 +102,7 @@ def _search(ground: Ground, part: Floats) -> Floats | None:
     window = window_around(ground.site, part, _AROUND_TILES)
     start, goal = ((float(row), float(col)) for row, col in ground.in_window(part[[0, -1]], window))
     saving = LEAST_SAVING_M / ground.site.grid.pixel_size
-    found = find_way(ground.on_pixels(window), start, goal, least_saving=saving)
+    found = find_way(ground.on_pixels(window), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
     if found is None:
         return None
     line = ground.on_grid(found.line, window)
