@@ -70,8 +70,8 @@ def draw_places(rows: Sequence[SurveyRow], kinds: Sequence[str], labels: Sequenc
             "</title></rect>"
         )
     missing = len(rows) - len(found)
-    place = count_text(len(found), "survey lies", "surveys lie")
-    about = f"Where {place}, north up, {west:.4f} to {east:.4f} east, {south:.4f} to {north:.4f} north"
+    lying = count_text(len(found), "survey lies", "surveys lie")
+    about = f"Where {lying}, north up, {west:.4f} to {east:.4f} east, {south:.4f} to {north:.4f} north"
     beside = f" {missing} without a known place are not drawn." if missing else ""
     return (
         f'<figure><svg class="places" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" '
