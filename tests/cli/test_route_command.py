@@ -76,7 +76,7 @@ def test_without_a_place_to_write_only_the_summary_is_printed(layers, tmp_path, 
         (["--from", "here", "--to", place(5.5, 5.5)], "'here' is not a point"),
         (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--unknown", "0.5"], "unknown is 0.5"),
         (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--risk", "1e300"], "risk is 1e+300"),
-        (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--alternatives", "99"], "alternatives is 99"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 6.5), "--alternatives", "99"], "--alternatives is 99"),
         (["--from", place(5.5, 5.5)], "--out DIR"),
         (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--isochrones", "1"], "without a goal"),
         (
@@ -86,7 +86,7 @@ def test_without_a_place_to_write_only_the_summary_is_printed(layers, tmp_path, 
         (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--memory", "1MB"], "--memory is '1MB'"),
         (
             ["--from", place(5.5, 5.5), "--isochrones", "0", "--out", "o"],
-            "isochrones is 0.0; it must be a",
+            "--isochrones is 0.0; it must be a",
         ),
     ],
 )
