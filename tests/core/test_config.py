@@ -60,7 +60,7 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
         ({"tile_size": 0.0}, "tile_size"),
         ({"pixels": 2}, "pixels"),
         ({"threads": 0}, "threads"),
-        ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
+        ({"ground": "some"}, "`ground` is 'some'; it must be one of auto, all, class"),
         ({"z_unit": "yard"}, "z_unit"),
         ({"compat": "other"}, "compat"),
         ({"workers": 0}, "`workers` is 0; it must be a whole number, at least 1"),
