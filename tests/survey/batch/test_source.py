@@ -57,7 +57,7 @@ def test_a_list(flights, tmp_path):
         ("a.csv", "survey,crs,crs\n", UsageError, "crs is there twice"),
         ("a.csv", "survey,ground\na.laz,some\n", UsageError, "line 2: ground is 'some'; it must be one of"),
         ("a.csv", "survey,local\na.laz,maybe\n", UsageError, "local is 'maybe'; it must be true or false"),
-        ("a.csv", "survey,tile_size\na.laz,0\n", UsageError, "line 2: `tile_size` is 0.0"),
+        ("a.csv", "survey,tile_size\na.laz,0\n", UsageError, "line 2: tile_size is 0.0"),
         ("a.csv", "survey,local,crs\na.laz,yes,EPSG:1\n", UsageError, "contradict each other"),
         ("a.csv", "survey,crs\n,EPSG:1\n", UsageError, "line 2: the survey is empty"),
         ("a.csv", "survey\na.laz,b\n", UsageError, "it has 2 cells"),
