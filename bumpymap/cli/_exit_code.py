@@ -12,7 +12,7 @@ import click
 
 from bumpymap.cli._events import emit, restored_logging
 from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, flush, print_error
-from bumpymap.core import BumpymapError, error_chain, missing_resource
+from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource
 
 __all__ = ["RunInterrupted", "exit_code_of"]
 
@@ -58,7 +58,7 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
             raise
         if as_json:
             more = {"traceback": traceback.format_exc()} if code == _FAULT else {}
-            emit("error", exit_code=code, kind=type(error).__name__, message=" ".join(lines), **more)
+            emit("error", exit_code=code, kind=type(error).__name__, message=join_lines(lines), **more)
         else:
             _print_failure(error, lines)
         return code
@@ -101,7 +101,12 @@ def _message(error: Exception) -> tuple[int, list[str]]:
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
-        return error.exit_code, [error.format_message().replace("\n\t", " ")]
+        text = error.format_message().replace("\n\t", " ")
+        return error.exit_code, [
+            text.replace("is not a valid float", "is not a number").replace(
+                "is not a valid integer", "is not a whole number"
+            )
+        ]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
     for cause in error_chain(error):

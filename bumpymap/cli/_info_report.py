@@ -13,6 +13,7 @@ from bumpymap.core import (
     REASON_TEXT,
     FeatureSettings,
     Ground,
+    count_text,
     decide_ground,
     describe_crs,
     horizontal_of,
@@ -326,9 +327,8 @@ def _density(report: Report, density: float) -> str:
     if report.summary is None:
         return f"{_short(density)} pts/m2 in the header's extent: {density * report.grid.tile_size**2:.0f} per {tile}"
     summary = report.summary
-    return (
-        f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"
-    )
+    tiles = count_text(summary.tiles, "tile")
+    return f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {tiles})"
 
 
 def _has_classes(report: Report) -> bool | None:

@@ -16,7 +16,7 @@ from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
 from bumpymap.cli._wording import as_options
-from bumpymap.core import Ground, MapConfig, ZUnit
+from bumpymap.core import Ground, MapConfig, ZUnit, count_text
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
@@ -164,7 +164,7 @@ def _advise_one_map(
     points = sum(info.point_count for info in infos)
     sheets = sheet_options(sheets_for(reports[0].grid, [report.bounds for report in reports]))
     command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, *sheets, "--out", "DIR"])
-    text = f"{len(reports)} files, {points:,} points, one map: {command}"
+    text = f"{count_text(len(reports), 'file')}, {count_text(points, 'point')}, one map: {command}"
     summary = whole.summary() if whole is not None else None
     if summary is None:
         return [text]

@@ -204,6 +204,12 @@ from .shared_kernels import (
 from .shared_memory import (
     SharedBytes as SharedBytes,
 )
+from .text import (
+    count_text as count_text,
+    join_lines as join_lines,
+    share_text as share_text,
+    shares_text as shares_text,
+)
 from .thin_rule import (
     DENSE_COVERAGE as DENSE_COVERAGE,
     HOLE_POINTS as HOLE_POINTS,

@@ -3,6 +3,8 @@
 import errno
 from collections.abc import Iterator
 
+from bumpymap.core.text import join_lines
+
 __all__ = [
     "BadInputError",
     "BumpymapError",
@@ -33,7 +35,7 @@ class BumpymapError(Exception):
 
     def __str__(self) -> str:
         """Return the message in one line."""
-        return " ".join(str(line).strip() for line in self.args)
+        return join_lines(self.args)
 
 
 class UsageError(BumpymapError):

@@ -38,7 +38,7 @@ def memory_bytes(text: str) -> int:
     size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
     if size < LEAST_MEMORY:
         least = f"at least {LEAST_MEMORY >> 20} MB"
-        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
+        raise UsageError(f"`memory` is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
     return int(size)
 
 

@@ -225,7 +225,8 @@ class _Parser:
         try:
             return kind(**arguments)
         except UsageError as error:
-            self.faults.append(f"[{name}]: {error}")
+            keys = str(error).replace("`", "")  # of this table: no options of the command line
+            self.faults.append(f"[{name}]: {keys}")
             return _WRONG_TYPE
 
     def _placed(self, text: str, kind: Any, name: str) -> Path | str:

@@ -113,6 +113,7 @@ def complete_manifest(
                 "points": summary.points,
                 "by_class": summary.classes,
                 "by_reason": summary.reasons,
+                "failing": summary.failing,
                 "median_c_r": summary.median_c_r,
                 "median_slope": summary.median_slope,
                 "median_count": summary.median_count,

@@ -19,6 +19,7 @@ from bumpymap.core import (
     BadInputError,
     Band,
     UsageError,
+    shares_text,
     speed_bands,
 )
 from bumpymap.layers._notebook import import_notebook
@@ -294,15 +295,15 @@ class Layers:
         if bounds is not None:
             west, south, east, north = bounds
             place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
-        tiles = max(counts["tiles"], 1)
-        shares = [*counts["by_class"].items(), ("unknown", counts["unknown"])]
+        classes = {**counts["by_class"], "unknown": counts["unknown"]}
+        shares = zip(classes, shares_text(list(classes.values()), (len(classes) - 1,), 1), strict=True)
         return "\n".join(
             [
                 f"<Layers {where}>",
                 f"  place    {place}",
                 f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
                 f"  vehicle  {self._vehicle}",
-                f"  classes  {', '.join(f'{name} {count / tiles:.1%}' for name, count in shares)}",
+                f"  classes  {', '.join(f'{name} {share}' for name, share in shares)}",
             ]
         )
 

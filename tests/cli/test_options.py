@@ -121,9 +121,8 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         assert MEANT[name, option.name, float(value)](reached[name]) == float(value)
         return
     assert result.exit_code == 2, (result.output, result.exception)
-    plain = result.stderr.replace("_", "-").replace("'s", "").replace(" ", "-")
-    named = {option.name.replace("_", "-"), option.opts[0].lstrip("-")}
-    assert any(word.rstrip("s") in plain for word in named), result.stderr
+    _, _, message = result.stderr.rpartition("Error: ")
+    assert option.opts[0] in re.findall(r"--[a-z-]+", message), result.stderr
     assert not reached
     assert list(tmp_path.iterdir()) == []
 
@@ -149,7 +148,7 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         (["evaluate", "--library", "--out", "o", "--densities", "5"], "--densities applies to surveys"),
         (["evaluate", "a.laz", "--out", "o", "--skip", "density", "--densities", "5"], "--densities has no effect"),
         (["evaluate", "a.laz", "--out", "o", "--skip", "drives", "--workers", "1"], "--workers has no effect"),
-        (["evaluate", "a.laz", "--out", "o", "--min-starts", "60"], "more than max_starts, which is 48"),
+        (["evaluate", "a.laz", "--out", "o", "--min-starts", "60"], "more than --max-starts, which is 48"),
         (["calibrate", "--check", "--patches", "4"], "leave out --patches"),
         (["calibrate", "--check", "--out", "c.json"], "leave out --out"),
     ],

@@ -51,17 +51,17 @@ class ExportSettings:
     def __post_init__(self) -> None:
         for name, allowed in (("to", get_args(ExportFormat)), ("resolution", get_args(ExportResolution))):
             if getattr(self, name) not in allowed:
-                raise UsageError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}")
+                raise UsageError(f"`{name}` is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}")
         for name, least in (("radius", 0.0), ("comfort", 0.0), ("dearest", 1.0)):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > least):
-                raise UsageError(f"{name} is {value}; it must be a number greater than {least:g}")
+                raise UsageError(f"`{name}` is {value}; it must be a number greater than {least:g}")
         if self.every is not None and self.every not in SQUARES:
-            raise UsageError(f"every is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
+            raise UsageError(f"`every` is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
         for name in ("around", "datum"):
             place = getattr(self, name)
             if place is not None and not np.isfinite(place).all():
-                raise UsageError(f"{name} is {place}; it must be two numbers, easting and northing in metres")
+                raise UsageError(f"`{name}` is {place}; it must be two numbers, easting and northing in metres")
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from bumpymap.core import CLASS_NAMES, OutputError
-from bumpymap.layers.ride_scale import RideScale, class_limits
+from bumpymap.layers.ride_scale import OR_FAILS, RideScale, class_limits
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["StyleFacts"]
@@ -62,7 +62,7 @@ class StyleFacts:
         if self.intervals is None or not self.by_c_r:
             return CLASS_NAMES
         named = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, self.intervals, strict=True)]
-        return (*named[:-1], f"{named[-1]}, or drives fail")
+        return (*named[:-1], f"{named[-1]}{OR_FAILS}")
 
     @property
     def ride_labels(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from html import escape
 from importlib.resources import files
 from urllib.parse import quote
 
-from bumpymap.core import CLASS_NAMES, Barred
+from bumpymap.core import CLASS_NAMES, Barred, count_text, share_text, shares_text
 from bumpymap.layers.batch_row import SurveyRow, SurveyStatus
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.index_page.place_map import draw_places
@@ -124,7 +124,7 @@ def _headline(rows: Sequence[SurveyRow]) -> str:
         for status in _ORDER[2::-1]
         if counts[status]
     ]
-    return f"{len(rows)} {'survey' if len(rows) == 1 else 'surveys'}: {', '.join(parts)}"
+    return f"{count_text(len(rows), 'survey')}: {', '.join(parts)}"
 
 
 def _legend() -> str:
@@ -177,7 +177,8 @@ def _shares(row: SurveyRow) -> str:
     shares = [share or 0.0 for share in known]
     names = (*CLASS_NAMES, "unknown")
     colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
-    about = ", ".join(f"{name} {share:.1%}" for name, share in zip(names, shares, strict=True))
+    told = shares_text(shares, (len(CLASS_NAMES),), 1)
+    about = ", ".join(f"{name} {share}" for name, share in zip(names, told, strict=True))
     parts, left = "", 0.0
     for share, colour in zip(shares, colours, strict=True):
         if share > 0:
@@ -188,15 +189,8 @@ def _shares(row: SurveyRow) -> str:
         "</svg>"
     )
     why = f", mostly {escape(row.unknown_reason)}" if row.unknown_reason and row.share_unknown else ""
-    passable = "" if row.share_passable is None else f"{_share(row.share_passable)} passable, "
+    passable = "" if row.share_passable is None else f"{share_text(row.share_passable)} passable, "
     return f"{bar}{passable}{row.share_unknown:.1%} unknown{why}"
-
-
-def _share(part: float) -> str:
-    """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
-    if 0.0 < part < 0.01:
-        return "under 1%"
-    return "over 99%" if 0.99 < part < 1.0 else f"{part:.0%}"
 
 
 def _area(square_metres: float) -> str:

@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bumpymap.core import count_text
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.drive_section import drive_figures
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.sheet_table import sheet_table
 from bumpymap.layers.report.site import Site
-from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
+from bumpymap.layers.report.tables import bar_table, class_table, reason_table
 from bumpymap.layers.report.ways import DrawnWay
 from bumpymap.layers.report.words import (
     base_name,
@@ -19,6 +20,7 @@ from bumpymap.layers.report.words import (
     measured_surfaces,
     settings_of,
 )
+from bumpymap.layers.ride_scale import class_limits
 
 __all__ = [
     "drive_section",
@@ -55,7 +57,7 @@ def ground_section(sites: Sequence[Site]) -> Html:
         tag(
             "div",
             tag("h3", f"{letter}: {site.name}") if letter else "",
-            c_r_chart(site.tiles.c_r_bins, class_limits(site), f"ride-{at}"),
+            c_r_chart(site.tiles.c_r_bins, class_limits(site.record) or (), f"ride-{at}"),
             slope_chart(site.tiles.slope_bins, site.record["cost"]["slope_limit_deg"], f"slope-{at}"),
             class_="charts",
         )
@@ -201,7 +203,8 @@ def _line_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     text = whole(int(lines["lines"]))
     if pairs:
         largest = max(abs(float(pair.get("largest") or 0.0)) for pair in pairs)
-        text += f"; {len(pairs)} pairs overlap, largest height step between them {100 * largest:.1f} cm"
+        overlap = count_text(len(pairs), "pair overlaps", "pairs overlap")
+        text += f"; {overlap}, largest height step between them {100 * largest:.1f} cm"
     if lines.get("method") not in {None, "none"}:
         text += f"; heights of the lines were adjusted ({lines['method']})"
     return [("flight lines", text)]

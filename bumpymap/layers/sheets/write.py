@@ -30,6 +30,7 @@ from bumpymap.layers.manifest import (
 )
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import CATALOG_NAME, EVERY_VIEW_NAME, SHEET_FOLDER, SHEET_TABLE_NAME
+from bumpymap.layers.ride_scale import class_limits
 from bumpymap.layers.sheets.finished import is_finished, virtual_names
 from bumpymap.layers.sheets.folders import (
     make_sheet_folder,
@@ -123,7 +124,7 @@ def write_sheets(
         windows[f"{SHEET_FOLDER}/{name}"] = part.tiles.window
         _write_sheet(part, make_sheet_folder(folder, name), place, run, around=table.tiles, local=local)
         progress.advance(1)
-    summary = summarise(table)
+    summary = summarise(table, class_limits(manifest))
     remove_map_files(folder)
     remove_sheets(folder, keep=places)
     virtual = virtual_names(manifest)

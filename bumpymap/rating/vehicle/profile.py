@@ -14,7 +14,7 @@ from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
 __all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
 
-_SCHEMA = "docs/pages/vehicle-profile.md lists every key"
+_SCHEMA = "`bumpymap vehicle new NAME` writes a file with every key, its unit and its range"
 _LONGEST_BELLY = 4.0
 """Longest belly in wheelbases; a bus with its overhangs has about two."""
 _LIGHTEST, _HEAVIEST = 5.0, 3000.0

@@ -58,9 +58,9 @@ class BatchConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs < 1:
-            raise UsageError(f"jobs is {self.jobs!r}; it must be a whole number, at least 1")
+            raise UsageError(f"`jobs` is {self.jobs!r}; it must be a whole number, at least 1")
         if self.survey_per not in get_args(SurveyPer):
-            raise UsageError(f"survey_per is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
+            raise UsageError(f"`survey_per` is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
         refuse_clashes(self.defaults, CLASHES)
         config = self.of_survey({})
         if self.jobs > 1 and _on_workers(config):

@@ -109,5 +109,5 @@ def _refused(settings: Mapping[str, Any]) -> list[str]:
         refuse_clashes(settings, CLASHES)
         MapConfig(surveys=(), out=Path(), **settings)
     except UsageError as error:
-        return [str(error)]
+        return [str(error).replace("`", "")]  # columns: no options of the command line
     return []

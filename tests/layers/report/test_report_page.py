@@ -217,8 +217,8 @@ def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page)
     page = read_page(folder / "report.html")
     row = Outline(page.text).tables["Classes"][4]
     assert row[0] == "3 very rough"
-    assert row[4] == "0.3 and more, or steep, or drives fail"
-    assert "3 very rough: from 0.3, or too steep, or drives fail" in page.text
+    assert row[4] == "0.3 and more, or too steep, or drives fail"
+    assert f"3 very rough: C_r {row[4]}" in page.text
 
 
 def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):

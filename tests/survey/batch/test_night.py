@@ -374,7 +374,7 @@ def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
     ("settings", "error", "words"),
     [
         ({"resume": True}, TypeError, "survey_per, jobs, tile_size"),
-        ({"jobs": 0}, bumpymap.UsageError, "jobs is 0"),
+        ({"jobs": 0}, bumpymap.UsageError, "`jobs` is 0"),
         ({"jobs": 2, "workers": 2}, bumpymap.UsageError, "Give `jobs=1`, or no `workers`"),
         ({"ground": "grass"}, bumpymap.UsageError, "ground"),
         ({"crs": "EPSG:1", "local": True}, bumpymap.UsageError, "crs and local"),
