@@ -19,7 +19,7 @@ from bumpymap.lab.worlds.drives import GNSS, read_motion, sense_drive, write_dri
 WAY = ((14, 10), (14, 29), (62, 29))
 """Metres east and north of the south-west corner of the map: road, washboard."""
 IMU_HZ, GNSS_HZ = 50.0, 5.0
-DECIMALS = {"imu": (2, *[4] * 3, *[2] * 3), "gnss": (2, 8, 8, 3)}
+DECIMALS = {"imu": (2, *[3] * 3, 2, 2, 1), "gnss": (2, 8, 8, 3)}
 """Of the columns: as few as the sensors are good for, so that the files are small."""
 
 

@@ -27,6 +27,7 @@ from bumpymap.core import (
     lock_for,
     locked,
     missing_resource,
+    number_of,
     read_record,
     remove_path,
 )
@@ -170,8 +171,7 @@ def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
     if result.skipped:
         path, why = next(iter(result.skipped.items()))
-        were = "file was" if len(result.skipped) == 1 else "files were"
-        message = f"{len(result.skipped)} {were} skipped, such as {path}: {why}"
+        message = f"{number_of(len(result.skipped), 'file was', 'files were')} skipped, such as {path}: {why}"
     try:
         require_known(result, task.config)
     except TooUnknownError as error:
