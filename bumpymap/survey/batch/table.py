@@ -37,7 +37,9 @@ _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0"
 Row = tuple[Path | str, str | None, dict[str, Any]]
 
 
-def read_table(text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> list[Row]:
+def read_table(
+    text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[Row]:
     """Parse the CSV of a batch.
 
     Parameters
@@ -49,8 +51,8 @@ def read_table(text: str, origin: str, folder: Path, check: Callable[[Mapping[st
         Name of the file, for messages.
     folder : Path
         Folder at which relative paths start.
-    check : callable
-        Returns what is wrong with the settings of a row.
+    check : callable, optional
+        Returns what else is wrong with the settings of a row.
 
     Returns
     -------
@@ -110,6 +112,7 @@ def _row(
     if not more:
         with _noted(more):
             refuse_clashes(settings, CLASHES)
+            MapConfig(surveys=(), out=Path(), **settings)
             more += check(settings)
     wrong += more
     faults += [f"line {number}: {why}" for why in wrong]
