@@ -7,8 +7,8 @@ from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.cli._events import emit
-from bumpymap.cli._text import error_console, escape, is_plain, print_error
-from bumpymap.core import Progress as BaseProgress
+from bumpymap.cli._text import error_console, is_plain, print_error
+from bumpymap.core import Progress as BaseProgress, escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -51,7 +51,7 @@ class _Bars:
         """Begin a stage: a new bar."""
         if self._bars.tasks and self._bars.tasks[-1].total is None:
             self._bars.update(self._bars.tasks[-1].id, total=1, completed=1)
-        self._task = self._bars.add_task(escape(stage), total=total)
+        self._task = self._bars.add_task(escape_controls(stage), total=total)
 
     def advance(self, steps: int) -> None:
         """Advance the bar of this stage."""

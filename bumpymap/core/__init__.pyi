@@ -1,6 +1,6 @@
 from .config import (
     CLASHES as CLASHES,
-    CRS_OR_LOCAL as CRS_OR_LOCAL,
+    OF_CRS as OF_CRS,
     RESUME_OR_OVERWRITE as RESUME_OR_OVERWRITE,
     VEHICLE_OR_CALIBRATION as VEHICLE_OR_CALIBRATION,
     Align as Align,
@@ -25,6 +25,7 @@ from .crs.reproject import (
 )
 from .crs.settle import (
     CrsStatement as CrsStatement,
+    GivenCrs as GivenCrs,
     common_georeference as common_georeference,
     crs_from_epsg as crs_from_epsg,
     georeference as georeference,
@@ -95,6 +96,8 @@ from .json_text import (
     parse_json as parse_json,
 )
 from .lock import (
+    Holder as Holder,
+    lock_for as lock_for,
     locked as locked,
 )
 from .memory import (
@@ -166,6 +169,7 @@ from .run_folder import (
 from .run_spec import (
     differences as differences,
     flat_settings as flat_settings,
+    recorded_settings as recorded_settings,
     same_content as same_content,
     spec_of_manifest as spec_of_manifest,
 )
@@ -189,6 +193,7 @@ from .settings_file import (
     UNFILLED as UNFILLED,
     field_rule as field_rule,
     parse_record as parse_record,
+    parse_share as parse_share,
     path_fault as path_fault,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
@@ -203,6 +208,10 @@ from .shared_kernels import (
 )
 from .shared_memory import (
     SharedBytes as SharedBytes,
+)
+from .shown_text import (
+    escape_controls as escape_controls,
+    write_csv as write_csv,
 )
 from .text import (
     count_text as count_text,

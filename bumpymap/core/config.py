@@ -10,7 +10,7 @@ from bumpymap.core.errors import BadInputError, UsageError
 
 __all__ = [
     "CLASHES",
-    "CRS_OR_LOCAL",
+    "OF_CRS",
     "RESUME_OR_OVERWRITE",
     "VEHICLE_OR_CALIBRATION",
     "Align",
@@ -60,8 +60,11 @@ class Clash:
 
 
 VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-CRS_OR_LOCAL = Clash("crs", "local", "coordinates in a CRS are not local")
-CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), CRS_OR_LOCAL)
+OF_CRS = (
+    *(Clash(name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
+    Clash("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
+)
+CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), *OF_CRS)
 """Settings of a map run that exclude each other."""
 
 
@@ -150,7 +153,9 @@ class MapConfig:
     model: Path | None = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None
-    """CRS of surveys that state none (or a wrong one)."""
+    """CRS of surveys that state none."""
+    force_crs: str | None = None
+    """CRS of all surveys, whatever they state."""
     z_unit: ZUnit | None = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
     local: bool = False

@@ -17,6 +17,7 @@ __all__ = [
     "FieldRule",
     "field_rule",
     "parse_record",
+    "parse_share",
     "path_fault",
     "read_settings_file",
     "refuse_faults",
@@ -236,6 +237,15 @@ class _Parser:
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
         return text if kind is not Path and "://" in text else self._folder / text
+
+
+def parse_share(text: str) -> float | None:
+    """Return a share from 0 to 1, typed as such (``0.5``) or in per cent (``50%``); None if it is none."""
+    try:
+        share = float(text.strip().removesuffix("%")) / (100.0 if text.strip().endswith("%") else 1.0)
+    except ValueError:
+        return None
+    return share if 0.0 <= share <= 1.0 else None
 
 
 def path_fault(text: str) -> str:

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, ScanMethod, differences, flat_settings, same_content, spec_of_manifest
+from bumpymap.core import (
+    OutputError,
+    ScanMethod,
+    differences,
+    flat_settings,
+    recorded_settings,
+    same_content,
+    spec_of_manifest,
+)
 from bumpymap.layers import (
     SCAN_MANIFEST_NAME,
     Frame,
@@ -91,7 +99,7 @@ def scan_manifest(
     known = run_spec["inputs"]
     own = {str(frame.path) for frame in frames if frame.message is None}
     return {
-        "settings": config,
+        "settings": recorded_settings(config),
         "method": {"name": method.name, "basis": method.basis},
         "calibration": None if method.calibration is None else _describe_calibration(method.calibration),
         "poses": run_spec["poses"],

@@ -46,6 +46,7 @@ class EachSettings(TypedDict, total=False):
     speeds: Sequence[float] | None
     model: PathLike | None
     crs: str | None
+    force_crs: str | None
     z_unit: ZUnit | None
     local: bool
     trust_points: bool
@@ -82,9 +83,10 @@ def map_survey(
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
-        ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``,
-        ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``force_crs``, ``z_unit``, ``local``,
+        ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``,
+        ``memory``, ``scratch``, ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the
+        tables of a settings file.
 
     Returns
     -------

@@ -141,6 +141,7 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         (["map", "a.laz", "--out", "o", "--compat", "paper", "--rating", "ride"], "--compat and --rating"),
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
+        (["info", "a.laz", "--crs", "EPSG:32614", "--force-crs", "EPSG:2"], "--crs and --force-crs"),
         (["evaluate", "--library", "--out", "o", "--crs", "EPSG:32614"], "--crs applies to surveys"),
         (["evaluate", "--library", "--out", "o", "--ground", "all"], "--ground applies to surveys"),
         (["evaluate", "--library", "--out", "o", "--local"], "--local applies to surveys"),

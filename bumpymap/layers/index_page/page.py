@@ -10,7 +10,7 @@ from html import escape
 from importlib.resources import files
 from urllib.parse import quote
 
-from bumpymap.core import CLASS_NAMES, Barred, count_text, share_text, shares_text
+from bumpymap.core import CLASS_NAMES, Barred, count_text, escape_controls, share_text, shares_text
 from bumpymap.layers.batch_row import SurveyRow, SurveyStatus
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.index_page.place_map import draw_places
@@ -124,7 +124,9 @@ def _headline(rows: Sequence[SurveyRow]) -> str:
         for status in _ORDER[2::-1]
         if counts[status]
     ]
-    return f"{count_text(len(rows), 'survey')}: {', '.join(parts)}"
+    warned = sum(bool(row.warnings) for row in rows)
+    more = f", {warned} with warnings" if warned else ""
+    return f"{count_text(len(rows), 'survey')}: {', '.join(parts)}{more}"
 
 
 def _legend() -> str:
@@ -151,6 +153,7 @@ def _row(row: SurveyRow, view: SurveyView) -> str:
         size = f'width="{_SIDE}" height="{_SIDE}"'
         name += f'<img src="data:image/png;base64,{data}" {size} alt="Classes over relief, dark where not passable">'
     message = f"<p>{_escaped(row.message)}</p>" if row.message else ""
+    message += "".join(f'<p class="soft">Warning: {_escaped(warning)}</p>' for warning in row.warnings)
     status = f'<span class="{_KINDS[row.status]}">{_WORDS[row.status]}</span>{message}'
     drivable = None if row.share_passable is None else f"{row.share_passable:.6f}"
     cells = (
@@ -200,8 +203,8 @@ def _area(square_metres: float) -> str:
 
 
 def _text(text: str) -> str:
-    """Return text as valid UTF-8: bytes of a file name that are not are shown as escapes, as in summary.csv."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    """Return text that shows what it holds: control characters and bytes that are not UTF-8 as escapes."""
+    return escape_controls(" ".join(text.split()))
 
 
 def _escaped(text: str) -> str:

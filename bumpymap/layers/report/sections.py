@@ -171,7 +171,19 @@ def _survey(site: Site) -> Html:
     listed = table("Files of the survey", head, files, texts=2, wide=True) if files else Html()
     skipped = record.get("skipped")
     left = [tag("p", f"Left out, because it could not be read: {base_name(str(path))}.") for path in skipped or ()]
-    return join(_facts(rows), listed, *left)
+    return join(
+        _facts(rows), listed, *left, *(tag("p", tag("strong", "Warning: "), text) for text in _warnings(record))
+    )
+
+
+def _warnings(record: Mapping[str, Any]) -> list[str]:
+    """Return the warnings of a run that are not told otherwise; files without their folders, which are private."""
+    places = [item for name in ("inputs", "skipped_inputs") for item in record.get(name) or ()]
+    names = {str(item["path"]) for item in places if isinstance(item, Mapping) and item.get("path")}
+    texts = [str(text) for text in record.get("warnings") or ()]
+    for path in sorted(names, key=len, reverse=True):
+        texts = [text.replace(path, base_name(path)) for text in texts]
+    return [text for text in texts if not text.startswith("skipped ")]
 
 
 def _crs_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
