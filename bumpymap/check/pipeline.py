@@ -37,7 +37,7 @@ from bumpymap.core import (
     counted,
 )
 from bumpymap.layers import RouteMap, check_check_out, open_map, write_check
-from bumpymap.readers import read_drive
+from bumpymap.readers import close_log_reader, read_drive
 
 __all__ = ["CheckRun", "run_check"]
 
@@ -91,6 +91,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
 
     progress.start("reading drives", len(config.drives))
     logs = _usable(((place, partial(read, place)) for place in counted(config.drives, progress)), skipped)
+    close_log_reader()
     field = None if site is None else _field(site, [places for _, places in logs.values()])
     progress.start("measuring drives", len(logs))
     left = counted(list(logs.items()), progress)
