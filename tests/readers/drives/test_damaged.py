@@ -49,9 +49,10 @@ def mutated(data, rng):
 
 def endless_ulog():
     """Definitions whose last message is longer than what is left: pyulog goes back by its length for ever."""
-    begin = ulog({f"topic_{number}": (["uint64_t timestamp"], []) for number in range(900)})
-    formats = begin[: begin.index(b"A\0\0\0topic_0") - 2]
-    return formats + struct.pack("<HB", 15_000, 1) + bytes(10)
+    whole = ulog({"a": (["uint64_t timestamp"], [])})
+    first = whole.index(b"Fa:") - 2
+    layout = whole[first : whole.index(b"A\0\0\0a") - 2]
+    return whole[:first] + 1500 * layout + struct.pack("<HB", 20_000, 1) + bytes(10)
 
 
 def test_a_log_that_is_read_without_end_is_refused_and_the_next_is_read(tmp_path, monkeypatch):
