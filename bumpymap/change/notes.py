@@ -24,7 +24,9 @@ def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
         what = "taken off" if taken == fit["offset_m"] else f"{taken:+.3f} m was taken off, as asked"
-        yield f"the later survey lies {fit['offset_m']:+.3f} m higher in the median tile; {what}"
+        height, side = f"{abs(fit['offset_m']):.3f} m", "lower" if fit["offset_m"] < 0.0 else "higher"
+        where = "as high as the earlier one" if height == "0.000 m" else f"{height} {side}"
+        yield f"the later survey lies {where} in the median tile; {what}"
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (

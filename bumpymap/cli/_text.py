@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LostOutputError",
+    "about",
     "error_console",
     "escape",
     "flush",

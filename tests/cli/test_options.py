@@ -213,6 +213,12 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
     assert reached["calibrate"][4] == again
 
 
+def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
+    done = run("mpa", "site.laz")
+    assert done.exit_code == 2
+    assert "Did you mean 'map'?" in done.output
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_values_are_named_in_one_style(name):
     """Upper case, or the choices."""
