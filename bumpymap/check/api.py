@@ -48,12 +48,13 @@ def check_drives(
     -------
     CheckResult
         ``agreement`` and ``by_class`` say how well they agree, ``drives`` what was found of each drive and its
-        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says.
+        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says. ``skipped`` names
+        the drives that could not be used, with the reason.
 
     Raises
     ------
     BadInputError
-        The layers or a drive cannot be read or used.
+        The layers cannot be read, or no drive can be used.
     UsageError
         A setting is wrong.
     OutputError

@@ -8,6 +8,7 @@ from typing import Any
 
 from rich.filesize import decimal
 
+from bumpymap.cli._text import about
 from bumpymap.cli._wording import as_options
 from bumpymap.core import (
     REASON_TEXT,
@@ -293,15 +294,8 @@ def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
         ("memory", f"at most {decimal(forecast.memory)}"),
         ("scratch", scratch if forecast.scratch else "none: all points fit into memory"),
         ("space", out or unknown),
-        ("time", _about(forecast.seconds)),
+        ("time", about(forecast.seconds)),
     ]
-
-
-def _about(seconds: float) -> str:
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"about {seconds / size:.0f} {unit}"
-    return f"about {seconds:.0f} s"
 
 
 def _points(report: Report) -> str:

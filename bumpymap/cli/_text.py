@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LostOutputError",
+    "about",
     "error_console",
     "flush",
     "is_plain",
@@ -192,3 +193,11 @@ def _silence(stream: TextIO) -> None:
         os.close(nothing)
     except (OSError, ValueError):  # a stream of a caller, without a file
         pass
+
+
+def about(seconds: float) -> str:
+    """Return a time as "about 12 min"."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"

@@ -62,6 +62,7 @@ from .errors import (
     UsageError as UsageError,
     error_chain as error_chain,
     missing_resource as missing_resource,
+    refused_write as refused_write,
 )
 from .export_types import (
     ExportFormat as ExportFormat,

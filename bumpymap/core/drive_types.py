@@ -223,3 +223,5 @@ class CheckResult:
     by_class: Mapping[int, MapAgreement]
     """By class of the map."""
     warnings: tuple[str, ...]
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    """Drives that could not be used, as they were given, with the error message."""

@@ -156,10 +156,12 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
+        memory: int = 0,
         read_at: ReadAt | None = None,
     ) -> Any:
         """Call a function in the child and return its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, takes_read_at=read_at is not None)
+        takes = read_at is not None
+        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory, takes_read_at=takes)
         return self.finish(read_at)
 
     def begin(
@@ -168,6 +170,7 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
+        memory: int = 0,
         takes_read_at: bool = False,
     ) -> None:
         """Start a function call in the child and return at once.
@@ -182,12 +185,14 @@ class Child:
             Memory that is passed as further arguments, as writable memoryviews.
         seconds : float
             CPU time after which the system ends the child (SIGPROF); 0: no limit.
+        memory : int
+            Bytes that the child may hold during the call, on Linux; what asks for more raises MemoryError. 0: no limit.
         takes_read_at : bool
             Whether the function's first argument is a function that calls the `read_at` of `finish` in this process.
         """
-        places = [(memory.start, memory.data.size) for memory in shared]
+        places = [(each.start, each.data.size) for each in shared]
         try:
-            self.link.send((function, arguments, places, MEMORY.size, seconds, takes_read_at))
+            self.link.send((function, arguments, places, MEMORY.size, (seconds, memory), takes_read_at))
         except OSError:
             self._raise_child_died()
 

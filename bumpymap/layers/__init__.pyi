@@ -46,6 +46,9 @@ from .check.names import (
 from .check.record import (
     read_check as read_check,
 )
+from .check.tables import (
+    warnings_of as warnings_of,
+)
 from .check.words import (
     check_headline as check_headline,
     check_verdict as check_verdict,

@@ -105,6 +105,7 @@ def chained(outer, inner):
         (chained(BadInputError("no network"), ImportError("failed to map segment")), "memory"),
         (chained(OutputError("cannot write"), OSError(errno.ENOMEM, "Cannot allocate memory")), "memory"),
         (chained(OutputError("cannot write"), OSError(errno.ENOSPC, "No space left on device")), ""),
+        (OSError(errno.EFBIG, "File too large"), ""),
         (RuntimeError("anything"), ""),
     ],
 )
@@ -122,3 +123,11 @@ def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
     assert (f"the machine has no {what} left" in said[0]) == bool(what)
+
+
+@linux
+def test_a_limit_on_the_size_of_files_is_no_damage_of_what_is_read(tmp_path):
+    done = shell("ulimit -f 20", "info", QUARRY)
+    assert done.returncode == 3
+    assert "ulimit -f" in done.stderr
+    assert "damaged" not in done.stdout + done.stderr

@@ -71,7 +71,7 @@ WORDS = {
     "scan": ["drive", "--out", "o"],
     "info": ["site.laz"],
     "route": ["layers", "--from", "1,1", "--to", "2,2"],
-    "calibrate": ["--out", "c.json"],
+    "calibrate": ["--vehicle", "warthog", "--out", "c.json"],
     "evaluate": ["site.laz", "--out", "o"],
     "train": ["--out", "m.onnx"],
     "export": ["site_layers", "--to", "nav2", "--out", "o"],
@@ -204,13 +204,19 @@ def test_contradictions_of_a_file_are_refused(reached, tmp_path):
 def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatch):
     pytest.importorskip("dartpy")
     monkeypatch.chdir(tmp_path)
-    assert isinstance(run("calibrate", "--out", "c.json", *words).exception, Reached)
+    assert isinstance(run("calibrate", "--vehicle", "warthog", "--out", "c.json", *words).exception, Reached)
     settings, again = reached["calibrate"][0], reached["calibrate"][4]
     if "--patches" in words:
         assert settings.patches == int(words[words.index("--patches") + 1])
     assert isinstance(run(*again.split()[1:]).exception, Reached)
     assert reached["calibrate"][0] == settings
     assert reached["calibrate"][4] == again
+
+
+def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
+    done = run("mpa", "site.laz")
+    assert done.exit_code == 2
+    assert "Did you mean 'map'?" in done.output
 
 
 @pytest.mark.parametrize("name", COMMANDS)
