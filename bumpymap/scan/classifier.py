@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
@@ -48,7 +49,8 @@ class ClassifierSettings(TypedDict, total=False):
 class ScanClassifier:
     """Classifies scan after scan with one network and one set of buffers, for the loop of a robot.
 
-    The first scan takes longer, because the network and the compiled code are loaded. Use one object per thread.
+    The first scan takes longer, because the network and the compiled code are loaded. Threads may share one object:
+    each has buffers of its own. A pickled object carries its settings, and reads the files that they name again.
 
     Parameters
     ----------
@@ -70,8 +72,8 @@ class ScanClassifier:
     calibration : path, optional
         A calibration file, instead of ``vehicle``.
     reuse : bool
-        Give the arrays with a row per point in memory that the next call overwrites: for a loop that is done with a
-        result before it asks for the next one.
+        Give the arrays with a row per point in memory that the next call in the same thread overwrites: for a loop
+        that is done with a result before it asks for the next one.
 
     Raises
     ------
@@ -106,6 +108,7 @@ class ScanClassifier:
         refuse_clashes(given, [VEHICLE_OR_CALIBRATION])
         own = settings_of_call(given, ScanConfig, "ScanClassifier")
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
+        self._given: dict[str, Any] = {"reuse": reuse, **given}
         self._robot = config.robot
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
@@ -149,6 +152,10 @@ class ScanClassifier:
             classes = _spread(classes, rows, NOT_TRAVERSABLE, results.empty("class", len(array), np.uint8))
             sector = _spread(sector, rows, -1, results.empty("sector", len(array), np.int32))
         return ScanResult(array, classes, sector, classed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the settings; the network and the buffers are made anew."""
+        return partial(type(self), **self._given), ()
 
     def _scene(self, points: NDArray[np.float32]) -> NDArray[np.intp] | None:
         """Return the rows of points of the scene; None if all may be classified."""
