@@ -106,6 +106,7 @@ from .memory import (
     memory_limit as memory_limit,
 )
 from .onnx_file import (
+    check_network as check_network,
     metadata_of as metadata_of,
     onnx_runtime as onnx_runtime,
     read_network as read_network,
