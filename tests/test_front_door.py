@@ -323,13 +323,6 @@ def test_a_run_in_a_thread(tmp_path):
     assert found[0].manifest["counts"]["tiles"] == 1426
 
 
-def test_unknown_settings_are_a_type_error_that_lists_the_others():
-    with pytest.raises(TypeError, match="tilesize") as caught:
-        bumpymap.map_survey(QUARRY, tilesize=3)
-    for name in MapSettings.__annotations__:
-        assert name in str(caught.value)
-
-
 # --- scans ---
 
 

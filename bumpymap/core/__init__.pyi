@@ -191,8 +191,10 @@ from .settings_file import (
     field_rule as field_rule,
     parse_record as parse_record,
     path_fault as path_fault,
+    path_of_call as path_of_call,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
+    refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
 )
 from .shared_kernels import (
@@ -217,6 +219,7 @@ from .threads import (
     in_threads as in_threads,
 )
 from .toml_file import (
+    brief_repr as brief_repr,
     read_toml as read_toml,
     short_repr as short_repr,
 )

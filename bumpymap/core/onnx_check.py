@@ -44,7 +44,7 @@ Shape = tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class _Node:
+class _NetworkNode:
     kind: str
     inputs: tuple[str, ...]
     output: str
@@ -58,7 +58,7 @@ class NetworkGraph:
 
     metadata: dict[str, str]
     """The file's ``metadata_props``."""
-    nodes: tuple[_Node, ...]
+    nodes: tuple[_NetworkNode, ...]
     weights: Mapping[str, Shape]
     axes: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     """Values of small weights that are whole numbers."""
@@ -87,7 +87,7 @@ class NetworkGraph:
                     f"takes more than {_MOST_VALUES * 4 >> 20} MB or {_MOST_PRODUCTS:,} multiplications"
                 )
 
-    def _shape(self, node: _Node, given: Sequence[Shape]) -> Shape:
+    def _shape(self, node: _NetworkNode, given: Sequence[Shape]) -> Shape:
         """Return the shape of the output of a node."""
         first, axis = given[0], node.attributes.get("axis", (1,))[0]
         shape: Sequence[int] = first
@@ -110,7 +110,7 @@ class NetworkGraph:
         return tuple(shape)
 
 
-def _windows(node: _Node, sizes: Shape, kernel: Sequence[int]) -> list[int]:
+def _windows(node: _NetworkNode, sizes: Shape, kernel: Sequence[int]) -> list[int]:
     """Return how many windows a convolution or a pool takes along each axis."""
     count = len(sizes)
     strides, dilations = (node.attributes.get(name, (1,) * count) for name in ("strides", "dilations"))
@@ -141,7 +141,7 @@ def read_graph(content: bytes) -> NetworkGraph:
     return NetworkGraph(metadata, tuple(_read_node(_bytes(node)) for node in nodes), weights, axes)
 
 
-def _read_node(content: bytes) -> _Node:
+def _read_node(content: bytes) -> _NetworkNode:
     found = _fields(content, "node")
     kind = _text(found, 4)
     if _text(found, 7) not in {"", "ai.onnx"} or kind not in _SAME | _BROADCAST | _POOLS | _OTHERS:
@@ -154,7 +154,7 @@ def _read_node(content: bytes) -> _Node:
             raise ValueError(f"{kind} has the attribute {name!r}, which no network of bumpymap has")
         attributes[name] = tuple(_integers(own.get(3, []) + own.get(8, [])))
     inputs = tuple(_bytes(name).decode() for name in found.get(1, []))
-    return _Node(kind, inputs, _text(found, 2), {name: values for name, values in attributes.items() if values})
+    return _NetworkNode(kind, inputs, _text(found, 2), {name: values for name, values in attributes.items() if values})
 
 
 def _read_weight(content: bytes, weights: dict[str, Shape], axes: dict[str, tuple[int, ...]]) -> None:

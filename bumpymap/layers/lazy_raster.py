@@ -19,7 +19,7 @@ from bumpymap.core import BadInputError
 __all__ = ["lazy_values"]
 
 
-class _Values(BackendArray):  # type: ignore[misc]  # mypy does not read xarray
+class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
         self.path, self.shape, self.dtype = path, shape, dtype
         self._version = _version(path)
@@ -45,4 +45,4 @@ def _version(path: Path) -> tuple[int, int]:
 
 def lazy_values(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
     """Return the values (bands, rows, columns) of a raster, which are read when they are used, and then kept."""
-    return indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_Values(path, shape, dtype)))
+    return indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_ValuesOnDisk(path, shape, dtype)))

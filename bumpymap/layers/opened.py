@@ -19,6 +19,8 @@ from bumpymap.core import (
     BadInputError,
     Band,
     UsageError,
+    path_of_call,
+    settings_of_call,
     speed_bands,
 )
 from bumpymap.layers._notebook import import_notebook
@@ -34,7 +36,7 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-__all__ = ["Layers", "open_layers", "read_manifest", "temporary_folder"]
+__all__ = ["Layers", "folder_of", "open_layers", "read_manifest", "temporary_folder"]
 
 _MOST_PICKLED = 1 << 28
 """Bytes of layers in memory that are pickled at most."""
@@ -68,7 +70,7 @@ class Layers:
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
-        self._folder = Path(folder)
+        self._folder = Path(path_of_call("the folder of the layers", folder))
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
         self._sheets = sheet_folders(self._folder)
@@ -83,8 +85,8 @@ class Layers:
         size = sum(path.stat().st_size for path in found)
         if size > _MOST_PICKLED:
             raise UsageError(
-                f"these layers are in memory, {size / 1e6:,.0f} MB, too large for a pickle. Give `out='DIR'` to "
-                "`map_survey`: layers in a folder are pickled as its path"
+                f"these layers are in memory, {size / 1e6:,.0f} MB, too large for a pickle. Map the survey with "
+                "`out='DIR'`: layers in a folder are pickled as its path"
             )
         return _unpickled, ({str(path.relative_to(self._folder)): path.read_bytes() for path in found},)
 
@@ -265,7 +267,9 @@ class Layers:
         """
         from bumpymap.layers import ExportSettings, export_map, open_map
 
-        return export_map(open_map([self.folder]), out, ExportSettings(**settings), overwrite=overwrite)
+        own = ExportSettings(**settings_of_call(settings, ExportSettings, "Layers.export"))
+        target = Path(path_of_call("out", out))
+        return export_map(open_map([self.folder]), target, own, overwrite=overwrite)
 
     def report(
         self,
@@ -300,6 +304,9 @@ class Layers:
         """
         from bumpymap.layers.report.write import write_reports
 
+        for name, place in {"out": out, "route": route, "check": check}.items():
+            if place is not None:
+                path_of_call(name, place)
         return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
 
     def __repr__(self) -> str:
@@ -414,6 +421,11 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
     1426
     """
     return Layers(folder)
+
+
+def folder_of(name: str, layers: "str | os.PathLike[str] | Layers") -> Path:
+    """Return the folder of layers that a Python call gives as ``name``."""
+    return layers.folder if isinstance(layers, Layers) else Path(path_of_call(name, layers))
 
 
 def _unpickled(files: dict[str, bytes]) -> Layers:

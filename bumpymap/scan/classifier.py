@@ -17,9 +17,11 @@ from bumpymap.core import (
     Scan,
     ScanMethod,
     UsageError,
+    path_of_call,
     point_classes,
     refuse_clashes,
     settings_of_call,
+    short_repr,
 )
 from bumpymap.readers import Robot, read_scan, scene_points
 from bumpymap.scan.buffers import SectorBuffers
@@ -81,8 +83,6 @@ class ScanClassifier:
         Settings are invalid, or contradict each other; or there is no such vehicle.
     BadInputError
         The network, the stripe classes or the calibration of the vehicle cannot be read.
-    TypeError
-        There is no setting of this name.
 
     Examples
     --------
@@ -99,16 +99,12 @@ class ScanClassifier:
     """
 
     def __init__(self, *, reuse: bool = False, **settings: Unpack[ClassifierSettings]) -> None:
-        unknown = ", ".join(set(settings) - set(ClassifierSettings.__annotations__))
-        if unknown:
-            raise TypeError(
-                f"ScanClassifier has no setting {unknown}; it has {', '.join(ClassifierSettings.__annotations__)}"
-            )
-        given = {name: value for name, value in settings.items() if value is not None}
-        refuse_clashes(given, [VEHICLE_OR_CALIBRATION])
-        own = settings_of_call(given, ScanConfig, "ScanClassifier")
+        own = settings_of_call(settings, ScanConfig, "ScanClassifier", ClassifierSettings.__annotations__)
+        refuse_clashes(own, [VEHICLE_OR_CALIBRATION])
+        if not isinstance(reuse, bool):
+            raise UsageError(f"reuse is {short_repr(reuse)}; it must be True or False")
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
-        self._given: dict[str, Any] = {"reuse": reuse, **given}
+        self._given: dict[str, Any] = {"reuse": reuse, **settings}
         self._robot = config.robot
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
@@ -139,7 +135,7 @@ class ScanClassifier:
             The file cannot be read.
         """
         if isinstance(points, str | os.PathLike):
-            scan = read_scan(Path(points), self._robot)
+            scan = read_scan(Path(path_of_call("points", points)), self._robot)
             classed = self._method.classify(scan)
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
         results = SectorBuffers() if self._results is None else self._results
@@ -191,8 +187,6 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     ------
     BumpymapError
         Invalid settings or points, or a file that cannot be read.
-    TypeError
-        There is no setting of this name.
     """
     return ScanClassifier(**settings)(points)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from bumpymap.core import MapConfig, locked, remove_empty_on_error, without_keys
+from bumpymap.core import MapConfig, brief_repr, locked, remove_empty_on_error, without_keys
 from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
@@ -34,6 +34,8 @@ BatchReport: TypeAlias = Callable[[SurveyRow], None]
 @dataclass(frozen=True, slots=True)
 class BatchResult:
     """What became of the surveys of a batch."""
+
+    __repr__ = brief_repr
 
     rows: tuple[SurveyRow, ...]
     """One for each survey, by name."""
