@@ -110,6 +110,7 @@ from .memory import (
     memory_limit as memory_limit,
 )
 from .onnx_file import (
+    check_network as check_network,
     metadata_of as metadata_of,
     onnx_runtime as onnx_runtime,
     read_network as read_network,
@@ -196,8 +197,10 @@ from .settings_file import (
     parse_record as parse_record,
     parse_share as parse_share,
     path_fault as path_fault,
+    path_of_call as path_of_call,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
+    refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
 )
 from .shared_kernels import (
@@ -232,6 +235,7 @@ from .threads import (
     in_threads as in_threads,
 )
 from .toml_file import (
+    brief_repr as brief_repr,
     read_toml as read_toml,
     short_repr as short_repr,
 )

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.toml_file import brief_repr
 from bumpymap.core.types import NO_CLASS
 
 __all__ = [
@@ -52,6 +53,8 @@ class Dropped:
 @dataclass(frozen=True, slots=True)
 class Scan:
     """One revolution of a LiDAR, in the sensor frame."""
+
+    __repr__ = brief_repr
 
     points: NDArray[np.float32]
     """(n, 3) x forward, y left, z up, m; finite."""
@@ -153,6 +156,8 @@ class PolarSettings:
 class SectorStack:
     """Measured sectors of one scan: one row each, only sectors with more than ``least_points`` points."""
 
+    __repr__ = brief_repr
+
     settings: PolarSettings
     azimuth_start_rad: float
     """Azimuth at which sector 0 of every zone starts, counter-clockwise from the x axis."""
@@ -236,6 +241,8 @@ class SectorRide:
 @dataclass(frozen=True, slots=True)
 class ClassedSectors:
     """Measured sectors with their classes."""
+
+    __repr__ = brief_repr
 
     sectors: SectorStack
     class_id: NDArray[np.uint8]

@@ -1,7 +1,7 @@
 """Parse TOML files into dataclasses by the types of their fields: settings of a run and vehicle profiles."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -19,8 +19,10 @@ __all__ = [
     "parse_record",
     "parse_share",
     "path_fault",
+    "path_of_call",
     "read_settings_file",
     "refuse_faults",
+    "refuse_unknown",
     "settings_of_call",
 ]
 
@@ -79,7 +81,9 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     return arguments
 
 
-def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> dict[str, Any]:
+def settings_of_call(
+    given: Mapping[str, Any], owner: type, function: str, known: Collection[str] = ()
+) -> dict[str, Any]:
     """Check the keyword arguments of a Python call in the same way as the settings of a file.
 
     Parameters
@@ -90,6 +94,8 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
         Dataclass that the settings are for, see `parse_record`.
     function : str
         Name of the called function, for messages.
+    known : collection of str
+        Names that may be given; default is those of all fields.
 
     Returns
     -------
@@ -99,12 +105,37 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
     Raises
     ------
     UsageError
-        Values of the wrong type or out of range; the message lists all faults.
+        A name that is not known; values of the wrong type or out of range; the message lists all faults.
     """
+    refuse_unknown(given, known or [field.name for field in fields(owner)], function)
     record = {name: _plain(value) for name, value in given.items() if value is not None}
     arguments, faults = parse_record(record, owner, Path())
     refuse_faults(faults, function, UsageError)
     return arguments
+
+
+def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) -> None:
+    """Raise UsageError if a Python call names a setting that is not there."""
+    if unknown := [name for name in given if name not in known]:
+        raise UsageError(f"{function}: {_unknown_text(unknown, known)}")
+
+
+def _unknown_text(unknown: list[str], known: Collection[str]) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
+    meant = f". Did you mean {near[0]}?" if near else ""
+    return f"unknown setting {short_names(unknown)}; there are: {', '.join(known)}{meant}"
+
+
+def path_of_call(name: str, place: str | os.PathLike[str]) -> str:
+    """Return a path that a Python call gives as text; raise UsageError if it is not a valid path."""
+    if not isinstance(place, str | os.PathLike):
+        raise UsageError(f"{name} is {short_repr(place)}; it must be a path")
+    text = os.fspath(place)
+    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
+        raise UsageError(f"{name}: {reason}")
+    return text
 
 
 def _plain(value: Any) -> Any:
@@ -177,7 +208,7 @@ class _Parser:
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
-            self.faults.append(f"{where}unknown setting {short_names(unknown)}; there are: {', '.join(known)}")
+            self.faults.append(f"{where}{_unknown_text(unknown, known)}")
         arguments = {}
         for name, field in known.items():
             full = f"{table}.{name}" if table else name

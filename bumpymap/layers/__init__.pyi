@@ -108,6 +108,7 @@ from .manifest import (
 )
 from .opened import (
     Layers as Layers,
+    folder_of as folder_of,
     open_layers as open_layers,
     temporary_folder as temporary_folder,
 )

@@ -11,6 +11,7 @@ from bumpymap.core import (
     Holder,
     MapConfig,
     UsageError,
+    brief_repr,
     count_text,
     locked,
     refuse_faults,
@@ -44,6 +45,8 @@ BatchReport: TypeAlias = Callable[[SurveyRow], None]
 @dataclass(frozen=True, slots=True)
 class BatchResult:
     """What became of the surveys of a batch."""
+
+    __repr__ = brief_repr
 
     rows: tuple[SurveyRow, ...]
     """One for each survey, by name."""
