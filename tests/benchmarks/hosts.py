@@ -3,7 +3,7 @@
 python tests/benchmarks/hosts.py SURVEY... --data FOLDER [--saved 1] [--moto FOLDER] [--map-options "--ground all"]
 
 The hosts are network namespaces of this machine, joined by a link, with mount namespaces in which /tmp is private,
-except for one folder that both share, that of `--out`, and for the checkout and the environment if they lie in /tmp. The
+except for one folder that both share, that of `--out`, and for checkout and environment if they lie in /tmp. The
 first host has the scheduler, the client, a worker and an S3 server; the second has two workers. All connections between
 them use TLS, those to the S3 server HTTP. The surveys are read from the S3 server; without moto (pip install
 "moto[server]", or --moto FOLDER after pip install --target FOLDER), from a folder that both hosts see.
