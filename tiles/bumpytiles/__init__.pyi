@@ -38,6 +38,10 @@ from .pack import (
     PackError as PackError,
     PackWriter as PackWriter,
 )
+from .processes import (
+    blocked_signals as blocked_signals,
+    start_python as start_python,
+)
 from .run import (
     run_blocks as run_blocks,
 )
@@ -47,9 +51,6 @@ from .scaling import (
     Scaling as Scaling,
     coordinate as coordinate,
     coordinates as coordinates,
-)
-from .signals import (
-    blocked_signals as blocked_signals,
 )
 from .split import (
     TilePoints as TilePoints,

@@ -30,6 +30,7 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 from bumpytiles._compiler import Code, KernelSource, Options, compile_source, jit, link
 from bumpytiles._kept import Store
+from bumpytiles.processes import start_python
 
 __all__ = ["Kernel", "compile_modules", "helper", "jitted", "kernel", "order_free"]
 
@@ -155,9 +156,7 @@ def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
         return None
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
-    env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
-    nothing = subprocess.DEVNULL
+    env = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
     with suppress(OSError):
-        command = [sys.executable, "-P", "-c", code, *modules]
-        return subprocess.Popen(command, env=env, stdin=nothing, stdout=nothing, stderr=nothing)  # noqa: S603 (ours)
+        return start_python(["-c", code, *modules], environment=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
     return None
