@@ -26,6 +26,8 @@ from .grouping import (
     group_scaled_points as group_scaled_points,
 )
 from .native import (
+    compile_packages as compile_packages,
+    compiling_reports as compiling_reports,
     helper as helper,
     kernel as kernel,
     order_free as order_free,
