@@ -23,7 +23,7 @@ from typing import Any, NoReturn
 
 from bumpymap.core.errors import UsageError
 from bumpymap.core.shared_memory import SharedBytes, SharedMemory
-from bumpytiles import blocked_signals
+from bumpytiles import blocked_signals, start_python
 
 __all__ = [
     "Child",
@@ -121,19 +121,18 @@ class Child:
         if not can_start_children():
             raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
         isolated = folders is not None
-        flags = ("-I", "-S") if isolated else ("-P",)
         output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
         handed = theirs.fileno(), MEMORY.descriptor
         with theirs, blocked_signals():
             try:
-                self.process = subprocess.Popen(  # noqa: S603 (this Python, and a script of this package)
-                    [sys.executable, *flags, str(_SCRIPT), *map(str, handed)],
-                    stdin=subprocess.DEVNULL,
+                self.process = start_python(
+                    [str(_SCRIPT), *map(str, handed)],
+                    isolated=isolated,
+                    environment=environment,
                     stdout=output,
                     stderr=output,
                     pass_fds=handed,
-                    env={**os.environ, **(environment or {})},
                     start_new_session=True,
                 )
             except OSError as error:
