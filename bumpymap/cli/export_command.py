@@ -9,7 +9,7 @@ import click
 
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, option_name, output_options
-from bumpymap.cli._terminal import FILE, PATH
+from bumpymap.cli._terminal import PATH
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import ExportFormat, ExportResolution, UsageError
 
@@ -30,8 +30,8 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
 }
 """Formats that an option has an effect on."""
 _POINTS = ("around", "datum")
-_DATUM_M = 1e6
-"""How far from the map the origin of the frame may lie, m."""
+_DATUM_M = 10_000.0
+"""How far from the map the origin of the frame may lie, m: maps that share one frame may lie side by side."""
 
 
 @click.command("export")
@@ -58,7 +58,7 @@ _DATUM_M = 1e6
     "--every", type=int, metavar="N", help="graph: one node in up to N x N tiles: 1, 3, 9, 27 [default: auto]."
 )
 @click.option(
-    "--route", type=FILE, metavar="FILE", help="plan: GeoJSON file of the route [default: LAYERS/route.geojson]."
+    "--route", type=PATH, metavar="PATH", help="plan: folder of the route, or a GeoJSON file [default: LAYERS]."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
 @output_options("Print no summary.")

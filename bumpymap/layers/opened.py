@@ -23,6 +23,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import open_layer, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -69,6 +70,7 @@ class Layers:
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
         self._sheets = sheet_folders(self._folder)
+        self._checked: set[str] = set()
         if in_memory:
             weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
 
@@ -313,19 +315,21 @@ class Layers:
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
-        import rasterio
         from rasterio.errors import RasterioError
 
         try:
-            with rasterio.open(self._folder / self._raster("class.tif")) as file:
+            with open_layer(self._folder / self._raster("class.tif")) as file:
                 return tuple(file.bounds)
         except RasterioError:
             return None
 
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
+        self._require_written(name)
         with self._file(self._folder / self._raster(name)) as path:
-            raster = import_notebook("rioxarray").open_rasterio(path)
+            with open_layer(path) as checked:
+                driver = checked.driver
+            raster = import_notebook("rioxarray").open_rasterio(path, driver=driver)
             if self._in_memory:
                 raster.load().close()
         if raster.sizes["band"] != len(bands):
@@ -344,6 +348,12 @@ class Layers:
                 }
             yield variable.rio.write_nodata(nodata)
 
+    def _require_written(self, name: str) -> None:
+        """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
+        if name not in self._checked and not self._in_memory:
+            require_map_written(self._folder, self._manifest, (name,))
+            self._checked.add(name)
+
     def _raster(self, name: str) -> str:
         """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
         return name if self._sheets == [self._folder] else virtual_name(name)
@@ -353,6 +363,7 @@ class Layers:
         geopandas = import_notebook("geopandas")
         read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
         parts = []
+        self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
                 parts.append(read(path))

@@ -30,17 +30,22 @@ _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
 
 
-def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.object_]:
+def read_areas(
+    path: str | os.PathLike[str], route_map: RouteMap, *, allow_outside: bool = False
+) -> NDArray[np.object_]:
     """Read polygons and place them on the grid of a map.
 
-    Their CRS is the one that the file states (GeoJSON: longitude and latitude). If the map has none, they must be in
-    the survey's own coordinates: a file without a CRS, or a GeoJSON.
+    Their CRS is the one that the file states; a GeoJSON that states none is in longitude and latitude, or in the map's
+    CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
+    without a CRS, or a GeoJSON.
 
     Parameters
     ----------
     path : path
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
     route_map : RouteMap
+    allow_outside : bool
+        Whether it is no error that no area lies on the map.
 
     Returns
     -------
@@ -51,7 +56,7 @@ def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.
     ------
     BadInputError
         The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
-        the map has one, or one while the map has none.
+        the map has one, or one while the map has none; or no area lies on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
@@ -62,13 +67,35 @@ def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
         held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
         raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
-    placed = _on_grid(path, shapely.make_valid(layer.geometry), layer.crs, route_map)
+    areas = _on_map(path, layer.geometry, layer.crs, route_map)
+    if not len(areas):
+        hint = ""
+        swapped = shapely.transform(layer.geometry, lambda xy: xy[:, ::-1])
+        if layer.crs is not None and len(_on_map(path, swapped, layer.crs, route_map)):
+            hint = "They would lie on it if x (east) and y (north), or longitude and latitude, changed places. "
+        said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
+        if not allow_outside:
+            raise BadInputError(
+                f"{said}Give areas on the map, or pass `allow_outside=True` if there need be none, as when one file "
+                "serves several maps"
+            )
+        _log.warning("%s", said.strip())
+    return areas
+
+
+def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
+    """Return the polygons that lie on the map, in metres on the grid."""
+    placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
     areas: NDArray[np.object_] = shapely.get_parts(placed)
     areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
-    areas = areas[shapely.intersects(areas, _outline(route_map))]
-    if not len(areas):
-        _log.warning("no area of %s lies on the map", path)
-    return areas
+    return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+
+
+def _system(crs: CRS | None, route_map: RouteMap) -> str:
+    own = route_map.georeference.crs
+    if own is None:
+        return "the survey's own coordinates"
+    return describe_crs(own.to_2d()) if crs is None else crs.name
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
@@ -152,11 +179,14 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
     """Convert geometries of a file to metres on the grid."""
     own, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
     if own is None:
-        if crs is not None and path.suffix.lower() not in _GEOJSON:  # there, GDAL takes all for longitude and latitude
+        if crs is not None and path.suffix.lower() not in _GEOJSON:  # a GeoJSON can only state longitude and latitude
             raise BadInputError(
                 f"{path} is in {crs.name}, and the map has no CRS. Save the areas in the survey's own coordinates and "
                 "without a CRS, or map the survey with `crs='EPSG:CODE'`"
             )
+        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
+    if crs is None and path.suffix.lower() in _GEOJSON:
+        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(own.to_2d()))
         return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     if crs is None:
         raise BadInputError(

@@ -18,7 +18,7 @@ __all__ = ["find_routes", "map_reach"]
 PathLike: TypeAlias = str | os.PathLike[str]
 Point: TypeAlias = str | tuple[float, float]
 """``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
-_OF_COST = ("risk", "robust", "unknown", "avoid", "only")
+_OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside")
 
 
 def find_routes(
@@ -44,7 +44,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``compare``, ``memory``, ``overwrite``.
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``compare``,
+        ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -83,7 +84,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``memory``, as in `find_routes`.
+        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in
+        `find_routes`.
 
     Returns
     -------

@@ -26,6 +26,10 @@ _FORMS = (
 )
 
 
+_NEAR_M = 5000.0
+"""How far from the map two numbers may lie that are thought to be swapped, m."""
+
+
 class GridPoint(NamedTuple):
     """A point on the grid of tiles."""
 
@@ -100,8 +104,15 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
+    far = ""
+    if meant:
+        read_as, point = next(iter(meant.items()))
+        as_what = "longitude and latitude" if read_as == "lonlat" else "coordinates in the survey's CRS"
+        metres = _outside_m(point, route_map)
+        away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
+        far = f"; read as {as_what}, it is {away} away from it"
     raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}. {_swapped(x, y, route_map)}{_FORMS}"
+        f"{name} lies outside the map, which spans {_extent(route_map)}{far}. {_swapped(x, y, route_map)}{_FORMS}"
     )
 
 
@@ -147,10 +158,10 @@ def _outside_m(point: GridPoint, route_map: RouteMap) -> float:
 
 
 def _swapped(x: float, y: float, route_map: RouteMap) -> str:
-    """Ask about the order of the two numbers if they lie on the map the other way round."""
+    """Ask about the order of the two numbers if they lie on the map, or near it, the other way round."""
     for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
         point = _on_grid(y, x, route_map, system, forced=False)
-        if point is not None and _outside_m(point, route_map) == 0.0:
+        if point is not None and _outside_m(point, route_map) <= _NEAR_M:
             order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
             return f"{order}: did you mean {y:.10g},{x:.10g}? "
     return ""

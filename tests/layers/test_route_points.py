@@ -102,7 +102,7 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.csv", "", r"columns \(none\)"),
         ("a.csv", b"\xff\xfe\x00", "cannot read"),
         ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
-        ("a.geojson", "{", r"cannot read .*a\.geojson: it is no vector file, or it is damaged\. Give"),
+        ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
         ("a.gpx", "<gpx", "cannot read"),
     ],
 )
