@@ -216,6 +216,8 @@ def _window_of(path: Path, grid: Grid, georeference: Georeference) -> TileWindow
     with _opened(path) as file:
         place, width, height = file.transform, file.width, file.height
     sides = (place.c / tile, place.f / tile - height / pixels, width / pixels, height / pixels)
+    if not all(map(math.isfinite, sides)):
+        raise BadInputError(f"{path} has no place. {_AGAIN}")
     whole = [round(side) for side in sides]
     steps = (place.a * pixels / tile, place.b, place.d, -place.e * pixels / tile)
     fits = all(math.isclose(side, near, abs_tol=_OFF) for side, near in zip(sides, whole, strict=True))
