@@ -28,6 +28,8 @@ _STEPS = 4096
 """Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
 _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
+_NEAR_M = 5000.0
+"""How far from the map areas may lie whose numbers are thought to be swapped, m."""
 
 
 def read_areas(
@@ -70,9 +72,8 @@ def read_areas(
     areas = _on_map(path, layer.geometry, layer.crs, route_map)
     if not len(areas):
         hint = ""
-        swapped = shapely.transform(layer.geometry, lambda xy: xy[:, ::-1])
-        if layer.crs is not None and len(_on_map(path, swapped, layer.crs, route_map)):
-            hint = "They would lie on it if x (east) and y (north), or longitude and latitude, changed places. "
+        if _near_swapped(layer.geometry, route_map):
+            hint = "They would if x (east) and y (north), or longitude and latitude, changed places. "
         said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
         if not allow_outside:
             raise BadInputError(
@@ -89,6 +90,17 @@ def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_ma
     areas: NDArray[np.object_] = shapely.get_parts(placed)
     areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
     return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+
+
+def _near_swapped(geometry: NDArray[np.object_], route_map: RouteMap) -> bool:
+    """Return whether a corner lies near the map if its two numbers change places, as degrees or in the map's CRS."""
+    x, y = shapely.get_coordinates(geometry).T[::-1]
+    places = [route_map.to_grid(x, y)]
+    degrees = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
+    if route_map.has_crs and degrees.any():
+        places.append(route_map.from_lonlat(x[degrees], y[degrees]))
+    near = shapely.buffer(_outline(route_map), _NEAR_M)
+    return any(bool(shapely.intersects_xy(near, *place).any()) for place in places)
 
 
 def _system(crs: CRS | None, route_map: RouteMap) -> str:

@@ -86,8 +86,7 @@ def _read_geojson(path: Path) -> VectorLayer:
         if stated["type"] != "name":
             raise ValueError("its CRS is given by a link, which is not followed")
         return _layer(shapes, names, CRS.from_user_input(str(stated["properties"]["name"])))
-    west, south, east, north = shapely.total_bounds(shapes)
-    degrees = not (west < -180.0 or east > 180.0 or south < -90.0 or north > 90.0)  # NaN without geometries
+    degrees = (np.abs(shapely.get_coordinates(shapes)) <= (180.0, 90.0)).all()
     return _layer(shapes, names, CRS.from_user_input("OGC:CRS84") if degrees else None)
 
 

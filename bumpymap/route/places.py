@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, UsageError, describe_crs
+from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import RouteMap
 from bumpytiles import Grid, TileWindow
 
@@ -175,6 +175,8 @@ def _extent(route_map: RouteMap) -> str:
     )
     crs = route_map.georeference.crs
     system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
+    if route_map.georeference.metres_per_unit != 1.0:
+        system += f" (unit: {unit_name(route_map.georeference.metres_per_unit)}; lengths in options are metres)"
     text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
     if crs is None:
         return text

@@ -19,6 +19,7 @@ from route_maps import VEHICLE, copy_folder, write_folder
 import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_report, write_reports
+from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.report.codes import ByteGrid
 from bumpymap.layers.report.numbers import area, number, share
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
@@ -173,6 +174,10 @@ def change_bars(folder, wanted, bar):
     at = table.schema.get_field_index("barred")
     kind = table.schema.field(at)
     pq.write_table(table.set_column(at, kind, pa.array(bars, pa.string()).cast(kind.type)), path)
+    record = json.loads((folder / "run.json").read_text())
+    files = [entry for entry in record["files"] if entry["path"] != path.name]
+    record["files"] = [*files, describe_file(path) | {"path": path.name}]
+    (folder / "run.json").write_text(json.dumps(record))
     return folder
 
 
