@@ -32,6 +32,8 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
 _POINTS = ("around", "datum")
 _DATUM_M = 10_000.0
 """How far from the map the origin of the frame may lie, m: maps that share one frame may lie side by side."""
+_LOCAL_DATUM_M = 1e6
+"""The same for a map without a CRS, whose frame may begin anywhere."""
 
 
 @click.command("export")
@@ -112,7 +114,7 @@ def _placed(settings: "ExportSettings", given: Mapping[str, Any], route_map: "Ro
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 
-    beyond = {"around": settings.radius, "datum": _DATUM_M}
+    beyond = {"around": settings.radius, "datum": _DATUM_M if route_map.has_crs else _LOCAL_DATUM_M}
     found = {name: given[name] for name in _POINTS if given[name] is not None}
     places: dict[str, Any] = {
         name: tuple(parse_point(text, route_map, beyond_m=beyond[name])) for name, text in found.items()

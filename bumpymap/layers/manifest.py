@@ -51,7 +51,7 @@ SHEETS_FORMAT = "bumpymap-sheets"
 """Format of the run.json of a map in sheets, which each have one of their own."""
 COUNT = Number(0, 1e15, whole=True)
 PLACE_SHAPE: dict[str, Any] = {
-    "crs": Nullable({"name": str, "code?": Nullable(str), "wkt": str}),
+    "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
     "metres_per_unit": {"horizontal": Number(1e-6, 1e6), "vertical": Number(1e-6, 1e6)},
     "grid": {"tile_size_m": Number(1e-3, 1e5), "pixels": Number(1, 10_000, whole=True)},
     "files": [{"path": str, "bytes": COUNT, "sha256": str}],

@@ -218,7 +218,7 @@ def _work(inputs, folder, names, known_lines, judge, tell):
                 verdict = judge(path)
             signal.alarm(0)
             noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
-            if noise and not verdict.is_fault:
+            if noise and not verdict.is_fault and judge is read_whole:
                 verdict = Verdict("noise", _gist(noise), noise)
             pickle.dump(Verdict(verdict.kind, verdict.where, verdict.detail, frozenset(fresh)), answers)
             answers.flush()
