@@ -94,7 +94,11 @@ from .interrupts import (
     shielded as shielded,
 )
 from .json_text import (
+    Each as Each,
+    Nullable as Nullable,
+    Number as Number,
     parse_json as parse_json,
+    shape_fault as shape_fault,
 )
 from .lock import (
     Holder as Holder,

@@ -20,8 +20,8 @@ __all__ = ["lazy_values"]
 
 
 class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read xarray
-    def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        self.path, self.shape, self.dtype = path, shape, dtype
+    def __init__(self, path: Path, driver: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.path, self.driver, self.shape, self.dtype = path, driver, shape, dtype
         self._version = _version(path)
 
     def __getitem__(self, key: Any) -> Any:
@@ -31,7 +31,7 @@ class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read x
         try:
             if _version(self.path) != self._version:
                 raise BadInputError(f"{self.path} was replaced after it was opened: open the layers again")
-            with rioxarray.open_rasterio(self.path, cache=False, parse_coordinates=False) as raster:
+            with rioxarray.open_rasterio(self.path, cache=False, parse_coordinates=False, driver=self.driver) as raster:
                 values: NDArray[Any] = raster.variable[key].values
         except (OSError, RasterioError) as error:
             raise BadInputError(f"cannot read {self.path}: {error}. Map the survey again") from error
@@ -43,6 +43,6 @@ def _version(path: Path) -> tuple[int, int]:
     return found.st_mtime_ns, found.st_size
 
 
-def lazy_values(path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
+def lazy_values(path: Path, driver: str, shape: tuple[int, ...], dtype: np.dtype[Any]) -> Any:
     """Return the values (bands, rows, columns) of a raster, which are read when they are used, and then kept."""
-    return indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_ValuesOnDisk(path, shape, dtype)))
+    return indexing.MemoryCachedArray(indexing.LazilyIndexedArray(_ValuesOnDisk(path, driver, shape, dtype)))

@@ -26,6 +26,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import open_layer, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -75,6 +76,7 @@ class Layers:
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
         self._sheets = sheet_folders(self._folder)
+        self._checked: set[str] = set()
         if in_memory:
             weakref.finalize(self, _remove, self._folder, os.getpid())
 
@@ -337,23 +339,26 @@ class Layers:
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
-        import rasterio
         from rasterio.errors import RasterioError
 
         try:
-            with rasterio.open(self._folder / self._raster("class.tif")) as file:
+            with open_layer(self._folder / self._raster("class.tif")) as file:
                 return tuple(file.bounds)
         except RasterioError:
             return None
 
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
+        self._require_written(name)
         rioxarray = import_notebook("rioxarray")
-        with self._file(self._folder / self._raster(name)) as path, rioxarray.open_rasterio(path, cache=False) as file:
-            from bumpymap.layers.lazy_raster import lazy_values
+        with self._file(self._folder / self._raster(name)) as path:
+            with open_layer(path) as checked:
+                driver = checked.driver
+            with rioxarray.open_rasterio(path, cache=False, driver=driver) as file:
+                from bumpymap.layers.lazy_raster import lazy_values
 
-            values = file.values if self._in_memory else lazy_values(path, file.shape, file.dtype)
-            raster, nodata = file.copy(data=values), file.rio.nodata
+                values = file.values if self._in_memory else lazy_values(path, driver, file.shape, file.dtype)
+                raster, nodata = file.copy(data=values), file.rio.nodata
         if raster.sizes["band"] != len(bands):
             raise BadInputError(
                 f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
@@ -370,6 +375,12 @@ class Layers:
             variable.attrs["_FillValue"] = nodata
             yield variable
 
+    def _require_written(self, name: str) -> None:
+        """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
+        if name not in self._checked and not self._in_memory:
+            require_map_written(self._folder, self._manifest, (name,))
+            self._checked.add(name)
+
     def _raster(self, name: str) -> str:
         """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
         return name if self._sheets == [self._folder] else virtual_name(name)
@@ -379,6 +390,7 @@ class Layers:
         geopandas = import_notebook("geopandas")
         read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
         parts = []
+        self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
                 parts.append(read(path))

@@ -29,6 +29,7 @@ class ReachSettings(TypedDict, total=False):
     snap: float
     avoid: PathLike | None
     only: PathLike | None
+    allow_outside: bool
     memory: str
 
 
@@ -65,7 +66,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``compare``, ``memory``, ``overwrite``.
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``compare``,
+        ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -113,7 +115,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``memory``, as in `find_routes`.
+        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in
+        `find_routes`.
 
     Returns
     -------

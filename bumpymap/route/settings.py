@@ -23,6 +23,8 @@ class CostSettings:
     """File of polygons that are not entered."""
     only: Path | None = None
     """File of polygons that are not left."""
+    allow_outside: bool = False
+    """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
 
     def __post_init__(self) -> None:
         _number("risk", self.risk, 0.0, _MOST_COST)
