@@ -21,6 +21,7 @@ $(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install --quiet --constraint $(CONSTRAINTS) --upgrade pip
 	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable .
+	-$(BIN)/bumpymap compile
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

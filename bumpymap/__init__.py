@@ -6,8 +6,6 @@ two surveys, ``classify_scan`` and ``ScanClassifier`` classify the ground in the
 ``GroundGrid`` read and fill the messages of ROS 2. Names are imported on first use.
 """
 
-from importlib import import_module
-
 TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
 if TYPE_CHECKING:
     from bumpymap.change import diff_surveys
@@ -86,6 +84,8 @@ if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept
             return version("bumpymap")
         if name not in _EXPORTS:
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        from importlib import import_module
+
         module, attribute = _EXPORTS[name]
         value = globals()[name] = getattr(import_module(module), attribute)
         return value

@@ -42,21 +42,31 @@ def _why_without_qgis():
     return f"QGIS is missing: {done.stderr.strip().splitlines()[-1]}" if done.returncode else None
 
 
+@cache
+def _why_without_namespaces():
+    if shutil.which("unshare") is None or not hasattr(os, "geteuid") or os.geteuid() != 0:
+        return "only root can make networks and mounts of its own, with unshare"
+    done = subprocess.run(["unshare", "--mount", "--net", "true"], capture_output=True, text=True, check=False)
+    return f"no namespaces here: {done.stderr.strip()}" if done.returncode else None
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that need real data, open3d, QGIS or a browser as slow too."""
+    """Mark tests that need real data, open3d, QGIS, a browser or root as slow too."""
     for item in items:
-        if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis", "chromium"))):
+        if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis", "chromium", "namespaces"))):
             item.add_marker(pytest.mark.slow)
 
 
 def pytest_runtest_setup(item):
-    """Skip a test that is marked with ``open3d``, ``qgis`` or ``chromium`` where that is missing, and say why."""
+    """Skip a test that is marked with what is missing here, and say why."""
     if item.get_closest_marker("chromium") and shutil.which("chromium") is None:
         pytest.skip("there is no chromium on this machine (Debian: apt-get install chromium)")
     if item.get_closest_marker("open3d") and (reason := _why_without_open3d()):
         pytest.skip(reason)
     if item.get_closest_marker("qgis") and (reason := _why_without_qgis()):
+        pytest.skip(reason)
+    if item.get_closest_marker("namespaces") and (reason := _why_without_namespaces()):
         pytest.skip(reason)
 
 

@@ -1,12 +1,15 @@
 """`import bumpymap` as a notebook uses it: what is there, what it costs, what the calls give and say."""
 
+import copy
 import doctest
+import gc
 import importlib
 import math
 import shutil
 import subprocess
 import sys
 import threading
+import tracemalloc
 from dataclasses import fields
 from pathlib import Path
 
@@ -29,6 +32,8 @@ pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
+PART = ROOT / "sample_data" / "quarry_part.ply"
+OPEN_FILES = Path("/proc/self/fd")
 
 
 @pytest.fixture(scope="module")
@@ -227,6 +232,53 @@ def test_without_out_the_files_go_with_the_object():
     assert np.isfinite(heights).sum() > 1000
 
 
+def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
+    layers = bumpymap.map_survey(PART, local=True)
+    other = copy.copy(layers)  # as pickle does it
+    assert other.folder != layers.folder
+    del layers
+    assert np.isfinite(other.dataset()["c_r"]).sum() > 30
+    monkeypatch.setattr("bumpymap.layers.opened._MOST_PICKLED", 10_000)
+    with pytest.raises(bumpymap.UsageError, match="out='DIR'"):
+        copy.copy(other)
+
+
+@pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are counted in /proc, which is Linux's")
+def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
+    def two_more(number):
+        for out in (None, tmp_path / str(number)):
+            layers = bumpymap.map_survey(PART, out, local=True)
+            assert np.isfinite(layers.dataset()["c_r"].values).any()
+            assert np.isfinite(layers.heights().values).any()
+            layers.tiles()
+
+    def left():
+        files = len(list(OPEN_FILES.iterdir()))
+        gc.collect()  # files may not wait for this, small objects may
+        return files, tracemalloc.get_traced_memory()[0]
+
+    gc.disable()
+    tracemalloc.start()
+    try:
+        two_more(0)
+        files, memory = left()
+        two_more(1)
+        more_files, more_memory = left()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    assert more_files == files
+    assert more_memory - memory < 200_000
+
+
+def test_values_of_layers_that_were_replaced_are_not_mixed_with_the_earlier_ones(tmp_path):
+    dataset = bumpymap.map_survey(PART, tmp_path / "out", local=True).dataset()
+    assert np.isfinite(dataset["slope"].values).any()
+    bumpymap.map_survey(PART, tmp_path / "out", local=True, overwrite=True, features={"min_points": 2000})
+    with pytest.raises(bumpymap.BadInputError, match="open the layers again"):
+        _ = dataset["c_r"].values
+
+
 def test_nothing_is_left_where_a_run_in_memory_fails(tmp_path, monkeypatch):
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with pytest.raises(bumpymap.BadInputError):
@@ -269,13 +321,6 @@ def test_a_run_in_a_thread(tmp_path):
     thread.start()
     thread.join()
     assert found[0].manifest["counts"]["tiles"] == 1426
-
-
-def test_unknown_settings_are_a_type_error_that_lists_the_others():
-    with pytest.raises(TypeError, match="tilesize") as caught:
-        bumpymap.map_survey(QUARRY, tilesize=3)
-    for name in MapSettings.__annotations__:
-        assert name in str(caught.value)
 
 
 # --- scans ---

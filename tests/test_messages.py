@@ -10,14 +10,20 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.change import DiffConfig
+from bumpymap.change.api import DiffSettings
 from bumpymap.check import CheckConfig
+from bumpymap.check.api import CheckSettings
 from bumpymap.cli import main
 from bumpymap.cli._wording import as_options
+from bumpymap.core import PolarSettings, Scan
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
+from bumpymap.route.api import RouteSettings
 from bumpymap.scan import ScanConfig
+from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig
+from bumpymap.survey.api import MapSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -67,6 +73,98 @@ def test_a_python_caller_reads_arguments(settings, words, tmp_path):
     told = " ".join([str(caught.value), *getattr(caught.value, "__notes__", [])])
     assert words in told
     assert "--" not in re.sub(r"(bumpymap|pdal) (train|calibrate|translate) [^;]*", "", told)
+
+
+ENDS = ("9.17,48.78", "9.18,48.78")
+CALLS = {
+    "open": bumpymap.open,
+    "Layers": bumpymap.Layers,
+    "surveys": bumpymap.map_survey,
+    "out": lambda value: bumpymap.map_survey(QUARRY, value, memory="no size"),
+    "source": lambda value: bumpymap.map_batch(value, "out"),
+    "out of a batch": lambda value: bumpymap.map_batch("sample_data", value, memory="no size"),
+    "layers": lambda value: bumpymap.find_routes(value, *ENDS),
+    "start": lambda value: bumpymap.find_routes("layers", value, ENDS[1]),
+    "goal": lambda value: bumpymap.find_routes("layers", ENDS[0], value),
+    "via": lambda value: bumpymap.find_routes("layers", *ENDS, via=value),
+    "reach": lambda value: bumpymap.map_reach("layers", value),
+    "minutes": lambda value: bumpymap.map_reach("layers", ENDS[0], minutes=value),
+    "before": lambda value: bumpymap.diff_surveys(value, "layers"),
+    "drives": lambda value: bumpymap.check_drives(None, value),
+    "map of a check": lambda value: bumpymap.check_drives(value, "drive.csv"),
+    "points": bumpymap.classify_scan,
+    "points_of": bumpymap.points_of,
+    "grid": lambda value: bumpymap.GroundGrid(reach_m=value),
+    "vehicle": bumpymap.Vehicle.load,
+    "calibration": bumpymap.Calibration.load,
+    "shipped": bumpymap.Calibration.shipped,
+    **{
+        name: lambda value, name=name: bumpymap.map_survey(QUARRY, **{"memory": "no size", name: value})
+        for name in MapSettings.__annotations__
+    },
+    **{
+        f"route, {name}": lambda value, name=name: bumpymap.find_routes("layers", *ENDS, **{name: value})
+        for name in RouteSettings.__annotations__
+    },
+    **{
+        f"diff, {name}": lambda value, name=name: bumpymap.diff_surveys("layers", "layers", **{name: value})
+        for name in DiffSettings.__annotations__
+    },
+    **{
+        f"check, {name}": lambda value, name=name: bumpymap.check_drives("layers", "drive.csv", **{name: value})
+        for name in CheckSettings.__annotations__
+    },
+    **{
+        f"scan, {name}": lambda value, name=name: bumpymap.classify_scan([[0.0, 0.0]], **{name: value})
+        for name in ClassifierSettings.__annotations__
+    },
+}
+"""A value of an argument -> a call with it, in which something else is wrong too if some value of any type is right."""
+ODD = [None, 3, 2.5, [1], np.zeros((3, 2)), {"a": 1}, b"a", object(), Path("/nowhere/a"), "", "a\0b", "a" * 5000]
+
+
+@pytest.mark.parametrize("call", CALLS.values(), ids=CALLS)
+def test_an_argument_of_any_type_is_no_error_from_the_inside(call, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for value in ODD:
+        try:
+            call(value)
+        except bumpymap.BumpymapError as error:
+            assert str(error)  # noqa: PT017 (some values are right)
+
+
+@pytest.mark.parametrize(
+    ("call", "name", "meant"),
+    [
+        (lambda **settings: bumpymap.map_survey(QUARRY, **settings), "tilesize", "tile_size"),
+        (lambda **settings: bumpymap.map_batch("a", "b", **settings), "jbos", "jobs"),
+        (lambda **settings: bumpymap.find_routes("a", *ENDS, **settings), "riks", "risk"),
+        (lambda **settings: bumpymap.map_reach("a", ENDS[0], **settings), "snapp", "snap"),
+        (lambda **settings: bumpymap.diff_surveys("a", "b", **settings), "min_tile", "min_tiles"),
+        (lambda **settings: bumpymap.check_drives("a", "b", **settings), "band", "band_hz"),
+        (lambda **settings: bumpymap.classify_scan(np.zeros((1, 3)), **settings), "polr", "polar"),
+        (bumpymap.ScanClassifier, "vehicles", "vehicle"),
+    ],
+)
+def test_a_setting_that_is_not_there_is_a_usage_error_with_the_nearest_name(call, name, meant):
+    with pytest.raises(bumpymap.UsageError, match=rf"unknown setting {name}; there are: .*\. Did you mean {meant}\?"):
+        call(**{name: 1})
+
+
+@pytest.mark.parametrize("crs", [32632, np.int64(32632)])
+def test_a_crs_may_be_its_number(tmp_path, crs):
+    survey = _ply(tmp_path / "site.ply")
+    assert bumpymap.map_survey(survey, crs=crs).manifest["crs"]["code"] == "EPSG:32632"
+
+
+def test_a_vehicle_that_is_no_file_leads_to_the_included_calibrations():
+    with pytest.raises(bumpymap.BadInputError, match=r"Calibration\.shipped\('warthog'\)"):
+        bumpymap.Calibration.load("warthog")
+
+
+@pytest.mark.parametrize("record", [bumpymap.Calibration.shipped("warthog"), Scan(np.zeros((9, 3), np.float32))])
+def test_a_record_is_shown_in_a_few_lines(record):
+    assert 30 < len(repr(record)) < 2500
 
 
 @pytest.mark.parametrize("prepare", ["complete", "other", "file", "no_crs", "no_ground", "tiles"])
@@ -177,7 +275,7 @@ def test_every_setting_in_backquotes_is_one():
     known = set(MapConfig.__dataclass_fields__) | {"fit", "check"}
     known |= set(BatchConfig.__dataclass_fields__)
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
-    known |= set(ScanConfig.__dataclass_fields__)
+    known |= set(ScanConfig.__dataclass_fields__) | set(PolarSettings.__dataclass_fields__)
     known |= set(ExportSettings.__dataclass_fields__)
     known |= set(DiffConfig.__dataclass_fields__) | set(CheckConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):

@@ -2,26 +2,32 @@
 
 import os
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypedDict, Unpack
 
 from bumpymap.change.pipeline import ChangeResult, find_changes
 from bumpymap.change.settings import DiffConfig
-from bumpymap.layers import Layers
+from bumpymap.core import path_of_call, settings_of_call
+from bumpymap.layers import Layers, folder_of
 
 __all__ = ["diff_surveys"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
 
+class DiffSettings(TypedDict, total=False):
+    """Settings of `diff_surveys`: fields of ``DiffConfig``."""
+
+    fdr: float
+    min_tiles: int
+    offset: float | None
+    overwrite: bool
+
+
 def diff_surveys(
     before: "PathLike | Layers",
     after: "PathLike | Layers",
     out: PathLike | None = None,
-    *,
-    fdr: float = 0.05,
-    min_tiles: int = 2,
-    offset: float | None = None,
-    overwrite: bool = False,
+    **settings: Unpack[DiffSettings],
 ) -> ChangeResult:
     """Find what has changed between two surveys of a site, as ``bumpymap diff`` does.
 
@@ -32,9 +38,9 @@ def diff_surveys(
     out : path, optional
         Folder for change.tif, change.geojson, change.json, their style and page; without it nothing is written.
     fdr : float
-        Share of the changed tiles that may be found by mistake, on average.
+        Share of the changed tiles that may be found by mistake, on average; default 0.05.
     min_tiles : int
-        Fewest connected tiles of a change; smaller ones are left out.
+        Fewest connected tiles of a change, default 2; smaller ones are left out.
     offset : float, optional
         Height to take off the later survey, m; by default the median difference.
     overwrite : bool
@@ -62,6 +68,6 @@ def diff_surveys(
     >>> change.counts["changed"], len(change.regions())
     (0, 0)
     """
-    first, second = (site.folder if isinstance(site, Layers) else Path(site) for site in (before, after))
-    target = None if out is None else Path(out)
-    return find_changes(DiffConfig(first, second, target, fdr, min_tiles, offset, overwrite))
+    own = settings_of_call(settings, DiffConfig, "diff_surveys", DiffSettings.__annotations__)
+    target = None if out is None else Path(path_of_call("out", out))
+    return find_changes(DiffConfig(folder_of("before", before), folder_of("after", after), target, **own))

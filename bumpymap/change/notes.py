@@ -3,6 +3,8 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from bumpymap.core import count_text
+
 __all__ = ["remarks"]
 
 _DENSITY = 2.0
@@ -24,7 +26,10 @@ def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
         what = "taken off" if taken == fit["offset_m"] else f"{taken:+.3f} m was taken off, as asked"
-        yield f"the later survey lies {fit['offset_m']:+.3f} m higher in the median tile; {what}"
+        side = "higher" if fit["offset_m"] > 0.0 else "lower"
+        lies = f"{abs(fit['offset_m']):.3f} m {side}"
+        level = abs(fit["offset_m"]) < 0.0005
+        yield f"the later survey lies {'level with the earlier one' if level else lies} in the median tile; {what}"
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (
@@ -43,11 +48,11 @@ def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]
         yield f"the ride cost of the median tile is {ratio:.2f} times what it was: the surveys may be what differs"
     if counts["changed"] > _MOST_CHANGED * max(counts["compared"], 1):
         yield (
-            f"{counts['changed']:,} of {counts['compared']:,} tiles have changed: too many for the rest to tell offset "
-            "and noise well"
+            f"{counts['changed']:,} of {count_text(counts['compared'], 'tile')} have changed: too many for the rest to "
+            "tell offset and noise well"
         )
     left = counts["in_both"] - counts["compared"]
     if left:
-        yield f"{left:,} tiles have too few pixels in common to be compared"
+        yield f"{count_text(left, 'tile has', 'tiles have')} too few pixels in common to be compared"
     if None not in fit["versions"] and fit["versions"][0] != fit["versions"][1]:
         yield f"the layers were made by versions {' and '.join(fit['versions'])}; map both with one"

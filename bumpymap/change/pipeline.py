@@ -18,7 +18,16 @@ from bumpymap.change.notes import remarks
 from bumpymap.change.regions import connect, describe_regions, region_names
 from bumpymap.change.ride import CommonError, ride_z
 from bumpymap.change.settings import DiffConfig
-from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_TILE, BadInputError, Barred, Progress, SilentProgress
+from bumpymap.core import (
+    CHANGE_KINDS,
+    CLASS_NAMES,
+    NO_TILE,
+    BadInputError,
+    Barred,
+    Progress,
+    SilentProgress,
+    brief_repr,
+)
 from bumpymap.layers import (
     ChangeField,
     RouteMap,
@@ -41,6 +50,8 @@ _CLASSES = len(CLASS_NAMES)
 @dataclass(frozen=True, slots=True)
 class ChangeResult:
     """What a comparison found."""
+
+    __repr__ = brief_repr
 
     field: ChangeField
     counts: Mapping[str, Any]

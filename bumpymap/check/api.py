@@ -3,27 +3,32 @@
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, TypedDict, Unpack
 
 from bumpymap.check.pipeline import run_check
 from bumpymap.check.settings import CheckConfig
-from bumpymap.core import CheckResult
-from bumpymap.layers import Layers
+from bumpymap.core import CheckResult, UsageError, path_of_call, refuse_unknown, settings_of_call, short_repr
+from bumpymap.layers import Layers, folder_of
 
 __all__ = ["check_drives"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
 
+class CheckSettings(TypedDict, total=False):
+    """Settings of `check_drives`: fields of ``CheckConfig``."""
+
+    columns: Mapping[str, str] | None
+    band_hz: float
+    window_m: float
+    overwrite: bool
+
+
 def check_drives(
     layers: "PathLike | Layers | None",
     drives: PathLike | Iterable[PathLike],
     out: PathLike | None = None,
-    *,
-    columns: Mapping[str, str] | None = None,
-    band_hz: float = 10.0,
-    window_m: float = 10.0,
-    overwrite: bool = False,
+    **settings: Unpack[CheckSettings],
 ) -> CheckResult:
     """Hold a map against real drives over it, as ``bumpymap check`` does.
 
@@ -38,9 +43,9 @@ def check_drives(
     columns : mapping, optional
         Quantity -> column or topic that holds it, such as ``{"rate_y": "GyrY[deg/s]"}``; by default they are guessed.
     band_hz : float
-        Rates are low-passed at this frequency, Hz.
+        Rates are low-passed at this frequency, Hz; default 10.
     window_m : float
-        Length of a stretch, at least 5 m.
+        Length of a stretch, at least 5 m; default 10.
     overwrite : bool
         Replace the files of an earlier check.
 
@@ -48,12 +53,13 @@ def check_drives(
     -------
     CheckResult
         ``agreement`` and ``by_class`` say how well they agree, ``drives`` what was found of each drive and its
-        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says.
+        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says. ``skipped`` names
+        the drives that could not be used, with the reason.
 
     Raises
     ------
     BadInputError
-        The layers or a drive cannot be read or used.
+        The layers cannot be read, or no drive can be used.
     UsageError
         A setting is wrong.
     OutputError
@@ -66,11 +72,17 @@ def check_drives(
     >>> result.agreement.stretches == len(result.stretches.measured)
     True
     """
+    refuse_unknown(settings, CheckSettings.__annotations__, "check_drives")
+    columns = settings.pop("columns", None)
+    if columns is not None and not (
+        isinstance(columns, Mapping) and all(isinstance(text, str) for entry in columns.items() for text in entry)
+    ):
+        raise UsageError(f"columns is {short_repr(columns)}; give a dict, such as {{'rate_y': 'GyrY[deg/s]'}}")
+    own = settings_of_call(settings, CheckConfig, "check_drives")
     each = [drives] if isinstance(drives, str | os.PathLike) else drives
-    site = layers.folder if isinstance(layers, Layers) else _path(layers)
-    named = tuple(os.fspath(drive) for drive in each)
-    return run_check(CheckConfig(named, site, _path(out), columns, band_hz, window_m, overwrite)).result
-
-
-def _path(given: PathLike | None) -> Path | None:
-    return None if given is None else Path(given)
+    if not isinstance(each, Iterable):
+        raise UsageError(f"drives is {short_repr(drives)}; give the log of a drive, or a list of logs")
+    named = tuple(path_of_call("drives", drive) for drive in each)
+    site = None if layers is None else folder_of("layers", layers)
+    target = None if out is None else Path(path_of_call("out", out))
+    return run_check(CheckConfig(named, site, target, columns, **own)).result

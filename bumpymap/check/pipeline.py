@@ -3,9 +3,11 @@
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +37,12 @@ from bumpymap.core import (
     counted,
 )
 from bumpymap.layers import RouteMap, check_check_out, open_map, write_check
-from bumpymap.readers import read_drive
+from bumpymap.readers import close_log_reader, read_drive
 
 __all__ = ["CheckRun", "run_check"]
 
 Floats = NDArray[np.float64]
+Found = TypeVar("Found")
 
 _MARGIN_M = 12.0
 """Of the map that is read around a drive: errors of positions reach so far."""
@@ -67,10 +70,12 @@ class _Done:
 def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun:
     """Hold a map against drives as the settings ask, and write what was found.
 
+    Drives that cannot be used are left out; ``skipped`` of the result names them.
+
     Raises
     ------
     BadInputError
-        The layers or a drive cannot be read or used.
+        The layers cannot be read, or no drive can be used.
     UsageError, OutputError
         The files cannot be written.
     """
@@ -78,20 +83,53 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
     if config.out is not None:
         check_check_out(config.out, overwrite=config.overwrite)
     site = None if config.layers is None else open_map([config.layers])
+    skipped: dict[str, str] = {}
+
+    def read(place: str) -> tuple[DriveLog, MetrePlaces | None]:
+        log = read_drive(place, config.columns)
+        return log, places_alone(log) if site is None else places_on_map(log, site)
+
     progress.start("reading drives", len(config.drives))
-    logs = [read_drive(place, config.columns) for place in counted(config.drives, progress)]
-    placed = [places_alone(log) if site is None else places_on_map(log, site) for log in logs]
-    field = None if site is None else _field(site, placed)
+    logs = _usable(((place, partial(read, place)) for place in counted(config.drives, progress)), skipped)
+    close_log_reader()
+    field = None if site is None else _field(site, [places for _, places in logs.values()])
     progress.start("measuring drives", len(logs))
-    pairs = counted(list(zip(logs, placed, strict=True)), progress)
-    done = [_measured(log, places, config.measuring, site, field) for log, places in pairs]
-    result = _compared(done, site, field)
+    left = counted(list(logs.items()), progress)
+    settings = config.measuring
+    done = _usable(((place, partial(_measured, *log, settings, site, field)) for place, log in left), skipped)
+    result = replace(_compared(list(done.values()), site, field), skipped=skipped)
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing the check", None)
         manifest = {"settings": asdict(config)}
         files = write_check(result, config.out, ground=site, manifest=manifest, overwrite=config.overwrite)
     return CheckRun(result, tuple(files))
+
+
+def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str, str]) -> dict[str, Found]:
+    """Return what a step found for each drive, by the drive as it was given; add those that it refuses to ``skipped``.
+
+    Raises
+    ------
+    BadInputError
+        No drive is left.
+    """
+    found: dict[str, Found] = {}
+    error: BadInputError | None = None
+    for place, step in steps:
+        try:
+            found[place] = step()
+        except BadInputError as refusal:
+            error = refusal
+            skipped[place] = str(refusal)
+    if not found and error is not None:
+        if len(skipped) == 1:
+            raise error
+        raise BadInputError(
+            f"none of the {len(skipped)} drives can be used:",
+            *(f"  {place}: {why}" for place, why in skipped.items()),
+        ) from error
+    return found
 
 
 def _field(site: RouteMap, placed: list[MetrePlaces | None]) -> TileField:

@@ -17,6 +17,7 @@ _COMMANDS = {
     "batch": "map many surveys, each to a folder of its own",
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
     "check": "hold a map against real drives over it",
+    "compile": "compile the numerical kernels now, not in the first run",
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",
     "evaluate": "compare predictions with simulated drives over the same ground",
@@ -50,6 +51,20 @@ class _LazyGroup(click.Group):
         if not isinstance(command, click.Command):
             raise TypeError(f"bumpymap.cli.{cmd_name}_command.command is not a click command")
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command that is meant; an unknown one is refused with the nearest."""
+        try:
+            return super().resolve_command(ctx, args)
+        except click.UsageError as error:
+            from difflib import get_close_matches
+
+            near = get_close_matches(args[0].lower(), _COMMANDS, 1)
+            if not near:
+                raise
+            raise click.UsageError(f"{error.message} Did you mean '{near[0]}'?", ctx) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""

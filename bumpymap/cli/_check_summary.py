@@ -7,7 +7,7 @@ from typing import Any
 from bumpymap.check import CheckConfig, CheckRun
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import CLASS_NAMES, CheckedDrive, CheckResult, MapAgreement
-from bumpymap.layers import check_headline, columns_words
+from bumpymap.layers import check_headline, columns_words, warnings_of
 
 __all__ = ["show"]
 
@@ -24,7 +24,7 @@ def show(run: CheckRun, config: CheckConfig, refit: Mapping[str, Any] | None = N
     print_line(check_headline(result))
     if result.by_class:
         print_table(_classes(result), ("class of the map", "way", "map / measured", "typical error", "in the interval"))
-    for warning in (*(text for drive in result.drives for text in drive.warnings), *result.warnings):
+    for warning in warnings_of(result):
         print_line(f"Warning: {warning}", "yellow")
     if config.out is not None:
         print_line(f"Files in {config.out}: {', '.join(path.name for path in run.files)}")
@@ -86,6 +86,7 @@ def _record(run: CheckRun, config: CheckConfig) -> dict[str, Any]:
         "agreement": None if result.agreement is None else _agreement_record(result.agreement),
         "by_class": {str(number): _agreement_record(found) for number, found in result.by_class.items()},
         "warnings": list(result.warnings),
+        "skipped": dict(result.skipped),
     }
 
 

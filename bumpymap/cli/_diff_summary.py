@@ -5,7 +5,7 @@ from typing import Any
 
 from bumpymap.change import ChangeResult, DiffConfig
 from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.core import CLASS_NAMES
+from bumpymap.core import CLASS_NAMES, count_text, share_text, shares_text
 
 __all__ = ["show"]
 
@@ -19,16 +19,17 @@ def show(result: ChangeResult, config: DiffConfig, *, as_json: bool) -> None:
         return
     counts = result.counts
     print_line(
-        f"{counts['in_both']:,} tiles are in both surveys, {counts['compared']:,} compared, {counts['changed']:,} "
-        f"changed ({_share(counts['changed'], counts['compared'])}) in {counts['regions']:,} places"
+        f"{count_text(counts['in_both'], 'tile is', 'tiles are')} in both surveys, {counts['compared']:,} compared, "
+        f"{counts['changed']:,} changed ({share_text(counts['changed'] / max(counts['compared'], 1), 1)}) in "
+        f"{count_text(counts['regions'], 'place')}"
     )
     print_table(_changes(result), ("change", "tiles", "share"))
     print_line("Classes before (rows) and after (columns), tiles:")
     print_table(_classes(result), ("before", *_NAMES))
     if counts["passable_lost"] or counts["passable_won"]:
         print_line(
-            f"of the changed tiles, {counts['passable_lost']:,} are no longer passable and "
-            f"{counts['passable_won']:,} are now"
+            f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
+            f"{count_text(counts['passable_won'], 'is', 'are')} now"
         )
     for line in result.notes:
         print_line(line)
@@ -37,17 +38,14 @@ def show(result: ChangeResult, config: DiffConfig, *, as_json: bool) -> None:
 
 
 def _changes(result: ChangeResult) -> Iterator[tuple[str, ...]]:
-    for text, tiles in result.counts["by_change"].items():
-        yield text, f"{tiles:,}", _share(tiles, result.counts["compared"])
+    tiles = result.counts["by_change"]
+    for (text, count), share in zip(tiles.items(), shares_text(list(tiles.values()), (0,), 1), strict=True):
+        yield text, f"{count:,}", share
 
 
 def _classes(result: ChangeResult) -> Iterator[tuple[str, ...]]:
     for name, row in zip(_NAMES, result.transitions, strict=True):
         yield name, *(f"{tiles:,}" for tiles in row)
-
-
-def _share(part: int, whole: int) -> str:
-    return f"{part / max(whole, 1):.1%}"
 
 
 def _record(result: ChangeResult, config: DiffConfig) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """How a command ends: one message and an exit code for every failure that is not a bug."""
 
-import errno
 import select
 import sys
 import time
@@ -12,12 +11,11 @@ import click
 
 from bumpymap.cli._events import emit, restored_logging
 from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, flush, print_error
-from bumpymap.core import BumpymapError, error_chain, missing_resource
+from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 __all__ = ["RunInterrupted", "exit_code_of"]
 
 _BAD = 3
-_FULL = {errno.ENOSPC, errno.EDQUOT}
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
@@ -58,7 +56,7 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
             raise
         if as_json:
             more = {"traceback": traceback.format_exc()} if code == _FAULT else {}
-            emit("error", exit_code=code, kind=type(error).__name__, message=" ".join(lines), **more)
+            emit("error", exit_code=code, kind=type(error).__name__, message=join_lines(lines), **more)
         else:
             _print_failure(error, lines)
         return code
@@ -101,13 +99,19 @@ def _message(error: Exception) -> tuple[int, list[str]]:
         return error.exit_code, [str(line) for line in error.args]
     if isinstance(error, click.ClickException):
         # click puts the choices of an option that is missing into lines of their own.
-        return error.exit_code, [error.format_message().replace("\n\t", " ")]
+        text = error.format_message().replace("\n\t", " ")
+        return error.exit_code, [
+            text.replace("is not a valid float", "is not a number").replace(
+                "is not a valid integer", "is not a whole number"
+            )
+        ]
     if isinstance(error, click.Abort):
         return 130, ["Interrupted."]
     for cause in error_chain(error):
-        if isinstance(cause, OSError) and (cause is error or cause.errno in _FULL):
+        full = refused_write(cause)
+        if isinstance(cause, OSError) and (cause is error or full):
             named = f"{cause.filename!s}: " if cause.filename is not None else ""
-            where = " (a disk, or shared memory: /dev/shm)" if cause.errno in _FULL and not named else ""
+            where = f" ({full})" if full and not named else ""
             return _BAD, [f"system error: {named}{cause.strerror or cause}{where}"]
     return _FAULT, [f"{type(error).__name__}: {error}"]
 

@@ -8,11 +8,13 @@ from typing import Any
 
 from rich.filesize import decimal
 
+from bumpymap.cli._text import about
 from bumpymap.cli._wording import as_options
 from bumpymap.core import (
     REASON_TEXT,
     FeatureSettings,
     Ground,
+    count_text,
     decide_ground,
     describe_crs,
     horizontal_of,
@@ -292,15 +294,8 @@ def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
         ("memory", f"at most {decimal(forecast.memory)}"),
         ("scratch", scratch if forecast.scratch else "none: all points fit into memory"),
         ("space", out or unknown),
-        ("time", _about(forecast.seconds)),
+        ("time", about(forecast.seconds)),
     ]
-
-
-def _about(seconds: float) -> str:
-    for unit, size in (("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2 * size:
-            return f"about {seconds / size:.0f} {unit}"
-    return f"about {seconds:.0f} s"
 
 
 def _points(report: Report) -> str:
@@ -326,9 +321,8 @@ def _density(report: Report, density: float) -> str:
     if report.summary is None:
         return f"{_short(density)} pts/m2 in the header's extent: {density * report.grid.tile_size**2:.0f} per {tile}"
     summary = report.summary
-    return (
-        f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {summary.tiles:,} tiles)"
-    )
+    tiles = count_text(summary.tiles, "tile")
+    return f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {tiles})"
 
 
 def _has_classes(report: Report) -> bool | None:

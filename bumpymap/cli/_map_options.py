@@ -8,12 +8,16 @@ import click
 from bumpymap.cli._terminal import PATH, SHARE, NumberList
 from bumpymap.core import Align, Compat, Ground, Rating, ZUnit
 
-__all__ = ["rating_options", "sheets_option", "tolerance_options"]
+__all__ = ["crs_option", "force_crs_option", "rating_options", "sheets_option", "tolerance_options"]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
+crs_option = click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
+force_crs_option = click.option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.")
+
 _RATING = (
-    click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614."),
+    crs_option,
+    force_crs_option,
     click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates."),
     click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it."),
     click.option("--ground", type=click.Choice(get_args(Ground)), help="Points to use [default: auto]."),

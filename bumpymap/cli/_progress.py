@@ -1,14 +1,15 @@
 """Progress of a run: bars on a terminal, lines in the log of a batch system, or JSON events."""
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
 from bumpymap.cli._events import emit
-from bumpymap.cli._text import error_console, escape, is_plain, print_error
-from bumpymap.core import Progress as BaseProgress
+from bumpymap.cli._text import error_console, is_plain, print_error
+from bumpymap.core import Progress as BaseProgress, escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,6 +26,10 @@ class CommandProgress(BaseProgress, Protocol):
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Report the result of a step, as a line of text or as an event."""
+
+
+_COMPILING = "compiling, once"
+"""What a new installation does to the numerical kernels, beside the first stage that needs them."""
 
 
 class _Quiet:
@@ -46,30 +51,38 @@ class _Bars:
     def __init__(self, bars: "Progress") -> None:
         self._bars = bars
         self._task: TaskID | None = None
+        self._compiling: TaskID | None = None
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage: a new bar."""
         if self._bars.tasks and self._bars.tasks[-1].total is None:
             self._bars.update(self._bars.tasks[-1].id, total=1, completed=1)
-        self._task = self._bars.add_task(escape(stage), total=total)
+        self._task = self._bars.add_task(escape_controls(stage), total=total)
 
     def advance(self, steps: int) -> None:
         """Advance the bar of this stage."""
         if self._task is not None:
             self._bars.advance(self._task, steps)
 
+    def compiling(self, done: int, total: int) -> None:
+        """Show how many kernels are compiled in a bar of their own."""
+        if self._compiling is None:
+            self._compiling = self._bars.add_task(f"{_COMPILING}: kernels", total=total)
+        self._bars.update(self._compiling, completed=done, total=total)
+
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line above the bars."""
         print_error(text)
 
 
-class _StepCounter:
-    """Counts the steps of a stage; `tick` of a subclass prints them."""
+class _StepCounter(ABC):
+    """Counts the steps of a stage; `tick` of a subclass prints them, or how many kernels are compiled."""
 
     def __init__(self, clock: Clock = time.monotonic) -> None:
         self._clock, self._begun = clock, clock()
         self._lock = Lock()
         self._stage, self._done, self._total = "", 0, None  # type: tuple[str, int, int | None]
+        self._kernels = 0, 0
 
     def start(self, stage: str, total: int | None) -> None:
         """Begin a stage."""
@@ -81,6 +94,27 @@ class _StepCounter:
         with self._lock:
             self._done += steps
 
+    def compiling(self, done: int, total: int) -> None:
+        """Count kernels; say so at once when it begins and when it ends."""
+        began, self._kernels = self._kernels[1] > 0, (done, total)
+        if not began or done == total:
+            self.tick_compiling(done, total)
+
+    def tick(self) -> None:
+        """Print what is being done."""
+        if self._kernels[0] < self._kernels[1]:
+            self.tick_compiling(*self._kernels)
+        elif self._stage:
+            self.tick_stage()
+
+    @abstractmethod
+    def tick_stage(self) -> None:
+        """Print the steps of the stage."""
+
+    @abstractmethod
+    def tick_compiling(self, done: int, total: int) -> None:
+        """Print the number of kernels."""
+
     def _state(self) -> tuple[str, int, int | None, float]:
         with self._lock:
             return self._stage, self._done, self._total, self._clock() - self._begun
@@ -89,15 +123,20 @@ class _StepCounter:
 class LineProgress(_StepCounter):
     """Prints a line at each `tick`: time since the run began, stage, share."""
 
-    def tick(self) -> None:
+    def tick_stage(self) -> None:
         """Print a line."""
         stage, done, total, seconds = self._state()
-        if not stage:
-            return
-        minutes, seconds = divmod(int(seconds), 60)
-        since = f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d}"
         counted = f"{done:,}" if not total else f"{min(done / total, 1.0):.0%} ({done:,} of {total:,})"
-        print_error(f"{since} {stage}: {counted}")
+        self._print(f"{stage}: {counted}", seconds)
+
+    def tick_compiling(self, done: int, total: int) -> None:
+        """Print a line."""
+        self._print(f"{_COMPILING}: {done} of {total} kernels", self._clock() - self._begun)
+
+    @staticmethod
+    def _print(text: str, seconds: float) -> None:
+        minutes, seconds = divmod(int(seconds), 60)
+        print_error(f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} {text}")
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print a line."""
@@ -112,12 +151,15 @@ class EventProgress(_StepCounter):
         super().start(stage, total)
         emit("stage", stage=stage, total=total)
 
-    def tick(self) -> None:
+    def tick_stage(self) -> None:
         """Print an event with the number of steps."""
         stage, done, total, seconds = self._state()
-        if stage:
-            share = round(min(done / total, 1.0), 4) if total else None
-            emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
+        share = round(min(done / total, 1.0), 4) if total else None
+        emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
+
+    def tick_compiling(self, done: int, total: int) -> None:
+        """Print an event with the number of kernels."""
+        emit("compiling", done=done, total=total)
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Print an event."""
@@ -138,18 +180,20 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
     if quiet:
         yield _Quiet()
         return
+    from bumpytiles import compiling_reports
+
     if as_json:
         events = EventProgress()
-        with _calling_every(events.tick, _EVENT_SECONDS):
+        with compiling_reports(events.compiling), _calling_every(events.tick, _EVENT_SECONDS):
             yield events
         return
     console = None if is_plain(error=True) else error_console()
     if console is None or not console.is_terminal:
         lines = LineProgress()
-        with _calling_every(lines.tick, _LINE_SECONDS):
+        with compiling_reports(lines.compiling), _calling_every(lines.tick, _LINE_SECONDS):
             yield lines
         return
-    with moving_bars(console) as bars:
+    with moving_bars(console) as bars, compiling_reports(bars.compiling):
         yield bars
 
 

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.core import Route
+from bumpymap.core import Route, count_text
 from bumpymap.layers import route_properties
 from bumpymap.route import Reach, RouteConfig, RouteResult
 
@@ -43,7 +43,7 @@ def show(result: RouteResult, config: RouteConfig, *, as_json: bool) -> None:
 
 def _reached(reach: Reach) -> str:
     """Say how much can be reached; of a part of the map, that it is one."""
-    tiles = f"{reach.tiles:,} tiles ({reach.area_ha:,.2f} ha) can be reached"
+    tiles = f"{count_text(reach.tiles, 'tile')} ({reach.area_ha:,.2f} ha) can be reached"
     share = f"{reach.share:.1%} of the passable ones"
     farthest = f"the farthest costs {reach.highest_cost:,.0f} m"
     if reach.limit_m is None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from bumpymap.cli._summary import ALREADY_DONE
 from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import count_text, shares_text
 from bumpymap.scan import ScanConfig, ScanRun, StripeModel
 
 __all__ = ["show", "show_fit"]
@@ -50,8 +51,8 @@ def show(result: ScanRun, config: ScanConfig, *, as_json: bool) -> None:
     if result.drive is not None:
         tiles = result.drive.summary
         print_line(
-            f"Map of the drive in {result.drive.files[0].parent}: {tiles.tiles:,} tiles, {tiles.unknown:,} of them "
-            "unknown"
+            f"Map of the drive in {result.drive.files[0].parent}: {count_text(tiles.tiles, 'tile')}, "
+            f"{tiles.unknown:,} of them unknown"
         )
 
 
@@ -75,15 +76,18 @@ def show_fit(model: StripeModel, config: ScanConfig, skipped: dict[str, str], *,
         print_json(found | {"skipped": skipped})
         return
     centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    print_line(f"class 0 to 2: {centres} stripes, from {model.sectors:,} sectors of {model.scans:,} frames")
+    print_line(
+        f"class 0 to 2: {centres} stripes, from {count_text(model.sectors, 'sector')} of "
+        f"{count_text(model.scans, 'frame')}"
+    )
     print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
 
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
-    total = max(sum(sectors.values()), 1)
-    for class_id, (name, count) in enumerate(sectors.items()):
+    shares = shares_text(list(sectors.values()), (), 1)
+    for class_id, ((name, count), share) in enumerate(zip(sectors.items(), shares, strict=True)):
         shown = f"{class_id} {name}" if name in points else name
-        yield shown, f"{count:,}", f"{count / total:.1%}", f"{points[name]:,}" if name in points else ""
+        yield shown, f"{count:,}", share, f"{points[name]:,}" if name in points else ""
 
 
 def _record(result: ScanRun, config: ScanConfig) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.cli._wording import as_options
-from bumpymap.core import CLASS_NAMES, MapConfig
+from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
 from bumpymap.layers import SHEET_FOLDER, MapSummary, degrees_line
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 
@@ -26,8 +26,8 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
         print_line(f"Already done: {config.out} {ALREADY_DONE}")
     which = outcome_of_run(result, config).measured
     print_line(
-        f"{result.points:,} points, {summary.tiles:,} tiles of {config.tile_size:g} m measured from "
-        f"{'all points' if which == 'points' else which}, "
+        f"{count_text(result.points, 'point')}, {count_text(summary.tiles, 'tile')} of {config.tile_size:g} m measured "
+        f"from {'all points' if which == 'points' else which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
     print_table(_rows(summary), _TITLES)
@@ -40,10 +40,11 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
     if steps := _steps(result, config):
         print_line(steps)
     if result.skipped:
-        print_line(f"{len(result.skipped)} inputs were skipped; run.json lists the reasons")
+        were = "was" if len(result.skipped) == 1 else "were"
+        print_line(f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons")
     names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
     if result.sheets:
-        sheets = f"{result.sheets:,} sheets in {config.out / SHEET_FOLDER}"
+        sheets = f"{count_text(result.sheets, 'sheet')} in {config.out / SHEET_FOLDER}"
         print_line(f"Layers of {sheets}; over all of them, in {config.out}: {names}")
     else:
         print_line(f"Layers in {config.out}: {names}")
@@ -51,18 +52,28 @@ def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
 
 def _passable_line(summary: MapSummary) -> str:
     """Say which share of the tiles is passable, and what bars the others."""
-    bars = ", ".join(f"{text} {count / summary.tiles:.1%}" for text, count in summary.bars.items())
-    line = f"{summary.passable / summary.tiles:.1%} of the tiles are passable"
+    found = summary.crossing
+    passable, *shares = shares_text(list(found.values()), (0, 1), 1)
+    others = zip(list(found.items())[1:], shares, strict=True)
+    bars = ", ".join(f"{text} {share}" for (text, count), share in others if count)
+    line = f"{passable} of the tiles are passable"
     return f"{line}; what bars the others: {bars}" if bars else line
 
 
 def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
     names = [*(f"{class_id} {name}" for class_id, name in enumerate(CLASS_NAMES)), "unknown"]
     counts = [*summary.by_class, summary.unknown]
-    for name, count, c_r, slope in zip(names, counts, summary.median_c_r, summary.median_slope, strict=True):
-        yield name, f"{count:,}", f"{count / summary.tiles:.1%}", _number(c_r, 3), _number(slope, 1)
-    for reason, count in summary.reasons.items():
-        yield f"  {reason}", f"{count:,}", f"{count / summary.tiles:.1%}", "", ""
+    shares = shares_text(counts, (len(CLASS_NAMES),), 1)
+    medians = zip(summary.median_c_r, summary.median_slope, strict=True)
+    for name, count, share, (c_r, slope) in zip(names, counts, shares, medians, strict=True):
+        if name == "unknown" and summary.failing:
+            fails = share_text(summary.failing / summary.tiles, 1)
+            yield "  of them by failure only", f"{summary.failing:,}", fails, "", ""
+        yield name, f"{count:,}", share, _number(c_r, 3), _number(slope, 1)
+    reasons = summary.reasons
+    shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)
+    for (reason, count), share in zip(reasons.items(), shares, strict=False):
+        yield f"  {reason}", f"{count:,}", share, "", ""
 
 
 def _number(value: float, decimals: int) -> str:

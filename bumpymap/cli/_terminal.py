@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bumpymap.core import path_fault
+from bumpymap.core import parse_share, path_fault
 
 __all__ = ["DRIVES_KEPT", "FILE", "LOCATION", "PATH", "SHARE", "NumberList", "interrupt_note"]
 
@@ -53,13 +53,9 @@ class _Share(click.ParamType):  # type: ignore[type-arg]
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Convert a string to a number from 0 to 1."""
-        text = str(value).strip()
-        try:
-            share = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
-        except ValueError:
-            share = float("nan")
-        if not 0.0 <= share <= 1.0:
-            self.fail(f"{text!r} is no share; give one such as 50% or 0.5", param, ctx)
+        share = parse_share(str(value))
+        if share is None:
+            self.fail(f"{value!r} is no share; give one such as 50% or 0.5", param, ctx)
         return share
 
 

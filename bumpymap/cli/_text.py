@@ -10,12 +10,11 @@ import io
 import json
 import os
 import sys
-import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
 from bumpymap.cli._wording import as_options
-from bumpymap.core import OutputError
+from bumpymap.core import OutputError, escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "LostOutputError",
+    "about",
     "error_console",
-    "escape",
     "flush",
     "is_plain",
     "print_error",
@@ -34,10 +33,6 @@ __all__ = [
     "print_line",
     "print_table",
 ]
-
-_SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
-
 
 _AS_TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables by which rich treats a file as a terminal."""
@@ -56,32 +51,8 @@ class LostOutputError(OutputError):
             self.exit_code = BROKEN_PIPE
 
 
-def escape(text: str) -> str:
-    r"""Escape characters that a terminal would interpret.
-
-    Parameters
-    ----------
-    text : str
-        Any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``.
-
-    Returns
-    -------
-    str
-        Printable text in one line.
-    """
-    return text if text.isprintable() else "".join(map(_escaped, text))
-
-
 def _as_shown(text: str) -> str:
-    return escape(as_options(text))
-
-
-def _escaped(letter: str) -> str:
-    if unicodedata.category(letter) not in _SHOWN_ESCAPED:
-        return letter
-    if "\udc80" <= letter <= "\udcff":
-        return f"\\x{ord(letter) - 0xDC00:02x}"
-    return letter.encode("unicode_escape").decode("ascii")
+    return escape_controls(as_options(text))
 
 
 def print_line(text: str = "", style: str = "") -> None:
@@ -98,7 +69,7 @@ def print_labelled(label: str, text: str, style: str) -> None:
     """Print a line that begins with a styled label."""
     from rich.text import Text
 
-    _print(Text(escape(label), style).append(_as_shown(text), "default"))
+    _print(Text(escape_controls(label), style).append(_as_shown(text), "default"))
 
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
@@ -222,3 +193,11 @@ def _silence(stream: TextIO) -> None:
         os.close(nothing)
     except (OSError, ValueError):  # a stream of a caller, without a file
         pass
+
+
+def about(seconds: float) -> str:
+    """Return a time as "about 12 min"."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2 * size:
+            return f"about {seconds / size:.0f} {unit}"
+    return f"about {seconds:.0f} s"

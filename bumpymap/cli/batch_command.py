@@ -12,7 +12,7 @@ from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.cli._wording import as_options
-from bumpymap.core import CLASHES, refuse_clashes
+from bumpymap.core import CLASHES, count_text, refuse_clashes
 
 if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
@@ -23,7 +23,7 @@ __all__ = ["command"]
 _CONTINUE = "Give the same command again to continue."
 _BAD: tuple["SurveyStatus", ...] = ("failed", "incomplete", "not reached")
 _MOST_LISTED = 20
-"""Surveys with a message that the summary lists at most."""
+"""Messages and warnings that the summary lists at most."""
 
 
 @click.command("batch")
@@ -119,11 +119,17 @@ def _show(result: "BatchResult", out: Path | str, *, as_json: bool) -> None:
     bad = result.with_status(*_BAD)
     if as_json:
         failed = {row.name: row.message for row in bad}
-        print_json({"out": str(out), "surveys": len(result.rows), "counts": counts, "failed": failed})
+        warnings = {row.name: list(row.warnings) for row in result.rows if row.warnings}
+        record = {"out": str(out), "surveys": len(result.rows), "counts": counts}
+        print_json({**record, "failed": failed, "warnings": warnings})
         return
-    print_line(f"{len(result.rows)} surveys: {', '.join(f'{count} {status}' for status, count in counts.items())}")
-    for row in bad[:_MOST_LISTED]:
-        print_line(f"  {row.name} {row.status}: {row.message}")
-    if len(bad) > _MOST_LISTED:
-        print_line(f"  and {len(bad) - _MOST_LISTED} more")
+    warned = sum(bool(row.warnings) for row in result.rows)
+    listed = [f"{count} {status}" for status, count in counts.items()] + [f"{warned} with warnings"] * bool(warned)
+    print_line(f"{count_text(len(result.rows), 'survey')}: {', '.join(listed)}")
+    lines = [f"  {row.name} {row.status}: {row.message}" for row in bad]
+    lines += [f"  {row.name}, warning: {warning}" for row in result.rows for warning in row.warnings]
+    for line in lines[:_MOST_LISTED]:
+        print_line(line)
+    if len(lines) > _MOST_LISTED:
+        print_line(f"  and {len(lines) - _MOST_LISTED} more")
     print_line(f"Look at {str(out).rstrip('/')}/index.html; the table is summary.csv, events are in log.jsonl")

@@ -4,6 +4,7 @@ import os
 import shlex
 import sys
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
@@ -15,7 +16,7 @@ from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, option_name, output_options, workers_option
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note
-from bumpymap.cli._text import print_error, print_json, print_line
+from bumpymap.cli._text import about, print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 
 if TYPE_CHECKING:
@@ -23,12 +24,14 @@ if TYPE_CHECKING:
     from bumpymap.rating import Calibration, Vehicle
 
 
+_NO_OUT = "calibrate needs a file to write: --out FILE.json (or --check)"
+
+
 @click.command("calibrate")
 @click.option(
     "--vehicle",
-    default="warthog",
     metavar="NAME_OR_FILE",
-    help="Name of an included vehicle, or a TOML file [default: warthog].",
+    help="Name of an included vehicle, or a TOML file [with --check: warthog].",
 )
 @click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
 @click.option("--seed", type=int, metavar="N", help="Random seed [default: 1].")
@@ -44,7 +47,7 @@ if TYPE_CHECKING:
 @click.option("--check", is_flag=True, help="Only check the simulation against analytical solutions; writes no file.")
 @output_options()
 def command(
-    *, vehicle: str, out: Path | None, quick: bool, check: bool, quiet: bool, log_json: bool, **given: Any
+    *, vehicle: str | None, out: Path | None, quick: bool, check: bool, quiet: bool, log_json: bool, **given: Any
 ) -> None:
     """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.
 
@@ -54,6 +57,7 @@ def command(
     from bumpymap.rating import load_profile
 
     set_up_logging(as_json=log_json)
+    vehicle = vehicle or _default_vehicle(out, check=check)
     profile = load_profile(vehicle)
     workers, overwrite = given.pop("workers") or os.cpu_count() or 1, given.pop("overwrite")
     settings = CalibrationSettings(profile)
@@ -63,16 +67,32 @@ def command(
         _check(profile, settings.seed)
         return
     if out is None:
-        raise UsageError("calibrate needs a file to write: --out FILE.json (or --check)")
+        raise UsageError(_NO_OUT)
     again = _command_line(settings, vehicle, out, quick)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
-        calibration = _calibrate(settings, out, workers, overwrite, again, progress)
+        announce = print_line if not (quiet or log_json) else (lambda _text: None)
+        calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce)
     if quiet:
         return
     if log_json:
         print_json({"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits})
         return
     _summary(calibration, out)
+
+
+def _default_vehicle(out: Path | None, *, check: bool) -> str:
+    """Return the vehicle of a check; hours of drives are for a vehicle that was named."""
+    from bumpymap.rating import shipped_profiles
+
+    if check:
+        return "warthog"
+    if out is None:
+        raise UsageError(_NO_OUT)
+    raise UsageError(
+        "calibrate needs the vehicle to drive: --vehicle NAME_OR_FILE. Included vehicles are "
+        f"{', '.join(shipped_profiles())}; they have calibrations already. For your own, write a profile: bumpymap "
+        "vehicle new my_robot.toml, fill it in, and give --vehicle my_robot.toml"
+    )
 
 
 def _refuse_beside_check() -> None:
@@ -83,7 +103,13 @@ def _refuse_beside_check() -> None:
 
 
 def _calibrate(
-    settings: "CalibrationSettings", out: Path, workers: int, overwrite: bool, again: str, progress: CommandProgress
+    settings: "CalibrationSettings",
+    out: Path,
+    workers: int,
+    overwrite: bool,
+    again: str,
+    progress: CommandProgress,
+    announce: Callable[[str], None],
 ) -> "Calibration":
     from bumpymap.lab import (
         Journal,
@@ -96,12 +122,20 @@ def _calibrate(
         fit_thin_surveys,
         motion_journal,
         require_dart,
+        seconds_of_a_drive,
     )
 
     require_dart()
     journal = Journal(out.with_name(out.name + ".progress.jsonl"), settings.to_dict())
     with locked(out.parent, f".{out.name}.lock"), interrupt_note(DRIVES_KEPT):
         _check_place(out, overwrite)
+        effort, crossings = MotionEffort.of(settings), crossing_jobs(settings.profile)
+        drives = settings.total_drives + len(crossings) + effort.total
+        seconds = drives * seconds_of_a_drive(settings) / workers
+        announce(
+            f"{settings.profile.name}: {drives:,} drives, {about(seconds)} with {workers} "
+            f"process{'es' * (workers > 1)}. An interrupted run goes on where it was"
+        )
         progress.start("driving", settings.total_drives)
         calibration = calibrate_vehicle(
             settings,
@@ -113,9 +147,8 @@ def _calibrate(
             fit=fit_ride,
             fit_thin=fit_thin_surveys,
         )
-        progress.start("driving over steps", len(crossing_jobs(settings.profile)))
+        progress.start("driving over steps", len(crossings))
         calibration = add_steps(calibration, Steps(progress), workers=workers, journal=journal)
-        effort = MotionEffort.of(settings)
         speeds = motion_journal(out.with_name(out.name + ".speeds.jsonl"), settings, effort)
         progress.start("driving at other speeds", effort.total)
         calibration = add_motion(

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
+_PARTLY_DONE = 4
 _SETTINGS = {"band": "band_hz", "window": "window_m"}
 """Options that do not have the name of the setting."""
 
@@ -46,10 +47,21 @@ _SETTINGS = {"band": "band_hz", "window": "window_m"}
 )
 @click.option("--overwrite", is_flag=True, help="Replace the files of an earlier check.")
 @output_options()
+@click.pass_context
 def command(
-    layers: Path | None, drives: tuple[str, ...], *, quiet: bool, log_json: bool, columns: str | None, **given: Any
+    ctx: click.Context,
+    /,
+    layers: Path | None,
+    drives: tuple[str, ...],
+    *,
+    quiet: bool,
+    log_json: bool,
+    columns: str | None,
+    **given: Any,
 ) -> None:
     """Hold a map against real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
+
+    Drives that cannot be used are left out and named (exit code 4).
 
     \b
     bumpymap check site_layers --drive drive.mcap --out checked
@@ -75,6 +87,8 @@ def command(
             refit.show(update)
     if refused is not None:
         raise refused
+    if run.result.skipped:
+        ctx.exit(_PARTLY_DONE)
 
 
 def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, overwrite: bool) -> "Refit | None":

@@ -11,11 +11,12 @@ import click
 from bumpymap.cli._evaluate_routes import evaluate_routes_over, summarise_routes
 from bumpymap.cli._evaluate_scans import summarise_scans
 from bumpymap.cli._events import set_up_logging
+from bumpymap.cli._map_options import crs_option, force_crs_option
 from bumpymap.cli._options import given_options, merge_settings, option_name, output_options, workers_option
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note
 from bumpymap.cli._text import print_json, print_line
-from bumpymap.core import CRS_OR_LOCAL, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
+from bumpymap.core import OF_CRS, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 
 if TYPE_CHECKING:
     from bumpymap.lab import EvaluateSettings, Findings, Subject
@@ -24,7 +25,7 @@ _OF_ALL = ("surveys", "library", "scans", "routes", "out", "seed", "overwrite", 
 _OF_SCANS = ("scenes", "labels", "model", "stripes")
 _OF_ROUTES = ("pairs", "repeats")
 _OF_VEHICLES = ("vehicle", "calibration", "workers")
-_OF_SURVEYS = ("crs", "local", "z_unit", "ground", "densities")
+_OF_SURVEYS = ("crs", "force_crs", "local", "z_unit", "ground", "densities")
 _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("densities",)}
 """Options that have no effect if a part is skipped."""
 
@@ -35,7 +36,8 @@ _OF_PARTS = {"drives": ("min_starts", "max_starts", "workers"), "density": ("den
 @click.option("--scans", is_flag=True, help="Evaluate the classes of single scans: given frames, or simulated scenes.")
 @click.option("--routes", is_flag=True, help="Evaluate ways over the layers of a map: folders that map wrote.")
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
-@click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
+@crs_option
+@force_crs_option
 @click.option("--local", is_flag=True, help="Treat coordinates without a CRS as metres.")
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
 @click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points to use.")
@@ -114,7 +116,7 @@ def command(*, surveys: tuple[Any, ...], library: bool, scans: bool, routes: boo
     from bumpymap.lab import TrialOptions, evaluate_library, evaluate_survey, open_readers, write_report
     from bumpymap.readers import ReadOptions
 
-    options = ReadOptions(crs=given["crs"], z_unit=given["z_unit"])
+    options = ReadOptions(crs=given["crs"], z_unit=given["z_unit"], force_crs=given["force_crs"])
     readers = [] if library else open_readers(surveys, options, local=given["local"])
     with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
@@ -161,7 +163,7 @@ def _subject_of(name: str) -> str:
 def _refuse_unused_options(settings: "EvaluateSettings", *, library: bool) -> None:
     """Raise UsageError for options about inputs or parts that this evaluation does not use."""
     given = given_options(click.get_current_context().params)
-    merge_settings({}, given, [CRS_OR_LOCAL])
+    merge_settings({}, given, OF_CRS)
     for name in _OF_SURVEYS if library else ():
         if name in given:
             raise UsageError(f"{option_name(name)} applies to surveys and has no effect with --library: leave it out")

@@ -9,7 +9,7 @@ import click
 
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, option_name, output_options
-from bumpymap.cli._terminal import FILE, PATH
+from bumpymap.cli._terminal import PATH
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import ExportFormat, ExportResolution, UsageError
 
@@ -30,8 +30,10 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
 }
 """Formats that an option has an effect on."""
 _POINTS = ("around", "datum")
-_DATUM_M = 1e6
-"""How far from the map the origin of the frame may lie, m."""
+_DATUM_M = 10_000.0
+"""How far from the map the origin of the frame may lie, m: maps that share one frame may lie side by side."""
+_LOCAL_DATUM_M = 1e6
+"""The same for a map without a CRS, whose frame may begin anywhere."""
 
 
 @click.command("export")
@@ -58,7 +60,7 @@ _DATUM_M = 1e6
     "--every", type=int, metavar="N", help="graph: one node in up to N x N tiles: 1, 3, 9, 27 [default: auto]."
 )
 @click.option(
-    "--route", type=FILE, metavar="FILE", help="plan: GeoJSON file of the route [default: LAYERS/route.geojson]."
+    "--route", type=PATH, metavar="PATH", help="plan: folder of the route, or a GeoJSON file [default: LAYERS]."
 )
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
 @output_options("Print no summary.")
@@ -112,7 +114,7 @@ def _placed(settings: "ExportSettings", given: Mapping[str, Any], route_map: "Ro
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 
-    beyond = {"around": settings.radius, "datum": _DATUM_M}
+    beyond = {"around": settings.radius, "datum": _DATUM_M if route_map.has_crs else _LOCAL_DATUM_M}
     found = {name: given[name] for name in _POINTS if given[name] is not None}
     places: dict[str, Any] = {
         name: tuple(parse_point(text, route_map, beyond_m=beyond[name])) for name, text in found.items()

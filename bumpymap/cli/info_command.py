@@ -11,15 +11,17 @@ from typing import TYPE_CHECKING, Any, get_args
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import output_options
+from bumpymap.cli._map_options import crs_option, force_crs_option
+from bumpymap.cli._options import option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION
 from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
 from bumpymap.cli._wording import as_options
-from bumpymap.core import Ground, MapConfig, ZUnit
+from bumpymap.core import OF_CRS, Ground, MapConfig, ZUnit, count_text, refuse_clashes
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
+    from bumpymap.core import Georeference
     from bumpymap.readers import PointSummaryBuilder, ReadOptions
     from bumpymap.survey import Estimate
     from bumpytiles import Grid
@@ -31,7 +33,8 @@ _BAD_INPUT = 3
 
 @click.command("info")
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
+@crs_option
+@force_crs_option
 @click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
 @click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header.")
 @click.option(
@@ -65,6 +68,7 @@ def command(
     from bumpytiles import Grid
 
     set_up_logging(as_json=log_json)
+    refuse_clashes({name: given[name] for name in ("crs", "force_crs") if given[name] is not None}, OF_CRS, option_name)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     count = (os.cpu_count() or 1) if given["threads"] is None else given["threads"]
     # Checks that the settings are valid for a run.
@@ -73,7 +77,9 @@ def command(
     ground, as_json = given["ground"], given["as_json"]
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
-    options = ReadOptions(given["crs"], given["z_unit"], given["trust_points"], budget.memory, lines=True)
+    options = ReadOptions(
+        given["crs"], given["z_unit"], given["trust_points"], budget.memory, lines=True, force_crs=given["force_crs"]
+    )
     paths = find_surveys(surveys)
     with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
@@ -109,9 +115,10 @@ def _inspect(
     from bumpymap.readers import PointSummaryBuilder, open_survey
     from bumpymap.survey import compare_lines
 
-    given = tuple(_map_options(options, ground))
+    given: tuple[str, ...] = ()
     try:
         reader = open_survey(path, options)
+        given = tuple(_map_options(options, ground, reader.info.georeference))
         if whole is None:
             return Report(path, grid, reader.info, options=given, ground=ground)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
@@ -125,10 +132,16 @@ def _inspect(
         return Report(path, grid, error=str(error))
 
 
-def _map_options(options: "ReadOptions", ground: Ground) -> Iterator[str]:
-    """Yield the options that ``map`` needs too."""
+def _map_options(options: "ReadOptions", ground: Ground, place: "Georeference") -> Iterator[str]:
+    """Yield the options that ``map`` needs too: ``--crs`` only for a survey that has none."""
+    from bumpymap.core import horizontal_of, parse_crs, same_crs
+
     if options.crs is not None:
-        yield from ("--crs", options.crs)
+        flat, own = horizontal_of(parse_crs(options.crs)), place.crs and horizontal_of(place.crs)
+        if flat is not None and own is not None and same_crs(flat, own):
+            yield from ("--crs", options.crs)
+    if options.force_crs is not None:
+        yield from ("--force-crs", options.force_crs)
     if options.z_unit is not None:
         yield from ("--z-unit", options.z_unit)
     if options.trust_points:
@@ -164,7 +177,7 @@ def _advise_one_map(
     points = sum(info.point_count for info in infos)
     sheets = sheet_options(sheets_for(reports[0].grid, [report.bounds for report in reports]))
     command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, *sheets, "--out", "DIR"])
-    text = f"{len(reports)} files, {points:,} points, one map: {command}"
+    text = f"{count_text(len(reports), 'file')}, {count_text(points, 'point')}, one map: {command}"
     summary = whole.summary() if whole is not None else None
     if summary is None:
         return [text]

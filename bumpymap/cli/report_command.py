@@ -17,7 +17,7 @@ __all__ = ["command"]
 @click.command("report")
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
 @click.option("--out", type=PATH, metavar="FILE", help="File to write [default: LAYERS/report.html].")
-@click.option("--route", type=PATH, metavar="DIR", help="Draw the ways that `bumpymap route` wrote there.")
+@click.option("--route", type=PATH, metavar="PATH", help="Draw ways: the folder of `bumpymap route`, or route.geojson.")
 @click.option("--check", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there.")
 @click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
 @output_options("Print nothing.")

@@ -1,6 +1,6 @@
 from .config import (
     CLASHES as CLASHES,
-    CRS_OR_LOCAL as CRS_OR_LOCAL,
+    OF_CRS as OF_CRS,
     RESUME_OR_OVERWRITE as RESUME_OR_OVERWRITE,
     VEHICLE_OR_CALIBRATION as VEHICLE_OR_CALIBRATION,
     Align as Align,
@@ -25,6 +25,7 @@ from .crs.reproject import (
 )
 from .crs.settle import (
     CrsStatement as CrsStatement,
+    GivenCrs as GivenCrs,
     common_georeference as common_georeference,
     crs_from_epsg as crs_from_epsg,
     georeference as georeference,
@@ -61,6 +62,7 @@ from .errors import (
     UsageError as UsageError,
     error_chain as error_chain,
     missing_resource as missing_resource,
+    refused_write as refused_write,
 )
 from .export_types import (
     ExportFormat as ExportFormat,
@@ -92,9 +94,15 @@ from .interrupts import (
     shielded as shielded,
 )
 from .json_text import (
+    Each as Each,
+    Nullable as Nullable,
+    Number as Number,
     parse_json as parse_json,
+    shape_fault as shape_fault,
 )
 from .lock import (
+    Holder as Holder,
+    lock_for as lock_for,
     locked as locked,
 )
 from .memory import (
@@ -106,6 +114,7 @@ from .memory import (
     memory_limit as memory_limit,
 )
 from .onnx_file import (
+    check_network as check_network,
     metadata_of as metadata_of,
     onnx_runtime as onnx_runtime,
     read_network as read_network,
@@ -166,6 +175,7 @@ from .run_folder import (
 from .run_spec import (
     differences as differences,
     flat_settings as flat_settings,
+    recorded_settings as recorded_settings,
     same_content as same_content,
     spec_of_manifest as spec_of_manifest,
 )
@@ -189,9 +199,12 @@ from .settings_file import (
     UNFILLED as UNFILLED,
     field_rule as field_rule,
     parse_record as parse_record,
+    parse_share as parse_share,
     path_fault as path_fault,
+    path_of_call as path_of_call,
     read_settings_file as read_settings_file,
     refuse_faults as refuse_faults,
+    refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
 )
 from .shared_kernels import (
@@ -203,6 +216,16 @@ from .shared_kernels import (
 )
 from .shared_memory import (
     SharedBytes as SharedBytes,
+)
+from .shown_text import (
+    escape_controls as escape_controls,
+    write_csv as write_csv,
+)
+from .text import (
+    count_text as count_text,
+    join_lines as join_lines,
+    share_text as share_text,
+    shares_text as shares_text,
 )
 from .thin_rule import (
     DENSE_COVERAGE as DENSE_COVERAGE,
@@ -216,6 +239,7 @@ from .threads import (
     in_threads as in_threads,
 )
 from .toml_file import (
+    brief_repr as brief_repr,
     read_toml as read_toml,
     short_repr as short_repr,
 )

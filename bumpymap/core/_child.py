@@ -68,19 +68,30 @@ def _end_with_parent(socket: int) -> None:
 def _handle(link: Connection, shared: _Shared, functions: Any, request: bytes) -> bytes:
     """Call one function; return its pickled result, or the text of the exception that it raised."""
     try:
-        name, arguments, places, size, seconds, takes_read_at = pickle.loads(request)  # noqa: S301 (from the parent)
+        name, arguments, places, size, limits, takes_read_at = pickle.loads(request)  # noqa: S301 (from the parent)
+        seconds, memory = limits
         views = shared.views(places, size)
         callbacks = [_read_at_parent(link)] * takes_read_at
         # The system ends a call that takes too long, even inside native code. CPU time is measured, since wall time
         # would depend on other programs.
         signal.setitimer(signal.ITIMER_PROF, seconds)
+        before = _limit_memory(memory)
         try:
             result = getattr(functions, name)(*callbacks, *arguments, *views)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+            resource.setrlimit(resource.RLIMIT_DATA, before)
         return pickle.dumps(("result", result))
     except BaseException as error:  # noqa: BLE001 (a panic in Rust is not an Exception)
         return pickle.dumps(("error", (str(error).strip() or type(error).__name__)[:_LONGEST_TEXT]))
+
+
+def _limit_memory(most: int) -> tuple[int, int]:
+    """Let this process hold at most so many bytes (0: as many as before); return the limits until now."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    if most and (soft == resource.RLIM_INFINITY or most < soft):
+        resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
+    return soft, hard
 
 
 def _read_at_parent(link: Connection) -> Any:

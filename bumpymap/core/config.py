@@ -10,7 +10,7 @@ from bumpymap.core.errors import BadInputError, UsageError
 
 __all__ = [
     "CLASHES",
-    "CRS_OR_LOCAL",
+    "OF_CRS",
     "RESUME_OR_OVERWRITE",
     "VEHICLE_OR_CALIBRATION",
     "Align",
@@ -60,8 +60,11 @@ class Clash:
 
 
 VEHICLE_OR_CALIBRATION = Clash("calibration", "vehicle", "a calibration is that of one vehicle")
-CRS_OR_LOCAL = Clash("crs", "local", "coordinates in a CRS are not local")
-CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), CRS_OR_LOCAL)
+OF_CRS = (
+    *(Clash(name, "local", "coordinates in a CRS are not local") for name in ("crs", "force_crs")),
+    Clash("crs", "force_crs", "the one is for surveys that have no CRS, the other for all"),
+)
+CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a rating of its own"), *OF_CRS)
 """Settings of a map run that exclude each other."""
 
 
@@ -91,9 +94,9 @@ class FeatureSettings:
     def __post_init__(self) -> None:
         _at_least("min_points", self.min_points, 3)
         _within("min_coverage", self.min_coverage, 0.0, 1.0)
-        _within("max_hole", self.max_hole, 0.0, 1e6)
-        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6)
-        _within("stray_gap", self.stray_gap, 0.0, 1e6)
+        _within("max_hole", self.max_hole, 0.0, 1e6, "m")
+        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6, "m")
+        _within("stray_gap", self.stray_gap, 0.0, 1e6, "m")
         _at_least("stray_points", self.stray_points, 0)
         _within("stray_share", self.stray_share, 0.0, 1.0)
 
@@ -112,8 +115,8 @@ class CsfSettings:
     """Pull the cloth down at the foot of steep slopes, where it hangs in the air."""
 
     def __post_init__(self) -> None:
-        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0)
-        _within("class_threshold", self.class_threshold, 0.01, 10.0)
+        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0, "m")
+        _within("class_threshold", self.class_threshold, 0.01, 10.0, "m")
         _within("rigidness", self.rigidness, 1, 3)
 
 
@@ -150,7 +153,9 @@ class MapConfig:
     model: Path | None = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None
-    """CRS of surveys that state none (or a wrong one)."""
+    """CRS of surveys that state none."""
+    force_crs: str | None = None
+    """CRS of all surveys, whatever they state."""
     z_unit: ZUnit | None = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
     local: bool = False
@@ -187,53 +192,53 @@ class MapConfig:
     csf: CsfSettings = field(default_factory=CsfSettings)
 
     def __post_init__(self) -> None:
-        _within("tile_size", self.tile_size, 0.05, 1000.0)
-        _within("pixels", self.pixels, 3, 255)
-        _at_least("threads", self.threads, 1)
-        _one_of("ground", self.ground, get_args(Ground))
-        _one_of("align", self.align, get_args(Align))
-        _one_of("rating", self.rating, get_args(Rating))
-        _one_of("compat", self.compat, get_args(Compat))
+        _within("`tile_size`", self.tile_size, 0.05, 1000.0, "m")
+        _within("`pixels`", self.pixels, 3, 255)
+        _at_least("`threads`", self.threads, 1)
+        _one_of("`ground`", self.ground, get_args(Ground))
+        _one_of("`align`", self.align, get_args(Align))
+        _one_of("`rating`", self.rating, get_args(Rating))
+        _one_of("`compat`", self.compat, get_args(Compat))
         if self.z_unit is not None:
-            _one_of("z_unit", self.z_unit, get_args(ZUnit))
+            _one_of("`z_unit`", self.z_unit, get_args(ZUnit))
         if self.speed is not None:
-            _within("speed", self.speed, 0.01, 100.0)
+            _within("`speed`", self.speed, 0.01, 100.0, "m/s")
         self._check_speeds()
         if self.max_unknown is not None:
-            _within("max_unknown", self.max_unknown, 0.0, 1.0)
+            _within("`max_unknown`", self.max_unknown, 0.0, 1.0)
         if self.sheets is not None:
-            _within("sheets", self.sheets, 0.001, 10_000.0)
+            _within("`sheets`", self.sheets, 0.001, 10_000.0, "km")
         if self.workers is not None:
-            _at_least("workers", self.workers, 1)
+            _at_least("`workers`", self.workers, 1)
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
         if self.workers is not None and self.scheduler is not None:
             raise UsageError(
-                f"workers is {self.workers} and scheduler is {self.scheduler!r}; give one of them: workers are started "
-                "on this machine, a scheduler has its own"
+                f"`workers` is {self.workers} and `scheduler` is {self.scheduler!r}; give one of them: workers are "
+                "started on this machine, a scheduler has its own"
             )
         encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
         if encrypted and self.tls_config is None:
             raise UsageError(
-                f"scheduler is {self.scheduler!r}, which needs certificates: give `tls_config='FILE'`, a file that "
+                f"`scheduler` is {self.scheduler!r}, which needs certificates: give `tls_config='FILE'`, a file that "
                 "names them (ca, cert, key)"
             )
         if self.tls_config is not None and not encrypted:
             raise UsageError(
-                f"tls_config is {str(self.tls_config)!r} and scheduler is {self.scheduler!r}; certificates are for a "
-                "scheduler whose address starts with tls://"
+                f"`tls_config` is {str(self.tls_config)!r} and `scheduler` is {self.scheduler!r}; certificates are for "
+                "a scheduler whose address starts with tls://"
             )
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
         for speed in self.speeds or ():
-            _within("speeds", speed, 0.01, 100.0)
+            _within("`speeds`", speed, 0.01, 100.0, "m/s")
         if (
             self.speeds is not None
             and not 0 < len({f"{speed:g}" for speed in self.speeds}) == len(self.speeds) <= _MOST_SPEEDS
         ):
             raise UsageError(
-                f"speeds is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
+                f"`speeds` is {', '.join(map(str, self.speeds)) or 'empty'}; give 1 to {_MOST_SPEEDS} different speeds "
                 "in m/s"
             )
         given = next((name for name in ("speed", "speeds") if getattr(self, name) is not None), None)
@@ -284,9 +289,10 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
 
 
-def _within(name: str, value: float, low: float, high: float) -> None:
+def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
     if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}")
+        of_unit = unit and f" {unit}"
+        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}{of_unit}")
 
 
 def _at_least(name: str, value: int, low: int) -> None:

@@ -11,6 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core.toml_file import brief_repr
+
 __all__ = [
     "CheckResult",
     "CheckedDrive",
@@ -91,6 +93,8 @@ class DriveLog:
 class CheckedDrive:
     """What was found about one drive and its sensors."""
 
+    __repr__ = brief_repr
+
     name: str
     paths: tuple[Path, ...]
     seconds: float
@@ -127,6 +131,8 @@ class CheckedDrive:
 class DrivenStretches:
     """Stretches of drives, one row each: what was measured, and what the map says of the same way."""
 
+    __repr__ = brief_repr
+
     drive: NDArray[np.int64]
     """(n,) number of the drive."""
     start_s: Floats
@@ -162,6 +168,8 @@ class DrivenStretches:
 @dataclass(frozen=True, slots=True)
 class DrivenTiles:
     """Tiles that were driven over, one row each."""
+
+    __repr__ = brief_repr
 
     col: NDArray[np.int64]
     row: NDArray[np.int64]
@@ -213,6 +221,8 @@ class CheckedMap:
 class CheckResult:
     """All findings of ``bumpymap check``."""
 
+    __repr__ = brief_repr
+
     ground: CheckedMap | None
     """None: drives were measured without a map."""
     drives: tuple[CheckedDrive, ...]
@@ -223,3 +233,5 @@ class CheckResult:
     by_class: Mapping[int, MapAgreement]
     """By class of the map."""
     warnings: tuple[str, ...]
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    """Drives that could not be used, as they were given, with the error message."""

@@ -3,6 +3,8 @@
 import errno
 from collections.abc import Iterator
 
+from bumpymap.core.text import join_lines
+
 __all__ = [
     "BadInputError",
     "BumpymapError",
@@ -11,6 +13,7 @@ __all__ = [
     "UsageError",
     "error_chain",
     "missing_resource",
+    "refused_write",
 ]
 
 _RESOURCES = {
@@ -18,6 +21,11 @@ _RESOURCES = {
     errno.EMFILE: "file that may be opened",
     errno.ENFILE: "file that may be opened",
     errno.ENOMEM: "memory",
+}
+_REFUSED = {
+    errno.ENOSPC: "a disk, or shared memory: /dev/shm",
+    errno.EDQUOT: "a disk, or shared memory: /dev/shm",
+    errno.EFBIG: "the limit of the process or the file system on the size of files: ulimit -f",
 }
 _NO_MEMORY = ("cannot allocate memory", "failed to map segment", "unable to allocate", "out of memory")
 
@@ -33,7 +41,7 @@ class BumpymapError(Exception):
 
     def __str__(self) -> str:
         """Return the message in one line."""
-        return " ".join(str(line).strip() for line in self.args)
+        return join_lines(self.args)
 
 
 class UsageError(BumpymapError):
@@ -77,3 +85,9 @@ def missing_resource(error: BaseException) -> str:
         if isinstance(cause, MemoryError) or any(words in text for words in _NO_MEMORY):
             return "memory"
     return ""
+
+
+def refused_write(error: BaseException) -> str:
+    """Say what is full if the system refused to write, which is no fault of what is read; else an empty string."""
+    found = (cause.errno for cause in error_chain(error) if isinstance(cause, OSError))
+    return next((_REFUSED[number] for number in found if number in _REFUSED), "")

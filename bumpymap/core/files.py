@@ -5,7 +5,6 @@ import shutil
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from glob import escape
 from os.path import lexists
 from pathlib import Path
 from uuid import uuid4
@@ -50,8 +49,10 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
             "with `out`; nothing half-written was left there"
         ) from error
     finally:
-        for left in list(target.parent.glob(f"{escape(temporary.stem)}*")) if target.parent.is_dir() else []:
-            left.unlink(missing_ok=True)
+        # Not by a pattern: Python would keep each one compiled.
+        for left in list(target.parent.iterdir()) if target.parent.is_dir() else []:
+            if left.name.startswith(temporary.stem):
+                left.unlink(missing_ok=True)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ import stat
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from typing import Any
 from bumpymap.core.errors import OutputError
 from bumpymap.core.json_text import parse_json
 
-__all__ = ["LOCK", "locked"]
+__all__ = ["LOCK", "Holder", "lock_for", "locked"]
 
 LOCK = ".bumpymap-lock"
 """Name of the lock file, which exists while a run writes to the folder."""
@@ -29,6 +30,29 @@ _LONGEST = 200
 """Characters of a command that a message shows at most."""
 _NO_LOCKS = {errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOTSUP, errno.EINVAL}
 """Errors of file systems that do not support locks."""
+
+
+@dataclass(frozen=True, slots=True)
+class Holder:
+    """The process that a user started."""
+
+    pid: int
+    command: str
+
+    @classmethod
+    def here(cls) -> "Holder":
+        """Return this process, or the one that it works for."""
+        words = [Path(sys.argv[0]).name, *sys.argv[1:]] if sys.argv else []
+        return _works_for or cls(os.getpid(), shlex.join(words))
+
+
+_works_for: Holder | None = None
+
+
+def lock_for(holder: Holder | None) -> None:
+    """Take the locks of this process in the name of the one that it works for; None: in its own."""
+    global _works_for  # noqa: PLW0603 (one for each process)
+    _works_for = holder
 
 
 @contextmanager
@@ -139,9 +163,8 @@ def _is_current(name: Path | str, descriptor: int, place: int | None = None) -> 
 
 
 def _note_holder(descriptor: int) -> None:
-    words = [Path(sys.argv[0]).name, *sys.argv[1:]] if sys.argv else []
     since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "command": shlex.join(words)}
+    holder = {**asdict(Holder.here()), "host": socket.gethostname(), "since": since}
     with suppress(OSError):  # disk full: writing the results will report it
         os.ftruncate(descriptor, 0)
         os.pwrite(descriptor, json.dumps(holder).encode()[:_MOST_BYTES], 0)

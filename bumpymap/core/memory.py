@@ -38,7 +38,7 @@ def memory_bytes(text: str) -> int:
     size = float(found[1]) * _UNITS.get(unit if unit.endswith("b") or not unit else f"{unit}b", 0) if found else 0.0
     if size < LEAST_MEMORY:
         least = f"at least {LEAST_MEMORY >> 20} MB"
-        raise UsageError(f"memory is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
+        raise UsageError(f"`memory` is {text!r}; it must be a size of {least}, such as 1GB or 800MB, or auto")
     return int(size)
 
 
@@ -65,15 +65,15 @@ def memory_limit(text: str) -> int:
 def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
     """Return the bytes that this process may still use; None if the system does not say.
 
-    This is the least of what Linux calls available and of what is left in each control group of the process. Systems
-    without ``/proc/meminfo`` give their installed memory.
+    This is the least of what Linux calls available, of what is left in each control group of the process, and of what
+    its own limits (``ulimit``) leave it. Systems without ``/proc/meminfo`` give their installed memory.
 
     Parameters
     ----------
     proc, cgroups : Path
         Where Linux shows processes, and control groups.
     """
-    found = [*_available(proc), *_left_in_groups(proc, cgroups)]
+    found = [*_available(proc), *_left_in_groups(proc, cgroups), *_left_in_limits(proc)]
     return max(min(found), 0) if found else _installed()
 
 
@@ -87,6 +87,17 @@ def _installed() -> int | None:
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     except (AttributeError, ValueError, OSError):
         return None
+
+
+def _left_in_limits(proc: Path) -> Iterator[int]:
+    """Yield the bytes that are left of each limit of this process alone."""
+    with suppress(ImportError, OSError, ValueError, KeyError):  # not on Windows
+        import resource
+
+        for limit, use in ((resource.RLIMIT_AS, "VmSize:"), (resource.RLIMIT_DATA, "VmData:")):
+            most = resource.getrlimit(limit)[0]
+            if most != resource.RLIM_INFINITY:
+                yield most - _numbers(proc / "self" / "status")[use] * 1024
 
 
 def _left_in_groups(proc: Path, cgroups: Path) -> Iterator[int]:

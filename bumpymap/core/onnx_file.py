@@ -5,14 +5,21 @@ user's cache and start a network thread. Telemetry is switched off before the im
 """
 
 import os
+from collections.abc import Mapping
 from functools import lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core.errors import BadInputError
+import numpy as np
 
-__all__ = ["metadata_of", "onnx_runtime", "read_network", "session", "shipped_network"]
+from bumpymap.core.errors import BadInputError
+from bumpymap.core.onnx_check import read_graph
+
+__all__ = ["check_network", "metadata_of", "onnx_runtime", "read_network", "session", "shipped_network"]
+
+_MOST_BYTES = 64 << 20
+"""Size of the file of a network; the included ones have 0.4 MB."""
 
 
 def onnx_runtime() -> Any:
@@ -33,6 +40,7 @@ def session(content: bytes) -> Any:
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
     options.log_severity_level = 3
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # what was checked, whatever its first bytes
     return runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
 
 
@@ -56,12 +64,19 @@ def read_network(path: Path, kind: str, remedy: str) -> bytes:
     Raises
     ------
     BadInputError
-        The file cannot be read.
+        The file cannot be read, or is too large.
     """
     try:
-        return path.read_bytes()
+        with path.open("rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(_MOST_BYTES + 1) if size <= _MOST_BYTES else b""
     except OSError as error:
         raise BadInputError(f"cannot read the {kind} {path}: {error}. {remedy}") from error
+    if max(size, len(content)) > _MOST_BYTES:
+        raise BadInputError(
+            f"{path} has more than {_MOST_BYTES >> 20} MB, and is not an ONNX model that bumpymap runs. {remedy}"
+        )
+    return content
 
 
 def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy: str) -> dict[str, str]:
@@ -81,12 +96,43 @@ def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy
     Raises
     ------
     BadInputError
-        The file is not an ONNX file, or not a network of bumpymap.
+        The file is not an ONNX file, not a network of bumpymap, or refused by `read_graph`.
     """
     try:
-        metadata = dict(session(content).get_modelmeta().custom_metadata_map)
-    except Exception as error:  # ONNX Runtime's exceptions have no public base
-        raise BadInputError(f"{origin} is not an ONNX model: {error}. {remedy}") from error
+        metadata = read_graph(content).metadata
+    except ValueError as error:
+        raise BadInputError(f"{origin} is not an ONNX model that bumpymap runs: {error}. {remedy}") from error
     if metadata.get("format") != format_name:
         raise BadInputError(f"{origin} is an ONNX model, but not a {kind} of bumpymap. {remedy}")
     return metadata
+
+
+def check_network(
+    content: bytes, inputs: Mapping[str, tuple[int, ...]], classes: int, origin: str, remedy: str
+) -> None:
+    """Run a network once, if it needs little memory and time for it.
+
+    Parameters
+    ----------
+    content : bytes
+        The ONNX file, see `metadata_of`.
+    inputs : mapping
+        Name of each input -> its shape, of a batch.
+    classes : int
+        The output has this many columns.
+    origin, remedy : str
+        As for ``metadata_of``.
+
+    Raises
+    ------
+    BadInputError
+        It needs too much, or cannot be run, or gives something else.
+    """
+    try:
+        read_graph(content).require_bounded(inputs)
+        found = session(content).run(None, {name: np.zeros(shape, np.float32) for name, shape in inputs.items()})[0]
+        expected = (next(iter(inputs.values()))[0], classes)
+        if found.shape != expected or found.dtype != np.float32:
+            raise ValueError(f"it gives {found.dtype} of shape {found.shape}, and not float32 of {expected}")  # noqa: TRY301
+    except Exception as error:  # ONNX Runtime's exceptions have no public base
+        raise BadInputError(f"{origin} is not an ONNX model that bumpymap runs: {error}. {remedy}") from error

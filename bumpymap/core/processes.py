@@ -23,7 +23,7 @@ from typing import Any, NoReturn
 
 from bumpymap.core.errors import UsageError
 from bumpymap.core.shared_memory import SharedBytes, SharedMemory
-from bumpytiles import blocked_signals
+from bumpytiles import blocked_signals, start_python
 
 __all__ = [
     "Child",
@@ -121,19 +121,18 @@ class Child:
         if not can_start_children():
             raise UsageError(f"cannot start a process {purpose} on this system or from a frozen program")
         isolated = folders is not None
-        flags = ("-I", "-S") if isolated else ("-P",)
         output = subprocess.DEVNULL if isolated else None
         self.link, theirs = Pipe()
         handed = theirs.fileno(), MEMORY.descriptor
         with theirs, blocked_signals():
             try:
-                self.process = subprocess.Popen(  # noqa: S603 (this Python, and a script of this package)
-                    [sys.executable, *flags, str(_SCRIPT), *map(str, handed)],
-                    stdin=subprocess.DEVNULL,
+                self.process = start_python(
+                    [str(_SCRIPT), *map(str, handed)],
+                    isolated=isolated,
+                    environment=environment,
                     stdout=output,
                     stderr=output,
                     pass_fds=handed,
-                    env={**os.environ, **(environment or {})},
                     start_new_session=True,
                 )
             except OSError as error:
@@ -156,10 +155,12 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
+        memory: int = 0,
         read_at: ReadAt | None = None,
     ) -> Any:
         """Call a function in the child and return its result; see `begin` for the parameters."""
-        self.begin(function, *arguments, shared=shared, seconds=seconds, takes_read_at=read_at is not None)
+        takes = read_at is not None
+        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory, takes_read_at=takes)
         return self.finish(read_at)
 
     def begin(
@@ -168,6 +169,7 @@ class Child:
         *arguments: Any,
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
+        memory: int = 0,
         takes_read_at: bool = False,
     ) -> None:
         """Start a function call in the child and return at once.
@@ -182,12 +184,14 @@ class Child:
             Memory that is passed as further arguments, as writable memoryviews.
         seconds : float
             CPU time after which the system ends the child (SIGPROF); 0: no limit.
+        memory : int
+            Bytes that the child may hold during the call, on Linux; what asks for more raises MemoryError. 0: no limit.
         takes_read_at : bool
             Whether the function's first argument is a function that calls the `read_at` of `finish` in this process.
         """
-        places = [(memory.start, memory.data.size) for memory in shared]
+        places = [(each.start, each.data.size) for each in shared]
         try:
-            self.link.send((function, arguments, places, MEMORY.size, seconds, takes_read_at))
+            self.link.send((function, arguments, places, MEMORY.size, (seconds, memory), takes_read_at))
         except OSError:
             self._raise_child_died()
 

@@ -18,7 +18,7 @@ from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.files import STAGED, atomic, remove_path
-from bumpymap.core.json_text import parse_json
+from bumpymap.core.json_text import Each, Number, parse_json, shape_fault
 from bumpymap.core.run_spec import differences
 
 __all__ = [
@@ -39,6 +39,12 @@ __all__ = [
 WORK_FOLDER = ".bumpymap-run"
 """Exists in the output folder while a run is under way, or after it was interrupted."""
 _RUN_SPEC = "run_spec.json"
+_SPEC_SHAPE = {
+    "inputs": Each(Each()),
+    "settings": Each(),
+    "made with": Each(),
+    "cut?": {"chunk_points?": Number(1, 1e15, whole=True)},
+}
 
 
 class Kept(Enum):
@@ -144,6 +150,8 @@ class RunFolder:
         with writing_to(path):
             _make_own(path)
             before = read_record(path / _RUN_SPEC) if resume else None
+            if shape_fault(before, _SPEC_SHAPE):
+                before = None  # damaged, as one that cannot be parsed: what is there cannot be trusted
             if before is not None:
                 refuse_other(before, run_spec, out)
             record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))

@@ -8,7 +8,10 @@ from typing import Any
 
 from bumpymap.core.file_hash import CHECKSUM_METHOD, hash_file
 
-__all__ = ["differences", "flat_settings", "same_content", "spec_of_manifest"]
+__all__ = ["differences", "flat_settings", "recorded_settings", "same_content", "spec_of_manifest"]
+
+_OF_THE_MACHINE = {"out", "threads", "scratch", "workers", "scheduler", "tls_config", "resume", "overwrite"}
+"""Settings that say where and how a run is carried out: they change no result, so no manifest repeats them."""
 
 _MOST_LISTED = 8
 """Differences that a message lists at most."""
@@ -38,6 +41,11 @@ def flat_settings(config: Any, without: Collection[str]) -> dict[str, Any]:
             else ((key, _plain(item)),)
         )
     }
+
+
+def recorded_settings(config: Any) -> dict[str, Any]:
+    """Return the settings of a dataclass that a manifest holds, which are those of every machine."""
+    return {name: value for name, value in asdict(config).items() if name not in _OF_THE_MACHINE}
 
 
 def differences(

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
+from bumpymap.core.toml_file import brief_repr
 from bumpymap.core.types import NO_CLASS
 
 __all__ = [
@@ -52,6 +53,8 @@ class Dropped:
 @dataclass(frozen=True, slots=True)
 class Scan:
     """One revolution of a LiDAR, in the sensor frame."""
+
+    __repr__ = brief_repr
 
     points: NDArray[np.float32]
     """(n, 3) x forward, y left, z up, m; finite."""
@@ -117,21 +120,23 @@ class PolarSettings:
         edges = (*self.zone_starts_m, self.end_m)
         if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
             raise UsageError(
-                f"a polar grid has a start, sectors and rings for each zone; {len(self.zone_starts_m)} starts "
-                f"(before the end at {self.end_m:g} m), {len(self.sectors)} sectors and {len(self.rings)} rings were "
-                "given. Set all three"
+                "`zone_starts_m`, `sectors` and `rings` must be for equally many zones; they are for "
+                f"{len(self.zone_starts_m)} (ending at {self.end_m:g} m), {len(self.sectors)} and {len(self.rings)}. "
+                "Give all three"
             )
         if not all(math.isfinite(e) for e in edges) or edges[0] < 0.0 or any(np.diff(edges) <= 0.0):
-            raise UsageError(f"zones must start at 0 m or further out and grow outwards; {edges} m were given")
+            raise UsageError(
+                f"`zone_starts_m`: zones must start at 0 m or further out and grow outwards; {edges} m were given"
+            )
         if min(*self.sectors, *self.rings) < 1 or min(self.sectors) < 3:
             raise UsageError(
-                f"a zone has 3 sectors or more and 1 ring or more; {self.sectors} and {self.rings} were given"
+                f"a zone has 3 `sectors` or more and 1 of `rings` or more; {self.sectors} and {self.rings} were given"
             )
         cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
         if cells > _MOST_CELLS:
             raise UsageError(
                 f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
-                f"{_MOST_CELLS:,}. Give fewer sectors or rings"
+                f"{_MOST_CELLS:,}. Give fewer `sectors` or `rings`"
             )
         if (
             self.least_points < 3
@@ -150,6 +155,8 @@ class PolarSettings:
 @dataclass(frozen=True, slots=True)
 class SectorStack:
     """Measured sectors of one scan: one row each, only sectors with more than ``least_points`` points."""
+
+    __repr__ = brief_repr
 
     settings: PolarSettings
     azimuth_start_rad: float
@@ -234,6 +241,8 @@ class SectorRide:
 @dataclass(frozen=True, slots=True)
 class ClassedSectors:
     """Measured sectors with their classes."""
+
+    __repr__ = brief_repr
 
     sectors: SectorStack
     class_id: NDArray[np.uint8]

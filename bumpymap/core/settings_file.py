@@ -1,7 +1,7 @@
 """Parse TOML files into dataclasses by the types of their fields: settings of a run and vehicle profiles."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import MISSING, Field, fields, is_dataclass
 from numbers import Integral, Real
 from pathlib import Path
@@ -17,9 +17,12 @@ __all__ = [
     "FieldRule",
     "field_rule",
     "parse_record",
+    "parse_share",
     "path_fault",
+    "path_of_call",
     "read_settings_file",
     "refuse_faults",
+    "refuse_unknown",
     "settings_of_call",
 ]
 
@@ -78,7 +81,9 @@ def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
     return arguments
 
 
-def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> dict[str, Any]:
+def settings_of_call(
+    given: Mapping[str, Any], owner: type, function: str, known: Collection[str] = ()
+) -> dict[str, Any]:
     """Check the keyword arguments of a Python call in the same way as the settings of a file.
 
     Parameters
@@ -89,6 +94,8 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
         Dataclass that the settings are for, see `parse_record`.
     function : str
         Name of the called function, for messages.
+    known : collection of str
+        Names that may be given; default is those of all fields.
 
     Returns
     -------
@@ -98,12 +105,37 @@ def settings_of_call(given: Mapping[str, Any], owner: type, function: str) -> di
     Raises
     ------
     UsageError
-        Values of the wrong type or out of range; the message lists all faults.
+        A name that is not known; values of the wrong type or out of range; the message lists all faults.
     """
+    refuse_unknown(given, known or [field.name for field in fields(owner)], function)
     record = {name: _plain(value) for name, value in given.items() if value is not None}
     arguments, faults = parse_record(record, owner, Path())
     refuse_faults(faults, function, UsageError)
     return arguments
+
+
+def refuse_unknown(given: Iterable[str], known: Collection[str], function: str) -> None:
+    """Raise UsageError if a Python call names a setting that is not there."""
+    if unknown := [name for name in given if name not in known]:
+        raise UsageError(f"{function}: {_unknown_text(unknown, known)}")
+
+
+def _unknown_text(unknown: list[str], known: Collection[str]) -> str:
+    from difflib import get_close_matches
+
+    near = get_close_matches(unknown[0][:_LONGEST_NAME], known, 1)
+    meant = f". Did you mean {near[0]}?" if near else ""
+    return f"unknown setting {short_names(unknown)}; there are: {', '.join(known)}{meant}"
+
+
+def path_of_call(name: str, place: str | os.PathLike[str]) -> str:
+    """Return a path that a Python call gives as text; raise UsageError if it is not a valid path."""
+    if not isinstance(place, str | os.PathLike):
+        raise UsageError(f"{name} is {short_repr(place)}; it must be a path")
+    text = os.fspath(place)
+    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
+        raise UsageError(f"{name}: {reason}")
+    return text
 
 
 def _plain(value: Any) -> Any:
@@ -176,7 +208,7 @@ class _Parser:
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
-            self.faults.append(f"{where}unknown setting {short_names(unknown)}; there are: {', '.join(known)}")
+            self.faults.append(f"{where}{_unknown_text(unknown, known)}")
         arguments = {}
         for name, field in known.items():
             full = f"{table}.{name}" if table else name
@@ -225,7 +257,8 @@ class _Parser:
         try:
             return kind(**arguments)
         except UsageError as error:
-            self.faults.append(f"[{name}]: {error}")
+            keys = str(error).replace("`", "")  # of this table: no options of the command line
+            self.faults.append(f"[{name}]: {keys}")
             return _WRONG_TYPE
 
     def _placed(self, text: str, kind: Any, name: str) -> Path | str:
@@ -235,6 +268,15 @@ class _Parser:
         if kind == NameOrFile:
             return str(self._folder / text) if names_a_file(text) else text
         return text if kind is not Path and "://" in text else self._folder / text
+
+
+def parse_share(text: str) -> float | None:
+    """Return a share from 0 to 1, typed as such (``0.5``) or in per cent (``50%``); None if it is none."""
+    try:
+        share = float(text.strip().removesuffix("%")) / (100.0 if text.strip().endswith("%") else 1.0)
+    except ValueError:
+        return None
+    return share if 0.0 <= share <= 1.0 else None
 
 
 def path_fault(text: str) -> str:

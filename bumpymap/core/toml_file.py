@@ -7,13 +7,14 @@ suffice: the size of the file, and the number of parts of a key.
 
 import re
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 from reprlib import Repr
 from typing import Any
 
 from bumpymap.core.errors import BumpymapError
 
-__all__ = ["read_toml", "short_names", "short_repr"]
+__all__ = ["brief_repr", "read_toml", "short_names", "short_repr"]
 
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
@@ -30,6 +31,8 @@ _STRINGS_AND_COMMENTS = re.compile(
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8
+_BRIEF = 80
+"""Characters of a field that `brief_repr` shows."""
 _SHORT = Repr()
 _SHORT.maxlevel = 2
 _SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 80
@@ -59,6 +62,16 @@ def read_toml(path: Path, what: str, error: type[BumpymapError]) -> dict[str, An
 def short_repr(value: Any) -> str:
     """Return a value as text for a message; the middle of a long one is left out."""
     return _SHORT.repr(value)
+
+
+def brief_repr(record: Any) -> str:
+    """Return a dataclass as a few lines; of an array its type and shape. To be used as its ``__repr__``."""
+    parts = []
+    for field in fields(record):
+        value = getattr(record, field.name)
+        text = f"{value.dtype}{list(value.shape)}" if hasattr(value, "dtype") else short_repr(value)
+        parts.append(f"{field.name}={text if len(text) <= _BRIEF else text[: _BRIEF - 3] + '...'}")
+    return f"{type(record).__name__}({', '.join(parts)})"
 
 
 def short_names(names: list[str]) -> str:

@@ -62,6 +62,7 @@ from .evaluate.trial import (
 )
 from .simulate.calibrate import (
     calibrate_vehicle as calibrate_vehicle,
+    seconds_of_a_drive as seconds_of_a_drive,
 )
 from .simulate.checks import (
     all_checks as all_checks,

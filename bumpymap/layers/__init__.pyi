@@ -46,6 +46,9 @@ from .check.names import (
 from .check.record import (
     read_check as read_check,
 )
+from .check.tables import (
+    warnings_of as warnings_of,
+)
 from .check.words import (
     check_headline as check_headline,
     check_verdict as check_verdict,
@@ -106,6 +109,7 @@ from .manifest import (
 )
 from .opened import (
     Layers as Layers,
+    folder_of as folder_of,
     open_layers as open_layers,
     temporary_folder as temporary_folder,
 )

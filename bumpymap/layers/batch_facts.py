@@ -54,6 +54,7 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
         "vehicle": calibration["vehicle"],
         "calibration": calibration["id"],
         "checksum": " ".join(sums) or None,
+        "warnings": tuple(map(str, manifest.get("warnings", ()))),
     }
 
 

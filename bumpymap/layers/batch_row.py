@@ -22,6 +22,9 @@ class SurveyRow:
     status: SurveyStatus
     message: str = ""
     """Why it failed, or what is incomplete."""
+    warnings: tuple[str, ...] = field(
+        default=(), metadata={"description": "warnings of the run, in a table separated by ' | '"}
+    )
     seconds: float | None = _column("wall time of the run that made the layers, or until it failed", "s")
     survey: str = ""
     """Its files or folder, as the run was given them; a URL without user and query, which may hold a key."""

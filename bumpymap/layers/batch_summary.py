@@ -1,7 +1,5 @@
 """summary.csv, summary.parquet and index.html: one row for each survey of a batch."""
 
-import csv
-import io
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -10,7 +8,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args
 
-from bumpymap.core import OutputError, parse_json, utf8_path, write_together
+from bumpymap.core import OutputError, escape_controls, parse_json, utf8_path, write_csv, write_together
 from bumpymap.layers.batch_row import SurveyRow
 from bumpymap.layers.index_page.page import SurveyView, index_page
 from bumpymap.layers.products import CATALOG_NAME
@@ -63,27 +61,19 @@ def write_batch_summary(
     links = [_CSV, _PARQUET, *(name for name in (BATCH_LOG, CATALOG_NAME) if (folder / name).is_file())]
     try:
         with write_together(folder, _CSV) as staged, utf8_path(staged) as path:
-            (path / _CSV).write_bytes(_csv_text(rows).encode("utf-8", "backslashreplace"))
+            names = [column.name for column in fields(SurveyRow)]
+            table = ([_cell(getattr(row, name)) for name in names] for row in rows)
+            write_csv(path / _CSV, names, table, end="\n")
             _write_parquet(rows, path / _PARQUET)
             (path / _PAGE).write_text(index_page(rows, views, links, title, note), encoding="utf-8")
     except OSError as error:
         raise OutputError(f"cannot write the summary to {folder}: {error}. Free some space there") from error
 
 
-def _csv_text(rows: Sequence[SurveyRow]) -> str:
-    names = [column.name for column in fields(SurveyRow)]
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows([[_cell(getattr(row, name)) for name in names] for row in rows])
-    return text.getvalue()
-
-
 def _cell(value: Any) -> Any:
-    """Return a value as text in one line; a float as short as it can be."""
-    if isinstance(value, str):
-        return " ".join(value.split())
-    return "" if value is None else value
+    """Return text in one line; several texts in one cell."""
+    value = " | ".join(value) if isinstance(value, tuple) else value
+    return " ".join(value.split()) if isinstance(value, str) else value
 
 
 def _write_parquet(rows: Sequence[SurveyRow], path: Path) -> None:
@@ -106,8 +96,9 @@ def _write_parquet(rows: Sequence[SurveyRow], path: Path) -> None:
 
 
 def _valid(value: Any) -> Any:
-    """Return text as valid UTF-8: bytes of a file name that are not are written escaped, as in summary.csv."""
-    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+    """Return text that shows what it holds, as in summary.csv, which may be a formula here."""
+    value = _cell(value)
+    return escape_controls(value) if isinstance(value, str) else value
 
 
 def _header() -> str:

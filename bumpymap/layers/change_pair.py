@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_CLASS, NO_TILE, BadInputError
-from bumpymap.layers.manifest import describe_file
+from bumpymap.layers.map_files import require_written
 from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap, open_map
 from bumpymap.layers.route_overlap import SheetChoice, window_slices
@@ -67,8 +67,8 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     """
     first, second = open_map([before]), open_map([after])
     _require_alike(first, second)
-    for site in (first, second):
-        _check_classes(site)
+    for sheet in (*first.sheets, *second.sheets):
+        require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
     window = common_window(first.window, second.window)
     if window is None:
         raise BadInputError(
@@ -88,15 +88,6 @@ def _require_alike(first: RouteMap, second: RouteMap) -> None:
         found = ["the definition of the CRS differs"]
     if found:
         raise BadInputError(f"{one.folder} and {other.folder} cannot be compared: {'; '.join(found)}. {_MUST_AGREE}")
-
-
-def _check_classes(site: RouteMap) -> None:
-    """Raise BadInputError if a class.tif, which `open_map` does not look at, is missing or is not what was written."""
-    for sheet in site.sheets:
-        path = sheet.folder / "class.tif"
-        written = [file["sha256"] for file in sheet.manifest["files"] if file["path"] == path.name]
-        if describe_file(path)["sha256"] not in written:
-            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. Map the survey again")
 
 
 def _read(site: RouteMap, window: TileWindow) -> SurveyTiles:

@@ -27,6 +27,7 @@ from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.relief import write_relief
+from bumpymap.layers.ride_scale import class_limits
 from bumpymap.layers.sheets.folders import remove_speeds
 from bumpymap.layers.speeds import write_speeds
 from bumpymap.layers.stac import write_item
@@ -100,7 +101,7 @@ def write_products(
     metadata = layer_metadata(manifest, table.georeference)
     progress = progress or SilentProgress()
     with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
-        counting = background.submit(summarise, table)
+        counting = background.submit(summarise, table, class_limits(manifest))
         try:
             layers = _write_layers(_layers(table, coordinates, staged, metadata, around), staged, progress)
             summary = counting.result()

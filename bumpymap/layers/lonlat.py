@@ -115,7 +115,7 @@ class BoundingBox:
 def _outside(placement: Placement) -> BadInputError:
     return BadInputError(
         f"the survey's coordinates lie outside the area where its CRS ({placement.horizontal_crs}) can be converted to "
-        "longitude and latitude. Pass the right one with `crs='EPSG:CODE'`, or `local=True`"
+        "longitude and latitude. Pass the right one with `force_crs='EPSG:CODE'`, or `local=True`"
     )
 
 
@@ -130,7 +130,8 @@ def _transformer(crs: CRS | None) -> Transformer:
     except ProjError as error:
         raise BadInputError(
             f"the survey's CRS ({crs.name}) has no known relation to longitude and latitude, so cost.geojson cannot "
-            "say where on Earth it is. Pass another with `crs='EPSG:CODE'`, or `local=True` to keep its own coordinates"
+            "say where on Earth it is. Pass another with `force_crs='EPSG:CODE'`, or `local=True` to keep its own "
+            "coordinates"
         ) from error
 
 

@@ -15,13 +15,25 @@ from typing import Any
 import numpy as np
 from pyproj import CRS, proj_version_str
 
-from bumpymap.core import BadInputError, CostTable, atomic, read_record
+from bumpymap.core import (
+    CLASS_NAMES,
+    BadInputError,
+    CostTable,
+    Each,
+    Nullable,
+    Number,
+    atomic,
+    read_record,
+    shape_fault,
+)
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.summary import MapSummary
 
 __all__ = [
+    "COUNT",
     "MANIFEST_FORMAT",
     "MANIFEST_NAME",
+    "PLACE_SHAPE",
     "SHEETS_FORMAT",
     "complete_manifest",
     "describe_file",
@@ -37,6 +49,49 @@ MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 SHEETS_FORMAT = "bumpymap-sheets"
 """Format of the run.json of a map in sheets, which each have one of their own."""
+COUNT = Number(0, 1e15, whole=True)
+PLACE_SHAPE: dict[str, Any] = {
+    "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
+    "metres_per_unit": {"horizontal": Number(1e-6, 1e6), "vertical": Number(1e-6, 1e6)},
+    "grid": {"tile_size_m": Number(1e-3, 1e5), "pixels": Number(1, 10_000, whole=True)},
+    "files": [{"path": str, "bytes": COUNT, "sha256": str}],
+}
+"""Shape of what manifests of maps and of comparisons say of their place and files."""
+_POSITIVE = Number(0, 1e9)
+_INPUT = {"path": str, "bytes?": Nullable(COUNT), "points?": Nullable(COUNT), "checksum?": Nullable(str)}
+_SHAPE: dict[str, Any] = PLACE_SHAPE | {
+    "survey?": Nullable({"name?": Nullable(str), "checksum?": Nullable(str), "dates?": Nullable([Nullable(str)])}),
+    "inputs?": [_INPUT],
+    "skipped?": Each(),
+    "skipped_inputs?": [{"path": str}],
+    "settings?": {"surveys?": [str], "speeds?": Nullable([_POSITIVE])},
+    "versions?": Each(str),
+    "points?": Nullable(COUNT),
+    "model?": Nullable(str),
+    "calibration?": Nullable({"id": str, "vehicle": str, "class_limits?": (_POSITIVE,) * 3}),
+    "vehicle?": Nullable({"name": str, "width_m?": _POSITIVE, "height_m?": _POSITIVE, "speed_mps?": _POSITIVE}),
+    "seconds?": Each(_POSITIVE),
+    "cost": {
+        "ride_weight_m_per_rad": _POSITIVE,
+        "fail_weight_m": _POSITIVE,
+        "drive_m": _POSITIVE,
+        "slope_limit_deg": Number(0, 90),
+    },
+    "counts": {
+        "tiles": COUNT,
+        "points": COUNT,
+        "passable": COUNT,
+        "unknown": COUNT,
+        "by_class": dict.fromkeys(CLASS_NAMES, COUNT),
+        "by_reason": Each(COUNT),
+        "barred": Each(COUNT),
+        "median_c_r?": (Nullable(_POSITIVE),) * 5,
+        "median_slope?": (Nullable(_POSITIVE),) * 5,
+        "median_count?": Nullable(_POSITIVE),
+        "objects?": Each(COUNT),
+    },
+    "sheets?": [{"folder": str}],
+}
 _VERSION = 1
 _PACKAGES = (
     "bumpymap", "laspy", "lazrs", "numba", "numpy", "onnxruntime", "pyarrow", "pyogrio", "pypcd4", "pyproj",
@@ -113,6 +168,7 @@ def complete_manifest(
                 "points": summary.points,
                 "by_class": summary.classes,
                 "by_reason": summary.reasons,
+                "failing": summary.failing,
                 "median_c_r": summary.median_c_r,
                 "median_slope": summary.median_slope,
                 "median_count": summary.median_count,
@@ -238,11 +294,13 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         what = f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
         raise BadInputError(f"{what}. {remedy}")
     record = read_record(folder / MANIFEST_NAME)
-    if record is None or record.get("format") not in {MANIFEST_FORMAT, SHEETS_FORMAT}:
+    if record is None or record.get("format") not in (MANIFEST_FORMAT, SHEETS_FORMAT):
         hint = remedy
         if (folder / "scan.json").exists():
             hint = f"The map of this drive is in {folder / 'map'}"
         elif record is None and (folder / "sheets").is_dir():
             hint = "Its sheets are not complete: map the survey again with `resume=True`"
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
+    if fault := shape_fault(record, _SHAPE):
+        raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")
     return record

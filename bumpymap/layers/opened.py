@@ -19,10 +19,14 @@ from bumpymap.core import (
     BadInputError,
     Band,
     UsageError,
+    path_of_call,
+    settings_of_call,
+    shares_text,
     speed_bands,
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import open_layer, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -34,8 +38,10 @@ if TYPE_CHECKING:
 
     Point = str | tuple[float, float]
 
-__all__ = ["Layers", "open_layers", "read_manifest", "temporary_folder"]
+__all__ = ["Layers", "folder_of", "open_layers", "read_manifest", "temporary_folder"]
 
+_MOST_PICKLED = 1 << 28
+"""Bytes of layers in memory that are pickled at most."""
 _CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
 _REASONS = Band("reason", "", "why a tile has no class")
 _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
@@ -62,16 +68,31 @@ class Layers:
     folder : path
         The output folder of a complete run; if its layers are in sheets, they are read as one map.
     in_memory : bool
-        Delete the folder together with this object. Datasets are then loaded at once instead of lazily.
+        Delete the folder together with this object. Datasets are then loaded at once instead of lazily, and a pickle
+        holds the files, up to 256 MB, instead of the path.
     """
 
     def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
-        self._folder = Path(folder)
+        self._folder = Path(path_of_call("the folder of the layers", folder))
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
         self._sheets = sheet_folders(self._folder)
+        self._checked: set[str] = set()
         if in_memory:
-            weakref.finalize(self, shutil.rmtree, self._folder, ignore_errors=True)
+            weakref.finalize(self, _remove, self._folder, os.getpid())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the path of the folder; of layers in memory, the files."""
+        if not self._in_memory:
+            return Layers, (self._folder.absolute(),)
+        found = [path for path in self._folder.rglob("*") if path.is_file()]
+        size = sum(path.stat().st_size for path in found)
+        if size > _MOST_PICKLED:
+            raise UsageError(
+                f"these layers are in memory, {size / 1e6:,.0f} MB, too large for a pickle. Map the survey with "
+                "`out='DIR'`: layers in a folder are pickled as its path"
+            )
+        return _unpickled, ({str(path.relative_to(self._folder)): path.read_bytes() for path in found},)
 
     @property
     def folder(self) -> Path:
@@ -258,7 +279,9 @@ class Layers:
         """
         from bumpymap.layers import ExportSettings, export_map, open_map
 
-        return export_map(open_map([self.folder]), out, ExportSettings(**settings), overwrite=overwrite)
+        own = ExportSettings(**settings_of_call(settings, ExportSettings, "Layers.export"))
+        target = Path(path_of_call("out", out))
+        return export_map(open_map([self.folder]), target, own, overwrite=overwrite)
 
     def report(
         self,
@@ -293,6 +316,9 @@ class Layers:
         """
         from bumpymap.layers.report.write import write_reports
 
+        for name, place in {"out": out, "route": route, "check": check}.items():
+            if place is not None:
+                path_of_call(name, place)
         return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
 
     def __repr__(self) -> str:
@@ -303,15 +329,15 @@ class Layers:
         if bounds is not None:
             west, south, east, north = bounds
             place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
-        tiles = max(counts["tiles"], 1)
-        shares = [*counts["by_class"].items(), ("unknown", counts["unknown"])]
+        classes = {**counts["by_class"], "unknown": counts["unknown"]}
+        shares = zip(classes, shares_text(list(classes.values()), (len(classes) - 1,), 1), strict=True)
         return "\n".join(
             [
                 f"<Layers {where}>",
                 f"  place    {place}",
                 f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
                 f"  vehicle  {self._vehicle}",
-                f"  classes  {', '.join(f'{name} {count / tiles:.1%}' for name, count in shares)}",
+                f"  classes  {', '.join(f'{name} {share}' for name, share in shares)}",
             ]
         )
 
@@ -322,28 +348,32 @@ class Layers:
     @cached_property
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
-        import rasterio
         from rasterio.errors import RasterioError
 
         try:
-            with rasterio.open(self._folder / self._raster("class.tif")) as file:
+            with open_layer(self._folder / self._raster("class.tif")) as file:
                 return tuple(file.bounds)
         except RasterioError:
             return None
 
     def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
         """Yield the bands of a raster as named variables with units."""
+        self._require_written(name)
+        rioxarray = import_notebook("rioxarray")
         with self._file(self._folder / self._raster(name)) as path:
-            raster = import_notebook("rioxarray").open_rasterio(path)
-            if self._in_memory:
-                raster.load().close()
+            with open_layer(path) as checked:
+                driver = checked.driver
+            with rioxarray.open_rasterio(path, cache=False, driver=driver) as file:
+                from bumpymap.layers.lazy_raster import lazy_values
+
+                values = file.values if self._in_memory else lazy_values(path, driver, file.shape, file.dtype)
+                raster, nodata = file.copy(data=values), file.rio.nodata
         if raster.sizes["band"] != len(bands):
             raise BadInputError(
                 f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
             )
         for number, band in enumerate(bands):
             variable = raster.isel(band=number, drop=True).rename(band.name)
-            nodata = variable.rio.nodata
             variable.attrs = {"long_name": band.description, "units": band.unit or "1"}
             if band.name in _FLAGS:
                 names = _FLAGS[band.name]
@@ -351,7 +381,14 @@ class Layers:
                     "flag_values": list(range(len(names))),
                     "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
                 }
-            yield variable.rio.write_nodata(nodata)
+            variable.attrs["_FillValue"] = nodata
+            yield variable
+
+    def _require_written(self, name: str) -> None:
+        """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
+        if name not in self._checked and not self._in_memory:
+            require_map_written(self._folder, self._manifest, (name,))
+            self._checked.add(name)
 
     def _raster(self, name: str) -> str:
         """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
@@ -362,6 +399,7 @@ class Layers:
         geopandas = import_notebook("geopandas")
         read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
         parts = []
+        self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
                 parts.append(read(path))
@@ -405,6 +443,31 @@ def open_layers(folder: str | os.PathLike[str]) -> Layers:
     1426
     """
     return Layers(folder)
+
+
+def folder_of(name: str, layers: "str | os.PathLike[str] | Layers") -> Path:
+    """Return the folder of layers that a Python call gives as ``name``."""
+    return layers.folder if isinstance(layers, Layers) else Path(path_of_call(name, layers))
+
+
+def _unpickled(files: dict[str, bytes]) -> Layers:
+    """Make layers in memory of their files."""
+    folder = Path(temporary_folder())
+    try:
+        for name, content in files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return Layers(folder, in_memory=True)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def _remove(folder: Path, process: int) -> None:
+    """Delete a folder of layers in memory; not in a fork of the process that has them."""
+    if os.getpid() == process:
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 def temporary_folder() -> str:

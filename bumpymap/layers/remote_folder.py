@@ -8,6 +8,7 @@ from typing import Any
 
 from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError, parse_json, remote_files, utf8_path
 from bumpymap.layers.manifest import MANIFEST_NAME
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["RemoteFolder", "open_raster"]
@@ -115,10 +116,10 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
         if isinstance(folder, RemoteFolder):
             url = folder.below(name).url
             files, _ = remote_files(url)
-            with rasterio.open(url, opener=files) as raster:
+            with rasterio.open(url, opener=files, driver="GTiff") as raster:
                 yield raster
         else:
-            with utf8_path(folder) as path, rasterio.open(raster_in(path, name)) as raster:
+            with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:
                 yield raster
     except (rasterio.errors.RasterioIOError, OSError) as error:
         place = folder.url if isinstance(folder, RemoteFolder) else folder

@@ -11,7 +11,10 @@ from numpy.typing import NDArray
 from bumpymap.core import CLASS_NAMES
 from bumpymap.layers.colours import CLASS_COLOURS
 
-__all__ = ["RideScale", "class_limits", "nice_limit"]
+__all__ = ["OR_FAILS", "RideScale", "class_limits", "class_ranges", "nice_limit"]
+
+OR_FAILS = ", or too steep, or drives fail"
+"""Follows the limit of class 3: what else puts ground there."""
 
 _CLASSES = len(CLASS_NAMES)
 _ANCHORS = np.array([CLASS_COLOURS[number][:3] for number in range(_CLASSES)], np.float64)
@@ -71,3 +74,13 @@ def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:
         return None
     limits = [0.0, *map(float, found)]
     return limits[1:] if all(low < high < np.inf for low, high in pairwise(limits)) else None
+
+
+def class_ranges(manifest: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return in words what is in each class, C_r in rad/m; nothing if C_r does not decide or there are no limits."""
+    settings, limits = manifest.get("settings"), class_limits(manifest)
+    if limits is None or (isinstance(settings, Mapping) and settings.get("compat") == "paper"):
+        return ()
+    first, *_, last = texts = [f"{limit:.3g}" for limit in limits]
+    between = [f"{low} to {high}" for low, high in pairwise(texts)]
+    return (f"under {first}", *between, f"{last} and more{OR_FAILS}")

@@ -28,19 +28,26 @@ _STEPS = 4096
 """Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
 _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
+_NEAR_M = 5000.0
+"""How far from the map areas may lie whose numbers are thought to be swapped, m."""
 
 
-def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.object_]:
+def read_areas(
+    path: str | os.PathLike[str], route_map: RouteMap, *, allow_outside: bool = False
+) -> NDArray[np.object_]:
     """Read polygons and place them on the grid of a map.
 
-    Their CRS is the one that the file states (GeoJSON: longitude and latitude). If the map has none, they must be in
-    the survey's own coordinates: a file without a CRS, or a GeoJSON.
+    Their CRS is the one that the file states; a GeoJSON that states none is in longitude and latitude, or in the map's
+    CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
+    without a CRS, or a GeoJSON.
 
     Parameters
     ----------
     path : path
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
     route_map : RouteMap
+    allow_outside : bool
+        Whether it is no error that no area lies on the map.
 
     Returns
     -------
@@ -51,7 +58,7 @@ def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.
     ------
     BadInputError
         The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
-        the map has one, or one while the map has none.
+        the map has one, or one while the map has none; or no area lies on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
@@ -62,13 +69,45 @@ def read_areas(path: str | os.PathLike[str], route_map: RouteMap) -> NDArray[np.
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
         held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
         raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
-    placed = _on_grid(path, shapely.make_valid(layer.geometry), layer.crs, route_map)
+    areas = _on_map(path, layer.geometry, layer.crs, route_map)
+    if not len(areas):
+        hint = ""
+        if _near_swapped(layer.geometry, route_map):
+            hint = "They would if x (east) and y (north), or longitude and latitude, changed places. "
+        said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
+        if not allow_outside:
+            raise BadInputError(
+                f"{said}Give areas on the map, or pass `allow_outside=True` if there need be none, as when one file "
+                "serves several maps"
+            )
+        _log.warning("%s", said.strip())
+    return areas
+
+
+def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
+    """Return the polygons that lie on the map, in metres on the grid."""
+    placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
     areas: NDArray[np.object_] = shapely.get_parts(placed)
     areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
-    areas = areas[shapely.intersects(areas, _outline(route_map))]
-    if not len(areas):
-        _log.warning("no area of %s lies on the map", path)
-    return areas
+    return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+
+
+def _near_swapped(geometry: NDArray[np.object_], route_map: RouteMap) -> bool:
+    """Return whether a corner lies near the map if its two numbers change places, as degrees or in the map's CRS."""
+    x, y = shapely.get_coordinates(geometry).T[::-1]
+    places = [route_map.to_grid(x, y)]
+    degrees = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
+    if route_map.has_crs and degrees.any():
+        places.append(route_map.from_lonlat(x[degrees], y[degrees]))
+    near = shapely.buffer(_outline(route_map), _NEAR_M)
+    return any(bool(shapely.intersects_xy(near, *place).any()) for place in places)
+
+
+def _system(crs: CRS | None, route_map: RouteMap) -> str:
+    own = route_map.georeference.crs
+    if own is None:
+        return "the survey's own coordinates"
+    return describe_crs(own.to_2d()) if crs is None else crs.name
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
@@ -152,11 +191,14 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
     """Convert geometries of a file to metres on the grid."""
     own, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
     if own is None:
-        if crs is not None and path.suffix.lower() not in _GEOJSON:  # there, GDAL takes all for longitude and latitude
+        if crs is not None and path.suffix.lower() not in _GEOJSON:  # a GeoJSON can only state longitude and latitude
             raise BadInputError(
                 f"{path} is in {crs.name}, and the map has no CRS. Save the areas in the survey's own coordinates and "
                 "without a CRS, or map the survey with `crs='EPSG:CODE'`"
             )
+        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
+    if crs is None and path.suffix.lower() in _GEOJSON:
+        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(own.to_2d()))
         return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     if crs is None:
         raise BadInputError(

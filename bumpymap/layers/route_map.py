@@ -15,6 +15,7 @@ from pyproj.exceptions import ProjError
 from bumpymap.core import (
     NO_TILE,
     BadInputError,
+    Barred,
     CostRule,
     Georeference,
     RouteVehicle,
@@ -116,6 +117,8 @@ class RouteMap:
                 sheet.read_into([barred[place]], "barred.tif", part)
                 if bands:
                     sheet.read_into([values[band][place] for band in bands], "roughness.tif", part, bands)
+        if ((barred > max(Barred)) & (barred != NO_TILE)).any():
+            raise BadInputError(f"barred.tif of {self.folders[0]} holds unknown codes. Map the survey again")
         nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)

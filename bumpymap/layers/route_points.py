@@ -1,6 +1,7 @@
 """Points of a user's file, for routes: GeoJSON, GPX or CSV."""
 
 import csv
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,9 +15,11 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import BadInputError
-from bumpymap.layers.route_vectors import VectorLayer, layers_in, read_vectors
+from bumpymap.layers.route_vectors import VectorLayer, read_vectors
 
 __all__ = ["FilePoint", "read_points"]
+
+_log = logging.getLogger(__name__)
 
 _COLUMNS: dict[Literal["lonlat", "crs"], tuple[tuple[str, str], ...]] = {
     "lonlat": (("lon", "lat"), ("longitude", "latitude"), ("lng", "lat")),
@@ -59,9 +62,7 @@ def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
         raise BadInputError(f"there is no file {path}. Give a file of points: .geojson, .gpx or .csv")
     if suffix == ".csv":
         found = _read_csv(path)
-    elif suffix == ".gpx":
-        found = _read_gpx(path)
-    elif suffix in {".geojson", ".json"}:
+    elif suffix in {".geojson", ".json", ".gpx"}:
         found = _of_layer(path, read_vectors(path))
     else:
         raise BadInputError(f"{path} is not a file of points that can be read. Give .geojson, .gpx or .csv")
@@ -72,32 +73,30 @@ def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
     return found
 
 
-def _read_gpx(path: Path) -> list[FilePoint]:
-    layers = layers_in(path)
-    for name in ("waypoints", "route_points"):
-        if name in layers and (found := _of_layer(path, read_vectors(path, name))):
-            return found
-    return []
-
-
 def _of_layer(path: Path, layer: VectorLayer) -> list[FilePoint]:
-    """Return the points of a vector layer in longitude and latitude."""
+    """Return the points of a vector layer in longitude and latitude; in the survey's CRS if they cannot be that."""
     kinds = shapely.get_type_id(layer.geometry)
     other = ~np.isin(kinds, (shapely.GeometryType.POINT, shapely.GeometryType.MULTIPOINT))
     if other.any():
         kind = shapely.GeometryType(int(kinds[other][0])).name.lower()
         raise BadInputError(f"{path} holds a {kind}; only points can be start, goal or stops of a route")
     parts, owner = shapely.get_parts(layer.geometry, return_index=True)
-    x, y = _lonlat(path, layer.crs, shapely.get_x(parts), shapely.get_y(parts))
+    x, y = shapely.get_x(parts), shapely.get_y(parts)
+    system: Literal["lonlat", "crs"] = "lonlat"
+    if layer.crs is None:
+        system = "crs"
+        _log.warning("the numbers of %s cannot be degrees: they are read in the survey's CRS", path)
+    else:
+        x, y = _lonlat(path, layer.crs, x, y)
     names = [layer.names[index] or str(number) for number, index in enumerate(owner, start=1)]
-    return [FilePoint(name, float(east), float(north), "lonlat") for name, east, north in zip(names, x, y, strict=True)]
+    return [FilePoint(name, float(east), float(north), system) for name, east, north in zip(names, x, y, strict=True)]
 
 
 def _lonlat(
-    path: Path, crs: CRS | None, x: NDArray[np.float64], y: NDArray[np.float64]
+    path: Path, crs: CRS, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Convert to WGS 84 longitude and latitude."""
-    if crs is None or crs.equals(CRS.from_epsg(4326), ignore_axis_order=True):
+    if crs.equals(CRS.from_epsg(4326), ignore_axis_order=True):
         return x, y
     try:
         longitude, latitude = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True).transform(x, y)

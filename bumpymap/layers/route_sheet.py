@@ -14,7 +14,8 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle
-from bumpymap.layers.manifest import describe_file, read_manifest
+from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import open_layer, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -34,9 +35,6 @@ _DTYPES = {
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
 """What a route reads; a comparison of surveys reads the classes too."""
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
-_CHECKED = ("barred.tif", "roughness.tif", "cost.tif")
-_CHECKED_BYTES = 64 << 20
-"""Largest file whose checksum is compared, except for the first of these, which is small and must be right."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
 _PIECE = 512
@@ -71,7 +69,7 @@ class RouteSheet:
         """
         manifest = read_manifest(folder)
         try:
-            _check_files(folder, manifest)
+            require_written(folder, manifest, _RASTERS)
             parts = (_grid(manifest), _georeference(manifest), _rule(manifest), _vehicle(folder, manifest))
         except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
             raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
@@ -172,11 +170,10 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
 @contextmanager
 def _opened(path: Path) -> "Iterator[DatasetReader]":
     """Open a raster; errors while the body of the ``with`` reads it become BadInputErrors."""
-    import rasterio
     from rasterio.errors import RasterioError
 
     try:
-        with rasterio.Env(**_GDAL), rasterio.open(path) as file:
+        with open_layer(path, **_GDAL) as file:
             yield file
     except RasterioError as error:
         raise BadInputError(f"cannot read {path}: {error.__cause__ or error}. {_AGAIN}") from error
@@ -205,29 +202,6 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
 
 
-def _check_files(folder: Path, manifest: Mapping[str, Any]) -> None:
-    """Raise BadInputError if a raster is missing or is not the one that was written.
-
-    GDAL reads many a damaged block without an error. What decides where a way leads is compared by checksum, large
-    files by size only.
-    """
-    written = {str(file["path"]): (int(file["bytes"]), str(file["sha256"])) for file in manifest["files"]}
-    for name in _RASTERS:
-        path = folder / name
-        if not path.is_file():
-            raise BadInputError(f"{path} is missing: it was not written, or was removed since. {_AGAIN}")
-        size, digest = written[name]
-        found = path.stat().st_size
-        if found != size:
-            raise BadInputError(
-                f"{path} is cut off or was changed: it has {found:,} bytes and was written with {size:,}. Copy it "
-                "again, or map the survey again"
-            )
-        compared = name in _CHECKED and (size <= _CHECKED_BYTES or name == _CHECKED[0])
-        if compared and describe_file(path)["sha256"] != digest:
-            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. {_AGAIN}")
-
-
 def _common_raster(folder: Path, grid: Grid, georeference: Georeference) -> TileWindow:
     """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
     windows = {name: _window_of(folder / name, grid, georeference) for name in _RASTERS}
@@ -243,6 +217,8 @@ def _window_of(path: Path, grid: Grid, georeference: Georeference) -> TileWindow
     with _opened(path) as file:
         place, width, height = file.transform, file.width, file.height
     sides = (place.c / tile, place.f / tile - height / pixels, width / pixels, height / pixels)
+    if not all(map(math.isfinite, sides)):
+        raise BadInputError(f"{path} has no place. {_AGAIN}")
     whole = [round(side) for side in sides]
     steps = (place.a * pixels / tile, place.b, place.d, -place.e * pixels / tile)
     fits = all(math.isclose(side, near, abs_tol=_OFF) for side, near in zip(sides, whole, strict=True))

@@ -1,16 +1,29 @@
 """Counts and medians of a map, computed in one pass over its tiles."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BARRED_TEXT, CLASS_NAMES, NO_CLASS, REASON_TEXT, THIN_POINTS, Barred, CostTable, Reason
+from bumpymap.core import (
+    BARRED_TEXT,
+    CLASS_NAMES,
+    FAIL_SHARE,
+    NO_CLASS,
+    REASON_TEXT,
+    THIN_POINTS,
+    Barred,
+    CostTable,
+    Reason,
+)
 
-__all__ = ["MapSummary", "summarise"]
+__all__ = ["LITTLE_SEEN", "MapSummary", "summarise"]
+
+LITTLE_SEEN = "too little seen"
+"""What bars tiles that have a class, but of which too little was seen to tell whether there is a way."""
 
 STRIP = 65_536
 _OBJECT_STRIP = 4_096
@@ -42,11 +55,15 @@ class MapSummary:
     by_bar: tuple[int, ...]
     """(6,) tiles for each `Barred`, the passable ones first."""
     median_c_r: tuple[float, ...]
-    """(5,) rad/m, for each class, then for tiles without a class; NaN if there is no value."""
+    """(5,) rad/m, for each class, then for tiles without a class; NaN if there is no value. That of class 3 is over the
+    tiles that their C_r puts there, without those of ``failing``."""
     median_slope: tuple[float, ...]
     """(5,) degrees, likewise."""
     median_count: float
     """Points per tile."""
+    failing: int = 0
+    """Tiles of class 3 although their C_r is below its limit, because they are too steep or drives fail: their C_r is
+    that of the drives that got through."""
     judged: int = 0
     """Tiles with at least 15 points, for the next two."""
     layered: int = 0
@@ -71,6 +88,7 @@ class MapSummary:
             median_count=math.nan if count is None else count,
             median_c_r=medians["median_c_r"],
             median_slope=medians["median_slope"],
+            failing=counts.get("failing", 0),
             judged=objects.get("judged", 0),
             layered=objects.get("layered", 0),
             tall=objects.get("tall", 0),
@@ -92,6 +110,18 @@ class MapSummary:
         return {BARRED_TEXT[code]: self.by_bar[code] for code in Barred if code and self.by_bar[code]}
 
     @property
+    def crossing(self) -> dict[str, int]:
+        """All tiles by what is shown of crossing them: passable, unknown, then what bars the others, if it occurs.
+
+        Unknown are the tiles without a class, as everywhere; those with one of which too little was seen to tell
+        whether there is a way are apart.
+        """
+        others = {BARRED_TEXT[code]: self.by_bar[code] for code in Barred if code > Barred.UNKNOWN}
+        others = {LITTLE_SEEN: self.by_bar[Barred.UNKNOWN] - self.unknown} | others
+        first = {BARRED_TEXT[Barred.NO]: self.passable, BARRED_TEXT[Barred.UNKNOWN]: self.unknown}
+        return first | {text: count for text, count in others.items() if count > 0}
+
+    @property
     def classes(self) -> dict[str, int]:
         """Tiles of each class, by its name."""
         return dict(zip(CLASS_NAMES, self.by_class, strict=True))
@@ -102,23 +132,27 @@ class MapSummary:
         return {REASON_TEXT[code]: self.by_reason[code] for code in Reason if self.by_reason[code]}
 
 
-def summarise(table: CostTable) -> MapSummary:
-    """Count the tiles of a map and find the medians."""
+def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSummary:
+    """Count the tiles of a map and find the medians; ``limits`` are those between the classes, rad/m."""
     groups = len(CLASS_NAMES) + 1
     spread = {name: np.zeros((groups, _BINS), dtype=np.int64) for name in _STEPS}
     counts = np.zeros((1, _BINS), dtype=np.int64)
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
     barred = np.zeros(len(Barred), dtype=np.int64)
-    points = 0
+    points = failing = 0
     for strip in table.tiles.strips(STRIP):
-        found = table.tiles.read(("class_id", "barred", "reason", "count", *_STEPS), strip)
+        found = table.tiles.read(("class_id", "barred", "reason", "count", "p_fail", *_STEPS), strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
         points += int(found["count"].sum())
         _count(counts, np.zeros_like(group), found["count"].astype(np.float64))
+        if limits is not None:
+            fails = (found["class_id"] == len(limits)) & (found["p_fail"] >= FAIL_SHARE) & (found["c_r"] < limits[-1])
+            failing += int(fails.sum())
+            found = {**found, "c_r": np.where(fails, np.nan, found["c_r"])}
         for name, step in _STEPS.items():
             _count(spread[name], group, found[name] / step)
     c_r, slope = (tuple((_median(row) + 0.5) * step for row in spread[name]) for name, step in _STEPS.items())
@@ -131,6 +165,7 @@ def summarise(table: CostTable) -> MapSummary:
         median_c_r=c_r,
         median_slope=slope,
         median_count=_median(counts[0]),
+        failing=failing,
         **_count_objects(table),
     )
 

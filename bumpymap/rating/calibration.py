@@ -12,7 +12,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from bumpymap.core import TEXTURES, BadInputError, CostRule, UsageError, VehicleBody, parse_json
+from bumpymap.core import (
+    TEXTURES,
+    BadInputError,
+    CostRule,
+    UsageError,
+    VehicleBody,
+    brief_repr,
+    parse_json,
+    path_of_call,
+    short_repr,
+)
 from bumpymap.rating.vehicle.body import body_of, body_table
 from bumpymap.rating.vehicle.floor import Floor, floor_of, with_floor
 
@@ -74,6 +84,8 @@ class Calibration:
 
     They are measured in simulated drives. Tables are nested tuples ``[texture][z_range]``.
     """
+
+    __repr__ = brief_repr
 
     vehicle: dict[str, Any]
     """The vehicle profile, as in its TOML file."""
@@ -248,10 +260,16 @@ class Calibration:
     @classmethod
     def load(cls, path: str | Path) -> "Calibration":
         """Read a calibration file. Raises BadInputError if it is not one."""
+        place = path_of_call("the calibration", path)
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = Path(place).read_text(encoding="utf-8")
         except OSError as error:
-            raise BadInputError(f"cannot read the calibration {path}: {error.strerror}") from error
+            hint = (
+                f". That of an included vehicle: Calibration.shipped('{path}')"
+                if place in shipped_calibrations()
+                else ""
+            )
+            raise BadInputError(f"cannot read the calibration {path}: {error.strerror}{hint}") from error
         except UnicodeDecodeError:
             text = ""
         return cls.from_json(text, str(path))
@@ -266,9 +284,10 @@ class Calibration:
             No calibration for a vehicle of that name is included.
         """
         known = shipped_calibrations()
-        if vehicle not in known:
+        if not isinstance(vehicle, str) or vehicle not in known:
             raise UsageError(
-                f"no calibration for a vehicle named '{vehicle}' is included; available are: {', '.join(known)}. "
+                f"no calibration for a vehicle named {short_repr(vehicle)} is included; available are: "
+                f"{', '.join(known)}. "
                 "Calibrate another vehicle (bumpymap calibrate --vehicle NAME_OR_FILE --out FILE) and pass the result "
                 "with `calibration='FILE'`"
             )

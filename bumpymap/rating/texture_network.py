@@ -18,6 +18,7 @@ from bumpymap.core import (
     Reason,
     TextureMap,
     UsageError,
+    check_network,
     metadata_of,
     parse_json,
     read_network,
@@ -35,6 +36,7 @@ survey's coordinates instead of ground."""
 _BATCH = 16
 """Larger batches save 3 % per patch but lose more to padding: a block has about two hundred tiles."""
 _FORMAT = "bumpymap-textures"
+_INPUT = "patches"
 _KIND = "texture network"
 _REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
 
@@ -89,6 +91,9 @@ class TextureModel:
                 f"{origin} has the classes {', '.join(map(str, classes))} and takes patches of version {version}; this "
                 f"bumpymap needs {', '.join(TEXTURES)} and version {FEATURE_VERSION}. {_REMEDY}"
             )
+        if pixels < 1:
+            raise BadInputError(f"{origin} is a damaged texture network: its pixels are {pixels}. {_REMEDY}")
+        check_network(content, {_INPUT: (_BATCH, 1, pixels, pixels)}, len(TEXTURES), origin, _REMEDY)
         return cls(content, metadata, tile_size, pixels)
 
 
@@ -130,11 +135,10 @@ def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
 def infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
     """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; return probabilities (n, 4)."""
     network = session(model.content)
-    name = network.get_inputs()[0].name
     probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
     for start in range(0, len(scaled), _BATCH):
         part = scaled[start : start + _BATCH, None]  # (batch, 1, pixels, pixels)
         if len(part) < _BATCH:
             part = np.concatenate((part, np.zeros((_BATCH - len(part), *part.shape[1:]), np.float32)))
-        probability[start : start + _BATCH] = network.run(None, {name: part})[0][: len(scaled) - start]
+        probability[start : start + _BATCH] = network.run(None, {_INPUT: part})[0][: len(scaled) - start]
     return probability

@@ -14,6 +14,7 @@ from .drives.choice import (
     parse_columns as parse_columns,
 )
 from .drives.read import (
+    close_log_reader as close_log_reader,
     read_drive as read_drive,
 )
 from .find import (

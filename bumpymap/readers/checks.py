@@ -1,16 +1,19 @@
 """Checks shared by all readers: failing parsers, and headers that contradict the file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import BadInputError, BumpymapError, missing_resource
+from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write
 from bumpymap.readers.source import Location
 from bumpytiles import Bounds
 
-__all__ = ["TRUST", "box_text", "decoding", "refuse_count", "refuse_header_bounds"]
+__all__ = ["TRUST", "asks_too_much", "box_text", "decoding", "refuse_count", "refuse_header_bounds"]
 
+_NEEDED, _NEEDED_PER_BYTE = 512 << 20, 20
+"""Memory that reading a log or bag may need, and for each byte of it."""
 TRUST = "`trust_points=True` continues with the extent of the points"
 
 
@@ -25,12 +28,20 @@ def decoding(path: Location, what: str) -> Iterator[None]:
     except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
         raise
     except BaseException as error:
-        if missing_resource(error):  # out of memory or the like: not the file's fault
+        if missing_resource(error) or refused_write(error):  # out of memory or the like: not the file's fault
             raise
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise BadInputError(
             f"cannot read {what} of {path}: {reason}. The file is damaged or truncated; copy or download it again"
         ) from error
+
+
+def asks_too_much(error: BaseException, paths: Iterable[Path]) -> bool:
+    """Return whether memory ran out that files of their size, intact, would not need: a length in them is wrong."""
+    if missing_resource(error) != "memory":
+        return False
+    files = (file for path in paths for file in (path.iterdir() if path.is_dir() else (path,)))
+    return (free_memory() or 0) >= _NEEDED + _NEEDED_PER_BYTE * sum(file.stat().st_size for file in files)
 
 
 def refuse_count(path: Location, declared: int, held: int, unit: str = "points") -> None:

@@ -7,22 +7,19 @@ next request starts a new child. If no child can be started, the same functions 
 
 import itertools
 import os
-import sys
 import threading
 from atexit import register as at_exit
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
     Child,
-    ChildDiedError,
-    ChildError,
     SharedBytes,
     UsageError,
     allocate_shared,
@@ -31,10 +28,10 @@ from bumpymap.core import (
     trim_shared,
 )
 from bumpymap.readers import _decoder_child
+from bumpymap.readers.guard import DecoderError, Guard
 
 __all__ = [
     "Decoder",
-    "DecoderError",
     "LocalDecoder",
     "Stream",
     "StreamLostError",
@@ -54,11 +51,6 @@ SECONDS, SECONDS_PER_BYTE = 4.0, 1e-7
 _MOST_FURTHER = 7
 _MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str(1 << 25)}
 """Makes glibc keep the memory that lazrs allocates for each LAZ chunk; else it comes from the system each time."""
-_FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
-
-
-class DecoderError(Exception):
-    """The decoder cannot decode the data. The text says why."""
 
 
 class StreamLostError(Exception):
@@ -76,8 +68,8 @@ class Decoder:
 
     def __init__(self, further: int = _MOST_FURTHER) -> None:
         self._lock = threading.Lock()
-        self.child: Child | None = None
-        """The process that decodes, once there is one. All streams are decoded by this one."""
+        self.guard = Guard(_start, "decodes LAZ", "lazrs")
+        """Its process decodes all streams."""
         self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Open streams of the running child."""
@@ -88,7 +80,7 @@ class Decoder:
     def start(self) -> None:
         """Start the child now, so that it is ready when it is needed; a failure shows in the first request."""
         with self._lock, suppress(UsageError, OSError):
-            self._live_child()
+            self._live()
 
     def allocate(self, size: int) -> SharedBytes:
         """Allocate memory for bytes that the decoder will read."""
@@ -160,35 +152,21 @@ class Decoder:
         """Call a function in the child; the caller holds the lock."""
         seconds = SECONDS + SECONDS_PER_BYTE * sum(memory.data.size for memory in shared)
         fill = None if read_at is None else partial(_fill, read_at)
-        try:
-            child = self._live_child()
-            return child.call(function, *arguments, shared=shared, seconds=seconds, read_at=fill)
-        except ChildError as error:
-            raise DecoderError(str(error)) from error
-        except ChildDiedError as error:
-            self._end()
-            _raise_child_died(error)
-        except BaseException:
-            # The result of an interrupted call would be taken for that of the next one.
-            self._end()
-            raise
+        self._live()
+        return self.guard.call(function, *arguments, shared=shared, seconds=seconds, read_at=fill)
 
     def _is_alive(self) -> bool:
-        return self.child is not None and self.child.is_alive
+        return self.guard.is_alive
 
-    def _live_child(self) -> Child:
-        if self.child is None or not self.child.is_alive:
-            self._end()
-            # Not all of site-packages: its .pth files would run at every start.
-            folders = [str(Path(__file__).parent), module_folder("lazrs")]
-            self.child = Child("to decode LAZ", "_decoder_child", folders, _MALLOC)
-        return self.child
+    def _live(self) -> None:
+        """Start the child if there is none; streams of an earlier one are lost."""
+        if not self.guard.is_alive:
+            self._streams.clear()
+            self.guard.live_child()
 
     def _end(self) -> None:
-        child, self.child = self.child, None
         self._streams.clear()
-        if child is not None:
-            child.close()
+        self.guard.end()
 
 
 class LocalDecoder(Decoder):
@@ -235,25 +213,14 @@ class Stream:
         self._owner.close_stream(self._number)
 
 
+def _start() -> Child:
+    # Not all of site-packages: its .pth files would run at every start.
+    folders = [str(Path(__file__).parent), module_folder("lazrs")]
+    return Child("to decode LAZ", "_decoder_child", folders, _MALLOC)
+
+
 def _fill(read_at: ReadAt, start: int, buffer: memoryview) -> int:
     return read_at(start, np.frombuffer(buffer, np.uint8))
-
-
-def _raise_child_died(error: ChildDiedError) -> NoReturn:
-    """Raise the error for a dead child: DecoderError if the file crashed it, else UsageError."""
-    if not error.signal:
-        raise UsageError(
-            f"the process that decodes LAZ {error}: is lazrs installed correctly? Try: "
-            f"{sys.executable} -c 'import lazrs'"
-        ) from error
-    if error.signal in _FROM_OUTSIDE:
-        raise UsageError(
-            f"the process that decodes LAZ was killed ({error.signal}), perhaps for lack of memory. Lower `memory`, "
-            "or end other programs, and run again"
-        ) from error
-    if error.signal == "SIGPROF":
-        raise DecoderError("the decoder did not finish") from error
-    raise DecoderError(f"the decoder crashed ({error.signal})") from error
 
 
 _lock = threading.Lock()

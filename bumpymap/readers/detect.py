@@ -157,6 +157,8 @@ def _format_of(path: Location, head: bytes) -> Kind:
         return "ply"
     if _is_pcd(head):
         return "pcd"
+    if Path(str(path)).suffix.lower() == ".label":
+        raise BadInputError(f"{path} is a file of labels, not a scan: give the .bin file whose labels it holds")
     raise BadInputError(f"{path} is not a point cloud: it is {_describe(head)}. {_READABLE}")
 
 
@@ -170,7 +172,7 @@ def _describe(head: bytes) -> str:
         if head.lstrip(b"\xef\xbb\xbf \r\n\t").startswith(start):
             return what
     if not head.strip(b"\0"):
-        return "nothing but zero bytes: an interrupted copy?"
+        return "nothing but zero bytes, as an interrupted copy leaves it"
     if _is_text(head):
         return "a text file. A list of points under a first line 'X Y Z' is converted by: pdal translate IN.txt OUT.laz"
     return f"of an unknown kind (first bytes {head[:8].hex(' ')})"

@@ -44,7 +44,9 @@ class LasSurvey(SurveyBase):
         with decoding(path, "the header"), open_source(path) as stream:
             raw = read_raw_header(stream, path)
             _refuse_scales(path, raw)
-            place, notes = georeference(Place(path, _middle(raw)), statement_of_las(raw), options.crs, options.z_unit)
+            place, notes = georeference(
+                Place(path, _middle(raw)), statement_of_las(raw), options.given_crs, options.z_unit
+            )
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.decoder import DecoderError, decoder
+from bumpymap.readers.decoder import decoder
+from bumpymap.readers.guard import DecoderError
 from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.source import Location
 

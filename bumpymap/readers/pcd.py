@@ -22,6 +22,8 @@ _LINE_LIMIT, _HEADER_LINES = 65_536, 200
 _NO_POSE = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 _DENSEST = 100
 """Compression ratio at most: LZF packs 264 bytes into 3 at best."""
+_PLAUSIBLE, _SMALL = 20, 1 << 28
+"""Compression ratio of clouds at most (two to four are usual), and the unpacked bytes up to which more is accepted."""
 _MOST_VALUES = 10_000
 """Values of a point at most; no point descriptor is longer."""
 _UNPACKED_COPIES, _PACKED_COPIES = 2, 3
@@ -161,9 +163,16 @@ def _refuse_unpacking(stream: BinaryIO, path: Location, data_at: int, head: Any,
     stream.seek(data_at)
     packed, unpacked = struct.unpack("<II", stream.read(8))
     needed = _UNPACKED_COPIES * unpacked + _PACKED_COPIES * packed
+    remedy = (
+        "Write it uncompressed (DATA binary), which is read in chunks: pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1"
+    )
     if needed > memory:
         raise BadInputError(
             f"{path} is compressed, so it must be unpacked as a whole, which needs {needed / 1e6:,.0f} MB; "
-            f"{memory / 1e6:,.0f} MB are available. Write it uncompressed (DATA binary), which is read in chunks: "
-            "pcl_convert_pcd_ascii_binary IN.pcd OUT.pcd 1; or raise `memory`"
+            f"{memory / 1e6:,.0f} MB are available. {remedy}; or raise `memory`"
+        )
+    if unpacked > max(_SMALL, _PLAUSIBLE * packed):
+        raise BadInputError(
+            f"{path} would unpack to {unpacked / 1e6:,.0f} MB, {unpacked / packed:,.0f} times its size, which no cloud "
+            f"of different points does: it may be damaged, or made to fill the memory. {remedy}"
         )

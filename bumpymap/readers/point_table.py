@@ -91,7 +91,7 @@ class TableSurvey(SurveyBase):
         names = head.find(CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()
-        place, notes = georeference(Place(table.path, first), CrsStatement(), options.crs, options.z_unit)
+        place, notes = georeference(Place(table.path, first), CrsStatement(), options.given_crs, options.z_unit)
         if not head.is_text:
             notes += precision_note(first, [head.types[name] for name in self._columns])
         notes += head.notes

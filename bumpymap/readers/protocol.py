@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from datetime import date
 from typing import Any, Protocol
 
-from bumpymap.core import Georeference, PieceRuns, PointCloud, ZUnit
+from bumpymap.core import Georeference, GivenCrs, PieceRuns, PointCloud, ZUnit
 from bumpymap.readers.line_sums import LineCorrection, LineSums
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.source import Location, Version
@@ -19,10 +19,10 @@ CHUNK_POINTS = 500_000
 
 @dataclass(frozen=True, slots=True)
 class ReadOptions:
-    """Settings of the user that override what the files state."""
+    """Settings of the user that add to what the files state, or override it."""
 
     crs: str | None = None
-    """Any CRS that PROJ understands, such as ``EPSG:32614``; None: that of the file."""
+    """CRS of files that state none; any that PROJ understands, such as ``EPSG:32614``."""
     z_unit: ZUnit | None = None
     """Unit of heights; None: that of the file."""
     trust_points: bool = False
@@ -35,6 +35,15 @@ class ReadOptions:
     """What is subtracted from the heights of flight lines."""
     checksum: bool = False
     """Whether the checksum of a local file is made while it is read."""
+    force_crs: str | None = None
+    """CRS of all files, whatever they state."""
+    crs_must_agree: bool = False
+    """Whether a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+
+    @property
+    def given_crs(self) -> GivenCrs:
+        """What the user says of the CRS."""
+        return GivenCrs(self.crs, self.force_crs, self.crs_must_agree)
 
 
 @dataclass(frozen=True, slots=True)

@@ -296,7 +296,10 @@ def _reading(location: Location) -> Iterator[None]:
     except (BumpymapError, MemoryError):
         raise
     except OSError as error:
-        raise BadInputError(f"cannot read {location}: {error.strerror or error}") from error
+        said = error.strerror or str(error)
+        if said.strip("'/") and str(location).endswith(said.strip("'/")):  # file systems of servers say the path alone
+            said = "there is no such file"
+        raise BadInputError(f"cannot read {location}: {said}") from error
     except Exception as error:
         if not is_url(location):
             raise

@@ -1,12 +1,12 @@
 """Routes from Python: from layers to ways, or to what can be reached, in one call."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
-from bumpymap.core import UsageError
-from bumpymap.layers import Layers, PlannedRoute, reach_dataset
+from bumpymap.core import UsageError, path_of_call, refuse_unknown, settings_of_call, short_repr
+from bumpymap.layers import Layers, PlannedRoute, folder_of, reach_dataset
 from bumpymap.route.pipeline import plan_routes, reach_from
 from bumpymap.route.settings import CostSettings, RouteConfig
 
@@ -18,7 +18,30 @@ __all__ = ["find_routes", "map_reach"]
 PathLike: TypeAlias = str | os.PathLike[str]
 Point: TypeAlias = str | tuple[float, float]
 """``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
-_OF_COST = ("risk", "robust", "unknown", "avoid", "only", "through_obstacles")
+
+
+class ReachSettings(TypedDict, total=False):
+    """Settings of `map_reach`: fields of ``RouteConfig`` and ``CostSettings``; paths may be strings."""
+
+    risk: float | None
+    robust: bool
+    unknown: float | None
+    snap: float
+    avoid: PathLike | None
+    only: PathLike | None
+    allow_outside: bool
+    memory: str
+
+
+class RouteSettings(ReachSettings, total=False):
+    """Settings of `find_routes`."""
+
+    alternatives: int
+    through_obstacles: bool
+    visit: bool
+    round_trip: bool
+    compare: Iterable[PathLike]
+    overwrite: bool
 
 
 def find_routes(
@@ -28,7 +51,7 @@ def find_routes(
     *,
     via: Iterable[Point] = (),
     out: PathLike | None = None,
-    **settings: Any,
+    **settings: Unpack[RouteSettings],
 ) -> list[PlannedRoute]:
     """Find the cheapest way over mapped ground, and alternatives.
 
@@ -44,8 +67,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``compare``, ``memory``, ``overwrite``,
-        ``through_obstacles``.
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
+        ``through_obstacles``, ``compare``, ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -68,12 +91,21 @@ def find_routes(
     >>> round(best.figures.length_m / best.figures.straight_m, 1) >= 1.0
     True
     """
-    config = _config(layers, settings, start=_text(start), goal=_text(goal), via=tuple(map(_text, via)), out=_path(out))
+    if isinstance(via, str) or not isinstance(via, Iterable):
+        raise UsageError(f"via is {short_repr(via)}; give a list of points, such as [(512350.5, 5403300.5)]")
+    own = _settings(settings, "find_routes", RouteSettings.__annotations__)
+    own |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
+    target = None if out is None else Path(path_of_call("out", out))
+    config = RouteConfig(layers=_folders(layers), out=target, **own)
     return list(plan_routes(config).routes)
 
 
 def map_reach(
-    layers: "PathLike | Layers | Iterable[PathLike]", start: Point, *, minutes: float | None = None, **settings: Any
+    layers: "PathLike | Layers | Iterable[PathLike]",
+    start: Point,
+    *,
+    minutes: float | None = None,
+    **settings: Unpack[ReachSettings],
 ) -> "xarray.Dataset":
     """Map what can be reached from a point: cost and minutes of the cheapest way to every tile.
 
@@ -84,7 +116,8 @@ def map_reach(
     minutes : float, optional
         Tiles farther away than this are left out where possible, so that less is read.
     **settings
-        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``memory``, as in `find_routes`.
+        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in
+        `find_routes`.
 
     Returns
     -------
@@ -96,38 +129,34 @@ def map_reach(
     BadInputError, UsageError
         As `find_routes`; or the extra ``notebook`` is not installed.
     """
-    limit = () if minutes is None else (float(minutes),)
-    config = _config(layers, settings, start=_text(start), isochrones=limit)
+    own = _settings(settings, "map_reach", ReachSettings.__annotations__)
+    own |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
+    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **own)
     return reach_dataset(reach_from(config))
 
 
-def _config(layers: "PathLike | Layers | Iterable[PathLike]", settings: dict[str, Any], **own: Any) -> RouteConfig:
-    """Build the settings of a call."""
-    allowed = {*RouteConfig.__dataclass_fields__, *_OF_COST} - {"cost", "layers", *own}
-    wrong = sorted(set(settings) - allowed)
-    if wrong:
-        raise UsageError(f"there is no setting {wrong[0]!r}; the settings are {', '.join(sorted(allowed))}")
-    given = dict(settings)
-    for name in ("avoid", "only", "points"):
-        if given.get(name) is not None:
-            given[name] = Path(given[name])
-    if "compare" in given:
-        given["compare"] = tuple(map(Path, given["compare"]))
-    cost = CostSettings(**{name: given.pop(name) for name in _OF_COST if name in given})
-    return RouteConfig(layers=_folders(layers), cost=cost, **given, **own)
+def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
+    """Check the settings of a call; those of the cost become one."""
+    refuse_unknown(settings, known, function)
+    of_cost = {name: value for name, value in settings.items() if name in CostSettings.__dataclass_fields__}
+    others = {name: value for name, value in settings.items() if name not in of_cost}
+    cost = CostSettings(**settings_of_call(of_cost, CostSettings, function))
+    return {**settings_of_call(others, RouteConfig, function), "cost": cost}
 
 
 def _folders(layers: "PathLike | Layers | Iterable[PathLike]") -> tuple[Path, ...]:
-    if isinstance(layers, Layers):
-        return (layers.folder,)
-    if isinstance(layers, str | os.PathLike):
-        return (Path(layers),)
-    return tuple(map(Path, layers))
+    if isinstance(layers, Layers | str | os.PathLike) or not isinstance(layers, Iterable):
+        return (folder_of("layers", layers),)
+    return tuple(folder_of("layers", each) for each in layers)
 
 
-def _path(path: PathLike | None) -> Path | None:
-    return None if path is None else Path(path)
-
-
-def _text(point: Point) -> str:
-    return point if isinstance(point, str) else ",".join(repr(float(value)) for value in point)
+def _text(name: str, point: Point) -> str:
+    if isinstance(point, str):
+        return point
+    try:
+        x, y = (float(value) for value in point)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"{name} is {short_repr(point)}; give a pair of numbers, such as (512350.5, 5403300.5), or 'LON,LAT'"
+        ) from error
+    return f"{x!r},{y!r}"

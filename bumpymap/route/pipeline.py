@@ -93,7 +93,10 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
 
 
 def _planner(site: RouteMap, config: RouteConfig) -> Planner:
-    avoid, only = (None if path is None else read_areas(path, site) for path in (config.cost.avoid, config.cost.only))
+    avoid, only = (
+        None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
+        for path in (config.cost.avoid, config.cost.only)
+    )
     tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
     return Planner(site, config.cost, tiles, avoid, only)
 

@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, UsageError, describe_crs
+from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import RouteMap
 from bumpytiles import Grid, TileWindow
 
@@ -24,6 +24,10 @@ _FORMS = (
     "Give LON,LAT such as 11.5,48.1, or X,Y in the survey's CRS such as 434100,5411200; lonlat:11.5,48.1 and "
     "crs:434100,5411200 say which of the two it is"
 )
+
+
+_NEAR_M = 5000.0
+"""How far from the map two numbers may lie that are thought to be swapped, m."""
 
 
 class GridPoint(NamedTuple):
@@ -100,8 +104,15 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
+    far = ""
+    if meant:
+        read_as, point = next(iter(meant.items()))
+        as_what = "longitude and latitude" if read_as == "lonlat" else "coordinates in the survey's CRS"
+        metres = _outside_m(point, route_map)
+        away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
+        far = f"; read as {as_what}, it is {away} away from it"
     raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}. {_swapped(x, y, route_map)}{_FORMS}"
+        f"{name} lies outside the map, which spans {_extent(route_map)}{far}. {_swapped(x, y, route_map)}{_FORMS}"
     )
 
 
@@ -147,10 +158,10 @@ def _outside_m(point: GridPoint, route_map: RouteMap) -> float:
 
 
 def _swapped(x: float, y: float, route_map: RouteMap) -> str:
-    """Ask about the order of the two numbers if they lie on the map the other way round."""
+    """Ask about the order of the two numbers if they lie on the map, or near it, the other way round."""
     for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
         point = _on_grid(y, x, route_map, system, forced=False)
-        if point is not None and _outside_m(point, route_map) == 0.0:
+        if point is not None and _outside_m(point, route_map) <= _NEAR_M:
             order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
             return f"{order}: did you mean {y:.10g},{x:.10g}? "
     return ""
@@ -164,6 +175,8 @@ def _extent(route_map: RouteMap) -> str:
     )
     crs = route_map.georeference.crs
     system = "in local coordinates" if crs is None else f"in {describe_crs(crs.to_2d())}"
+    if route_map.georeference.metres_per_unit != 1.0:
+        system += f" (unit: {unit_name(route_map.georeference.metres_per_unit)}; lengths in options are metres)"
     text = f"x {west:.2f} to {east:.2f}, y {south:.2f} to {north:.2f} {system}"
     if crs is None:
         return text

@@ -23,6 +23,8 @@ class CostSettings:
     """File of polygons that are not entered."""
     only: Path | None = None
     """File of polygons that are not left."""
+    allow_outside: bool = False
+    """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
 
     through_obstacles: bool = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
@@ -77,22 +79,26 @@ class RouteConfig:
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
         if not 1 <= self.alternatives <= _MOST_ALTERNATIVES:
-            raise UsageError(f"alternatives is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}")
+            raise UsageError(
+                f"`alternatives` is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}"
+            )
         _number("snap", self.snap, 0.0)
         memory_limit(self.memory)
         for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
             if any(not (math.isfinite(value) and value > 0.0) for value in values):
                 given = ", ".join(map(repr, values))
-                raise UsageError(f"{name} is {given}; it must be a number above 0, or several")
+                raise UsageError(f"`{name}` is {given}; it must be a number above 0, or several")
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
                 "and `compare` belong to a way: add `goal`, `via` or `points`"
             )
         if self.isochrones and self.isocosts:
-            raise UsageError("isochrones and isocosts are outlines of one run each: give one of them")
+            raise UsageError("`isochrones` and `isocosts` are outlines of one run each: give one of them")
         if not self.is_reach and (self.isochrones or self.isocosts):
-            raise UsageError("isochrones and isocosts are those of a start without a goal: leave out `goal` and `via`")
+            raise UsageError(
+                "`isochrones` and `isocosts` are those of a start without a goal: leave out `goal` and `via`"
+            )
 
     @property
     def is_reach(self) -> bool:
@@ -110,4 +116,4 @@ _MOST_COST = 1e9
 def _number(name: str, value: float | None, least: float, most: float = math.inf) -> None:
     if value is not None and not (math.isfinite(value) and least <= value <= most):
         limit = "" if math.isinf(most) else f" and at most {most:g}"
-        raise UsageError(f"{name} is {value!r}; it must be a finite number of at least {least:g}{limit}")
+        raise UsageError(f"`{name}` is {value!r}; it must be a finite number of at least {least:g}{limit}")

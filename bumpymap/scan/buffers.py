@@ -1,5 +1,6 @@
 """Scratch arrays that live from scan to scan."""
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,8 @@ from numpy.typing import NDArray
 __all__ = ["SectorBuffers"]
 
 
-class SectorBuffers:
-    """Scratch arrays that are reused from scan to scan and grow to the largest one; for one thread at a time."""
+class SectorBuffers(threading.local):
+    """Scratch arrays that are reused from scan to scan and grow to the largest one; each thread has its own."""
 
     def __init__(self) -> None:
         self._arrays: dict[str, NDArray[Any]] = {}

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
@@ -16,9 +17,11 @@ from bumpymap.core import (
     Scan,
     ScanMethod,
     UsageError,
+    path_of_call,
     point_classes,
     refuse_clashes,
     settings_of_call,
+    short_repr,
 )
 from bumpymap.readers import Robot, read_scan, scene_points
 from bumpymap.scan.buffers import SectorBuffers
@@ -48,7 +51,8 @@ class ClassifierSettings(TypedDict, total=False):
 class ScanClassifier:
     """Classifies scan after scan with one network and one set of buffers, for the loop of a robot.
 
-    The first scan takes longer, because the network and the compiled code are loaded. Use one object per thread.
+    The first scan takes longer, because the network and the compiled code are loaded. Threads may share one object:
+    each has buffers of its own. A pickled object carries its settings, and reads the files that they name again.
 
     Parameters
     ----------
@@ -70,8 +74,8 @@ class ScanClassifier:
     calibration : path, optional
         A calibration file, instead of ``vehicle``.
     reuse : bool
-        Give the arrays with a row per point in memory that the next call overwrites: for a loop that is done with a
-        result before it asks for the next one.
+        Give the arrays with a row per point in memory that the next call in the same thread overwrites: for a loop
+        that is done with a result before it asks for the next one.
 
     Raises
     ------
@@ -79,8 +83,6 @@ class ScanClassifier:
         Settings are invalid, or contradict each other; or there is no such vehicle.
     BadInputError
         The network, the stripe classes or the calibration of the vehicle cannot be read.
-    TypeError
-        There is no setting of this name.
 
     Examples
     --------
@@ -97,15 +99,12 @@ class ScanClassifier:
     """
 
     def __init__(self, *, reuse: bool = False, **settings: Unpack[ClassifierSettings]) -> None:
-        unknown = ", ".join(set(settings) - set(ClassifierSettings.__annotations__))
-        if unknown:
-            raise TypeError(
-                f"ScanClassifier has no setting {unknown}; it has {', '.join(ClassifierSettings.__annotations__)}"
-            )
-        given = {name: value for name, value in settings.items() if value is not None}
-        refuse_clashes(given, [VEHICLE_OR_CALIBRATION])
-        own = settings_of_call(given, ScanConfig, "ScanClassifier")
+        own = settings_of_call(settings, ScanConfig, "ScanClassifier", ClassifierSettings.__annotations__)
+        refuse_clashes(own, [VEHICLE_OR_CALIBRATION])
+        if not isinstance(reuse, bool):
+            raise UsageError(f"reuse is {short_repr(reuse)}; it must be True or False")
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
+        self._given: dict[str, Any] = {"reuse": reuse, **settings}
         self._robot = config.robot
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
@@ -136,7 +135,7 @@ class ScanClassifier:
             The file cannot be read.
         """
         if isinstance(points, str | os.PathLike):
-            scan = read_scan(Path(points), self._robot)
+            scan = read_scan(Path(path_of_call("points", points)), self._robot)
             classed = self._method.classify(scan)
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
         results = SectorBuffers() if self._results is None else self._results
@@ -149,6 +148,10 @@ class ScanClassifier:
             classes = _spread(classes, rows, NOT_TRAVERSABLE, results.empty("class", len(array), np.uint8))
             sector = _spread(sector, rows, -1, results.empty("sector", len(array), np.int32))
         return ScanResult(array, classes, sector, classed)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the settings; the network and the buffers are made anew."""
+        return partial(type(self), **self._given), ()
 
     def _scene(self, points: NDArray[np.float32]) -> NDArray[np.intp] | None:
         """Return the rows of points of the scene; None if all may be classified."""
@@ -184,8 +187,6 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     ------
     BumpymapError
         Invalid settings or points, or a file that cannot be read.
-    TypeError
-        There is no setting of this name.
     """
     return ScanClassifier(**settings)(points)
 

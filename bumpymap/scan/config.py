@@ -75,14 +75,10 @@ class ScanConfig:
         unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
         if unknown or not (self.products or self.poses or self.pictures):
             raise UsageError(
-                f"products are {', '.join(self.products) or 'none'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
+                f"`products` is {', '.join(self.products) or 'empty'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
                 "Pictures of frames are drawn with `pictures`"
             )
-        if self.pictures < 0 or self.threads < 1 or not 1.0 <= self.range_m <= 1000.0:
-            raise UsageError(
-                f"`pictures` is {self.pictures} (0 or more), `range_m` {self.range_m:g} (1 to 1000 m), `threads` "
-                f"{self.threads} (1 or more)"
-            )
+        self._check_numbers()
         if self.columns not in {None, *BIN_COLUMNS}:
             raise UsageError(f"`columns` is {self.columns}; .bin files have 4, 5 or 6 columns")
         if self.resume and self.overwrite:
@@ -101,6 +97,13 @@ class ScanConfig:
             raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
         if not self.may_have_poses:
             self.refuse_map_settings()
+
+    def _check_numbers(self) -> None:
+        for name, least in (("pictures", 0), ("threads", 1)):
+            if getattr(self, name) < least:
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be a whole number, at least {least}")
+        if not 1.0 <= self.range_m <= 1000.0:
+            raise UsageError(f"`range_m` is {self.range_m:g}; it must be a number from 1 to 1000 m")
 
     @property
     def may_have_poses(self) -> bool:

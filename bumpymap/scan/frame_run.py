@@ -5,7 +5,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from queue import SimpleQueue
 from typing import Any
 
 from pyproj import CRS
@@ -32,7 +31,7 @@ from bumpymap.scan.frame_products import (
     staging_folder,
 )
 from bumpymap.scan.frames import FrameReader, naming_frame
-from bumpymap.scan.methods import Method, choose_method
+from bumpymap.scan.methods import Method
 from bumpymap.scan.run_record import ClassifiedFrames, scan_manifest
 
 __all__ = ["FrameRun"]
@@ -92,17 +91,9 @@ class FrameRun:
 
     def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:
         """Read, class and write frames in threads; add them to the files of the run in their order."""
-        methods: SimpleQueue[Method] = SimpleQueue()
-        methods.put(self.method)
-        for _ in range(min(self.config.threads, len(self.frames)) - 1):
-            methods.put(choose_method(self.config))  # each thread needs its own
 
         def finish(numbered: tuple[int, Frame]) -> tuple[FinishedFrame, str]:
-            method = methods.get()
-            try:
-                return self._finish(*numbered, reader, products, method)
-            finally:
-                methods.put(method)
+            return self._finish(*numbered, reader, products)
 
         reports: list[FrameReport] = []
         progress.start("scanning frames", len(self.frames))
@@ -119,7 +110,7 @@ class FrameRun:
         return reports
 
     def _finish(
-        self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts, method: Method
+        self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts
     ) -> tuple[FinishedFrame, str]:
         """Read and class a frame and write its files, unless an earlier run has; also return why it has no ground."""
         finished = products.load(frame, number)
@@ -129,6 +120,6 @@ class FrameRun:
         begin = time.perf_counter()
         scan = reader.read(frame)
         with naming_frame(frame):
-            classed = method.classify(scan)
+            classed = self.method.classify(scan)
         report = report_frame(frame, version, scan, classed, time.perf_counter() - begin)
         return products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)

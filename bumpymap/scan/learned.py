@@ -23,6 +23,7 @@ from bumpymap.core import (
     PolarSettings,
     SectorStack,
     UsageError,
+    check_network,
     metadata_of,
     read_network,
     sector_bounds,
@@ -116,7 +117,10 @@ class ScanModel:
                 f"{origin} uses sectors of version {metadata.get('sector_version', 'none')}; this bumpymap uses "
                 f"version {SECTOR_VERSION}. {_REMEDY}"
             )
-        return cls(content, metadata, int(metadata["pixels"]))
+        pixels = int(metadata["pixels"])
+        inputs = {"patches": (_BATCH, CHANNELS, pixels, pixels), "measures": (_BATCH, len(MEASURES))}
+        check_network(content, inputs, CLASSES, origin, _REMEDY)
+        return cls(content, metadata, pixels)
 
 
 def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

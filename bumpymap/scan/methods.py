@@ -24,7 +24,7 @@ class Method:
     basis: str
     """Description of the network or the stripe classes."""
     classify: Callable[[Scan], ClassedSectors]
-    """Cuts a scan into sectors and classifies them; keeps buffers for the next scan, so use it in one thread only."""
+    """Cuts a scan into sectors and classifies them; keeps buffers for the next scan, each thread its own."""
     calibration: Calibration | None = None
     """Of the vehicle whose ride on the sectors is told; None: of none."""
 

@@ -5,7 +5,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, ScanMethod, differences, flat_settings, same_content, spec_of_manifest
+from bumpymap.core import (
+    OutputError,
+    ScanMethod,
+    differences,
+    flat_settings,
+    recorded_settings,
+    same_content,
+    spec_of_manifest,
+)
 from bumpymap.layers import (
     SCAN_MANIFEST_NAME,
     Frame,
@@ -17,7 +25,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.rating import Calibration
-from bumpymap.readers import LABEL_SETS, FramePoses, bag_files, files_beside_poses, identity, label_file
+from bumpymap.readers import LABEL_SETS, FramePoses, bag_files, files_beside_poses, identity, label_file, label_set
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frame_products import frame_products, present_products
 from bumpymap.scan.methods import Method
@@ -91,7 +99,7 @@ def scan_manifest(
     known = run_spec["inputs"]
     own = {str(frame.path) for frame in frames if frame.message is None}
     return {
-        "settings": config,
+        "settings": recorded_settings(config),
         "method": {"name": method.name, "basis": method.basis},
         "calibration": None if method.calibration is None else _describe_calibration(method.calibration),
         "poses": run_spec["poses"],
@@ -142,6 +150,8 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
+    if config.labels is not None:
+        label_set(config.labels)  # says which there are
     labels = [] if config.labels is None or config.labels in LABEL_SETS else [Path(config.labels)]
     labels += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
     beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])

@@ -2,8 +2,8 @@
 
 import os
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any, TypeAlias, TypedDict, Unpack
 
@@ -18,15 +18,16 @@ from bumpymap.core import (
     Rating,
     UsageError,
     ZUnit,
-    path_fault,
+    path_of_call,
     refuse_clashes,
     settings_of_call,
+    short_repr,
 )
 from bumpymap.layers import Layers, temporary_folder
 from bumpymap.survey.end_of_run import require_known
 from bumpymap.survey.pipeline import map_surveys
 
-__all__ = ["EachSettings", "MapSettings", "PathLike", "map_survey", "place_text"]
+__all__ = ["EachSettings", "MapSettings", "PathLike", "map_settings", "map_survey"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -45,7 +46,8 @@ class EachSettings(TypedDict, total=False):
     speed: float | None
     speeds: Sequence[float] | None
     model: PathLike | None
-    crs: str | None
+    crs: str | int | None
+    force_crs: str | int | None
     z_unit: ZUnit | None
     local: bool
     trust_points: bool
@@ -82,9 +84,10 @@ def map_survey(
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``z_unit``, ``local``, ``trust_points``,
-        ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``, ``memory``, ``scratch``,
-        ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``force_crs``, ``z_unit``, ``local``,
+        ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``,
+        ``memory``, ``scratch``, ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the
+        tables of a settings file.
 
     Returns
     -------
@@ -96,8 +99,6 @@ def map_survey(
         Bad inputs or settings, or a full disk; no file is left half-written.
     TooUnknownError
         More tiles are unknown than ``max_unknown`` allows; the layers in ``out`` are complete.
-    TypeError
-        There is no setting of this name.
 
     Examples
     --------
@@ -106,13 +107,10 @@ def map_survey(
     >>> layers.manifest["counts"]["by_class"]["smooth"] > 500
     True
     """
-    _refuse_unknown(settings)
-    given = {name: value for name, value in settings.items() if value is not None}
-    refuse_clashes(given, CLASHES)
-    own = settings_of_call(given, MapConfig, "map_survey")
+    own = map_settings(settings, "map_survey", MapSettings.__annotations__)
     places = _places(surveys)
     if out is not None:
-        folder = place_text("out", out)
+        folder = path_of_call("out", out)
         if "://" in folder:
             raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
         _map(MapConfig(surveys=places, out=Path(folder), **own))
@@ -138,29 +136,28 @@ def _map(config: MapConfig) -> None:
     require_known(map_surveys(config), config)
 
 
-def _refuse_unknown(settings: Mapping[str, Any]) -> None:
-    known = [field.name for field in fields(MapConfig) if field.name not in {"surveys", "out"}]
-    unknown = [name for name in settings if name not in known]
-    if unknown:
-        raise TypeError(f"map_survey() has no setting {', '.join(unknown)}; there are: {', '.join(known)}")
+def map_settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
+    """Check the keyword arguments of a call for the fields of ``MapConfig``; ``known`` are all that it has."""
+    given = dict(settings)
+    for name in ("crs", "force_crs"):
+        crs = given.get(name)
+        if isinstance(crs, Integral) and not isinstance(crs, bool):
+            given[name] = f"EPSG:{crs}"
+        elif crs is not None and not isinstance(crs, str):
+            raise UsageError(
+                f"{name} is {short_repr(crs)}; give a code such as {name}='EPSG:32614', a PROJ string or WKT"
+            )
+    own = settings_of_call(given, MapConfig, function, known)
+    refuse_clashes(own, CLASHES)
+    return own
 
 
 def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
     """Convert one path or several to Path objects; URLs stay strings."""
     several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
     if not isinstance(several, Iterable):
-        raise UsageError(f"surveys is {several!r}; give a path or a list of them")
-    texts = [place_text("surveys", survey) for survey in several]
+        raise UsageError(f"surveys is {short_repr(several)}; give a path or a list of them")
+    texts = [path_of_call("surveys", survey) for survey in several]
     if not texts:
         raise UsageError("surveys is empty; give a path or a list of them")
     return tuple(text if "://" in text else Path(text) for text in texts)
-
-
-def place_text(name: str, place: PathLike) -> str:
-    """Return a path as text; raise UsageError if it is not a valid path."""
-    if not isinstance(place, str | os.PathLike):
-        raise UsageError(f"{name} is {place!r}; it must be a path")
-    text = os.fspath(place)
-    if reason := path_fault(text) or ("" if text else "the path is empty; the current folder is called ."):
-        raise UsageError(f"{name}: {reason}")
-    return text

@@ -17,11 +17,17 @@ _NAMED = 5
 """Number of files that a message names."""
 
 
-def read_options(config: MapConfig) -> ReadOptions:
+def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOptions:
     """Return the settings that the readers need."""
-    lines = config.align != "off"
     return ReadOptions(
-        config.crs, config.z_unit, config.trust_points, memory_bytes(config.memory), lines, checksum=True
+        config.crs,
+        config.z_unit,
+        config.trust_points,
+        memory_bytes(config.memory),
+        lines=config.align != "off",
+        checksum=True,
+        force_crs=config.force_crs,
+        crs_must_agree=crs_must_agree,
     )
 
 
@@ -40,15 +46,21 @@ class SurveyInputs:
     """The sheets that the layers will be written in."""
 
     @classmethod
-    def open(cls, config: MapConfig) -> "SurveyInputs":
+    def open(cls, config: MapConfig, *, crs_must_agree: bool = True) -> "SurveyInputs":
         """Open every input and check that they share a CRS, before the long work begins.
+
+        Parameters
+        ----------
+        config : MapConfig
+        crs_must_agree : bool
+            Whether an input that states another CRS than ``config.crs`` is refused; else its own is used.
 
         Raises
         ------
         BadInputError
             An input cannot be read and may not be skipped, none can be read, or they have no common CRS.
         UsageError
-            Sheets of this size cannot be made.
+            Sheets of this size cannot be made, or an input states another CRS than it must.
         """
         grid = Grid(config.tile_size, config.pixels)
         sheets = None if config.sheets is None else SheetLayout.of(grid, config.sheets)
@@ -56,7 +68,7 @@ class SurveyInputs:
         skipped: dict[str, str] = {}
         for path in find_surveys(config.surveys):
             try:
-                readers.append(open_survey(path, read_options(config)))
+                readers.append(open_survey(path, read_options(config, crs_must_agree=crs_must_agree)))
             except BadInputError as error:
                 _skip(path, error, skipped, skip_bad=config.skip_bad)
         if not readers:

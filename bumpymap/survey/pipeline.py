@@ -1,5 +1,6 @@
 """The main job, step by step: surveys in, rated tiles and their files out."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -35,7 +36,7 @@ from bumpymap.survey.engine import (
 )
 from bumpymap.survey.inputs import SurveyInputs
 from bumpymap.survey.neighbour_rating import NeighbourRating, SplitClosing
-from bumpymap.survey.result import MapResult
+from bumpymap.survey.result import MapResult, collected_warnings
 from bumpymap.survey.run_record import describe_run, earlier_result, run_manifest, versions
 from bumpymap.survey.second_pass import add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
@@ -45,8 +46,23 @@ from bumpytiles import Grid
 __all__ = ["map_surveys", "recorded_result"]
 
 
-def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResult:
+def map_surveys(
+    config: MapConfig,
+    progress: Progress | None = None,
+    *,
+    crs_must_agree: bool = True,
+    recorded_memory: str | None = None,
+) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.
+
+    Parameters
+    ----------
+    config : MapConfig
+    progress : Progress, optional
+    crs_must_agree : bool
+        Whether a survey that states another CRS than ``config.crs`` is refused; else its own is used, with a warning.
+    recorded_memory : str, optional
+        What run.json says of ``memory``: that of a batch, of which ``config`` has a share.
 
     Raises
     ------
@@ -55,18 +71,18 @@ def map_surveys(config: MapConfig, progress: Progress | None = None) -> MapResul
     """
     try:
         with remove_empty_on_error(config.out), locked(config.out):
-            return _map(config, progress or SilentProgress())
+            recorded = config if recorded_memory is None else replace(config, memory=recorded_memory)
+            return _map(with_memory(config), recorded, progress or SilentProgress(), crs_must_agree=crs_must_agree)
     finally:
         close_filter()
 
 
-def _map(config: MapConfig, progress: Progress) -> MapResult:
+def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapResult:
     clock = Stopwatch()
-    config = with_memory(config)
     budget = Budget(memory_bytes(config.memory), config.threads)
-    with clock.stage("prepare"):
+    with clock.stage("prepare"), collected_warnings() as warnings:
         is_done = _check_out(config)
-        models, inputs, run_spec, neighbours = _prepare(config, budget)
+        models, inputs, run_spec, neighbours = _prepare(config, budget, crs_must_agree=crs_must_agree)
     if is_done:
         return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
     grid = Grid(config.tile_size, config.pixels)
@@ -87,7 +103,7 @@ def _map(config: MapConfig, progress: Progress) -> MapResult:
             tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, progress, "split")
         table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
-        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines)
+        manifest = run_manifest(recorded, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):
             files, summary, sheets = write_layers(table, config, inputs, run_spec, manifest, progress)
     points, only = measured.points, measured.ground_only
@@ -105,17 +121,20 @@ def recorded_result(config: MapConfig) -> MapResult:
     """
     try:
         config = with_memory(config)
-        _, _, run_spec, neighbours = _prepare(config, Budget(memory_bytes(config.memory), config.threads))
+        budget = Budget(memory_bytes(config.memory), config.threads)
+        _, _, run_spec, neighbours = _prepare(config, budget, crs_must_agree=False)
         return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin, with_layers=False)
     finally:
         close_filter()
 
 
-def _prepare(config: MapConfig, budget: Budget) -> tuple[RatingModels, SurveyInputs, dict[str, Any], NeighbourRating]:
+def _prepare(
+    config: MapConfig, budget: Budget, *, crs_must_agree: bool
+) -> tuple[RatingModels, SurveyInputs, dict[str, Any], NeighbourRating]:
     """Load the models, open the surveys, and return them with what the results depend on."""
     require_cloth(config)
     models = RatingModels.load(config)
-    inputs = SurveyInputs.open(config)
+    inputs = SurveyInputs.open(config, crs_must_agree=crs_must_agree)
     return models, inputs, describe_run(config, inputs, models, budget), NeighbourRating.of(config, models)
 
 

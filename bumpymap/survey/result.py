@@ -1,12 +1,45 @@
 """The result of a run of the main job."""
 
+import logging
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from bumpymap.layers import MapSummary
 from bumpymap.survey.flight_lines import FlightLines
 
-__all__ = ["MapResult"]
+__all__ = ["MapResult", "WarningCollector", "collected_warnings"]
+
+
+class WarningCollector(logging.Handler):
+    """Keeps warnings, those of the thread that made it or of all, as pairs of level and message."""
+
+    def __init__(self, *, every_thread: bool = False) -> None:
+        super().__init__(logging.WARNING)
+        self.kept: list[tuple[str, str]] = []
+        self._thread = None if every_thread else threading.get_ident()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record."""
+        try:
+            if self._thread in {None, record.thread}:
+                self.kept.append((record.levelname.lower(), record.getMessage()))
+        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
+            self.handleError(record)
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Collect the warnings of bumpymap during the body, beside their being logged."""
+    collector, logger, texts = WarningCollector(), logging.getLogger("bumpymap"), list[str]()
+    logger.addHandler(collector)
+    try:
+        yield texts
+    finally:
+        logger.removeHandler(collector)
+        texts += [message for _, message in collector.kept]
 
 
 @dataclass(frozen=True, slots=True)

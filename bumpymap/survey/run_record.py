@@ -1,7 +1,6 @@
 """What a run depends on, and what it records in ``run.json``."""
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from bumpymap.core import (
     flat_settings,
     read_record,
     recorded_place,
+    recorded_settings,
     same_content,
     spec_of_manifest,
     without_keys,
@@ -111,11 +111,12 @@ def run_manifest(
     models: RatingModels,
     seconds: Mapping[str, float],
     lines: FlightLines,
+    warnings: Sequence[str],
 ) -> dict[str, Any]:
-    """Return what ``run.json`` says beside the statistics of the tiles."""
+    """Return what ``run.json`` says beside the statistics of the tiles; ``warnings`` are those before the points."""
     every = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
-    calibration = models.calibration
+    calibration, skipped = models.calibration, inputs.skipped
     return {
         "survey": survey_record(
             config.surveys,
@@ -124,11 +125,14 @@ def run_manifest(
             [info.header_date for info, _, _ in read],
         ),
         "inputs": [_input_record(*each) for each in read],
-        "skipped": {recorded_place(path): without_keys(why) for path, why in inputs.skipped.items()},
+        "skipped": {recorded_place(path): without_keys(why) for path, why in skipped.items()},
+        "warnings": list(
+            dict.fromkeys(map(without_keys, (*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items()))))
+        ),
         "skipped_inputs": [
-            {"path": recorded_place(path), **_file_version(run_spec["inputs"][path])} for path in inputs.skipped
+            {"path": recorded_place(path), **_file_version(run_spec["inputs"][path])} for path in skipped
         ],
-        "settings": {**asdict(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
+        "settings": {**recorded_settings(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
         "versions": versions(config.ground),
         "ground_only": measured.ground_only,
         "points": measured.points,

@@ -41,16 +41,16 @@ SENSORS = DriveSensors(
 )
 
 
-def drive(layers: Path, motion: Path) -> None:
+def drive(layers: Path, motion: Path, way: tuple[tuple[int, int], ...] = WAY, stops: tuple[Stop, ...] = STOPS) -> None:
     """Drive over the ground of the map and keep the motion."""
     site = open_map([layers])
     bounds, size = site.grid.window_bounds(site.window), site.grid.tile_size
-    line = np.array([bounds.west, bounds.south]) + np.array(WAY, float)
+    line = np.array([bounds.west, bounds.south]) + np.array(way, float)
     low, high = np.floor(line.min(axis=0) / size).astype(int) - 3, np.ceil(line.max(axis=0) / size).astype(int) + 3
     window = TileWindow(*low.tolist(), *(high - low).tolist())
     heights = driven_heights(site.heights(window), site.objects(window))
     ground = ReliefGround.from_heightmap(heights, site.grid.pixel_size)
-    made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=STOPS))
+    made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=stops))
     save_motion(replace(made.motion, place=made.motion.place + np.array([*(low * size), 0.0])), motion)
 
 

@@ -3,10 +3,10 @@
 python tests/benchmarks/hosts.py SURVEY... --data FOLDER [--saved 1] [--moto FOLDER] [--map-options "--ground all"]
 
 The hosts are network namespaces of this machine, joined by a link, with mount namespaces in which /tmp is private,
-except for one folder that both share: that of `--out`. The first host has the scheduler, the client, a worker and an
-S3 server; the second has two workers. All connections between them use TLS, those to the S3 server HTTP. The surveys
-are read from the S3 server; without moto (pip install "moto[server]", or --moto FOLDER after pip install --target
-FOLDER), from a folder that both hosts see.
+except for one folder that both share, that of `--out`, and for checkout and environment if they lie in /tmp. The
+first host has the scheduler, the client, a worker and an S3 server; the second has two workers. All connections between
+them use TLS, those to the S3 server HTTP. The surveys are read from the S3 server; without moto (pip install
+"moto[server]", or --moto FOLDER after pip install --target FOLDER), from a folder that both hosts see.
 
 When the second host is at work and --saved results are saved, its link is taken down and its processes are killed.
 Needs root, ip, unshare, nsenter and openssl. The exit code is 1 if the run fails or any layer differs. Whatever the
@@ -48,6 +48,7 @@ mkdir {stage}/shared {stage}/surveys {stage}/tls {stage}/moto
 mount --bind {data}/shared {stage}/shared
 if [ -n "{surveys}" ]; then mount --bind {surveys} {stage}/surveys; fi
 if [ -n "{moto}" ]; then mount --bind {moto} {stage}/moto; fi
+{code}
 cp {data}/tls/*.pem {data}/tls/tls.toml {stage}/tls
 mount --move {stage} /tmp
 echo ready
@@ -62,7 +63,10 @@ class Host:
         self.name = name
         stage = data / name
         stage.mkdir()
-        script = _NEW_HOST.format(stage=stage, data=data, surveys=surveys or "", moto=moto)
+        roots = {Path(__file__).resolve().parents[2], Path(sys.prefix), Path(sys.base_prefix)}
+        shared = [(one, stage / one.relative_to("/tmp")) for one in sorted(roots) if one.is_relative_to("/tmp")]  # noqa: S108
+        code = "\n".join(f"mkdir -p {there}; mount --bind {one} {there}" for one, there in shared)
+        script = _NEW_HOST.format(stage=stage, data=data, surveys=surveys or "", moto=moto, code=code)
         self._holder = subprocess.Popen(
             ["ip", "netns", "exec", name, "unshare", "--mount", "--propagation", "private", "sh", "-c", script],
             stdout=subprocess.PIPE,

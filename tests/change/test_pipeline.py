@@ -11,6 +11,7 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
+from bumpymap.change.notes import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid
@@ -53,7 +54,7 @@ def test_without_a_change_next_to_nothing_is_found(may, again):
     assert result.counts["compared"] == ROWS * COLS
     assert result.counts["changed"] <= 0.005 * ROWS * COLS
     assert result.fit["offset_m"] == pytest.approx(0.4, abs=0.002)
-    assert any("+0.400 m higher" in note and "taken off" in note for note in result.notes)
+    assert any("lies 0.400 m higher" in note and "taken off" in note for note in result.notes)
     assert all(factor < 1.2 for factor in result.fit["widened"].values())
     assert abs(np.nanstd(result.field.z_height) - 1.0) < 0.1
 
@@ -66,6 +67,15 @@ def test_a_rut_is_found_and_little_else(may, june):
     assert (result.field.changed[planted() & found] == 2).mean() > 0.9
     assert np.nanmedian(result.field.d_height[planted()]) == pytest.approx(-0.1 * 3 / 15, abs=0.004)
     assert result.field.d_c_r[planted()].mean() == pytest.approx(0.2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("offset", "words"), [(0.4, "0.400 m higher"), (-0.001, "0.001 m lower"), (-0.0004, "level with the earlier")]
+)
+def test_where_the_later_survey_lies_is_said_in_words(offset, words):
+    fit = {"offset_m": offset, "offset_taken_off_m": offset, "median_density_m2": (9, 9), "widened": {}}
+    fit |= {"median_ratio_c_r": None, "versions": (None, None)}
+    assert any(words in text for text in remarks(fit, {"changed": 0, "compared": 9, "in_both": 9}))
 
 
 def test_the_other_way_round_a_rut_is_filled(may, june):

@@ -6,10 +6,13 @@ from pathlib import Path
 import made_drives
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from bumpymap.check import check_drives
 from bumpymap.check.place_on_map import places_alone, places_on_map
+from bumpymap.cli import main
 from bumpymap.core import BadInputError, PlaceTrack
+from bumpymap.layers import read_check
 
 
 def csv_of(path: Path, *, with_places: bool = True) -> str:
@@ -43,6 +46,33 @@ def test_a_drive_without_positions_or_wheels_is_refused(tmp_path):
         check_drives(None, csv_of(tmp_path, with_places=False))
 
 
+@pytest.mark.parametrize("parked", [False, True])
+def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, parked):
+    """Whether its file is none, or it is refused when it is measured."""
+    good, bad = csv_of(tmp_path), str(tmp_path / "bad.csv")
+    (tmp_path / "bad.csv").write_text("hello")
+    if parked:
+        made_drives.write_table(tmp_path / "bad.csv", placed("projected", still=True), (0.0, 0.0))
+    words = ["check", "--drive", bad, "--drive", good, "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 4
+    result, _ = read_check(tmp_path / "out")
+    why = result.skipped[bad]
+    assert ("never drives" if parked else "no table") in why
+    assert [drive.name for drive in result.drives] == ["imu,gnss"]
+    page = (tmp_path / "out" / "check.md").read_text()
+    assert all(bad in text and why in text.replace("\\", "") for text in (done.output, page))
+    assert check_drives(None, [good, bad]).skipped == result.skipped
+
+
+def test_with_no_usable_drive_there_is_no_check(tmp_path):
+    words = [tmp_path / "one.csv", tmp_path / "two.csv"]
+    with pytest.raises(BadInputError, match=r"(?s)one\.csv.*two\.csv"):
+        check_drives(None, words)
+    done = CliRunner().invoke(main, ["check", *(word for path in words for word in ("--drive", str(path)))])
+    assert done.exit_code == 3
+
+
 class Site:
     """A map as far as positions need it: 100 x 100 tiles, perhaps without a CRS."""
 
@@ -59,8 +89,8 @@ class Site:
     to_crs = to_grid
 
 
-def placed(kind: str, shift: float = 0.0):
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0))
+def placed(kind: str, shift: float = 0.0, *, still: bool = False):
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, speed=0.0 if still else 1.0))
     track = log.places
     return replace(log, places=PlaceTrack(track.time, track.x + 50 + shift, track.y + 50, track.error, kind))
 

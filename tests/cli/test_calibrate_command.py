@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 from dataclasses import asdict, replace
@@ -47,7 +48,8 @@ def fake_drives(monkeypatch):
 
 
 def calibrate(*words):
-    return CliRunner().invoke(main, ["calibrate", *map(str, words)])
+    named = [] if {"--vehicle", "--check"} & set(words) else ["--vehicle", "warthog"]
+    return CliRunner().invoke(main, ["calibrate", *named, *map(str, words)])
 
 
 def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
@@ -64,6 +66,7 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
     assert calibration.steps == {"seed": 9}
     assert calibration.thin == {"n": 17}
     assert calibration.motion["terrains"] == 2
+    assert re.search(r"warthog: \d+ drives, about .* with 1 process\.", result.output)
     assert "72 drives over textures, 12 failed" in result.output
     assert "34 drives over 17 terrains of the library, 1 failed" in result.output
     assert "class 3 very rough" in result.output
@@ -99,13 +102,20 @@ def test_interrupted_run_says_how_to_go_on(tmp_path, fake_drives, monkeypatch):
     assert "same command again" in result.output
     assert not out.exists()
     assert calibrate("--out", out, "--quick", "--workers", 1).exit_code == 0
-    assert len(ran) == 8 + (36 + 17) - 7
+    assert len(ran) == 8 + 2 + (36 + 17) - 5  # with the two that tell how long it will take
 
 
 def test_missing_out_is_wrong_usage():
     result = calibrate()
     assert result.exit_code == 2
     assert "--out FILE.json" in result.output
+
+
+def test_a_calibration_is_for_a_vehicle_that_is_named(tmp_path):
+    result = CliRunner().invoke(main, ["calibrate", "--out", str(tmp_path / "c.json")])
+    assert result.exit_code == 2
+    assert all(word in result.output for word in ("--vehicle", "warthog", "bumpymap vehicle new"))
+    assert not any(tmp_path.iterdir())
 
 
 def test_unknown_vehicle_is_wrong_usage(tmp_path):

@@ -72,6 +72,22 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     assert not (out / ".bumpymap-run").exists()
 
 
+def test_no_traceback_before_anything_is_imported():
+    """The first module that the command looks for, after its own, brings Ctrl-C."""
+    code = (
+        "import os, signal, sys\n"
+        "class Finder:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name not in ('bumpymap', 'bumpymap.__main__'):\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Finder())\n"
+        "from bumpymap.__main__ import run\n"
+        "run()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
+
+
 # Children of one process that has imported everything; each gets the signal at another call of its main thread.
 AT_INSTANTS = """
 import atexit, os, signal, sys
@@ -208,7 +224,7 @@ KEPT = "No file is half-written. The driven patches are kept: give the same comm
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)
     progress = tmp_path / "c.json.progress.jsonl"
-    words = ["calibrate", "--out", str(tmp_path / "c.json"), "--workers", "2"]
+    words = ["calibrate", "--vehicle", "warthog", "--out", str(tmp_path / "c.json"), "--workers", "2"]
     run = subprocess.Popen(
         [sys.executable, "-c", DRIVING.format(folder=str(tmp_path)), *words],
         stdout=subprocess.PIPE,

@@ -13,7 +13,8 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.cli._text import escape, print_error, print_json, print_line, print_table
+from bumpymap.cli._text import print_error, print_json, print_line, print_table
+from bumpymap.core import escape_controls
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -29,15 +30,15 @@ def nothing_acts(text):
 
 def test_no_letter_acts():
     for letter in map(chr, [*range(0x3000), *range(0xD800, 0xE000), *range(0xE0000, 0xE0100)]):
-        shown = escape(f"a{letter}b")
+        shown = escape_controls(f"a{letter}b")
         assert (shown[0], shown[-1]) == ("a", "b")
         assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
 
 
 def test_what_is_printable_stays():
     text = "quarry (2).laz é 道 [red] \\n {x} 'a b'"
-    assert escape(text) == text
-    assert escape("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
+    assert escape_controls(text) == text
+    assert escape_controls("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
 
 
 def test_every_way_out_shows_it(capsys):
@@ -49,7 +50,7 @@ def test_every_way_out_shows_it(capsys):
     out, err = capsys.readouterr()
     assert nothing_acts(out)
     assert nothing_acts(err)
-    assert out.splitlines()[0] == err.rstrip("\n") == escape(WICKED)
+    assert out.splitlines()[0] == err.rstrip("\n") == escape_controls(WICKED)
     assert "[red]d[/red] :smile:" in err
     assert json.loads(out.splitlines()[-1])["name"] == WICKED
 

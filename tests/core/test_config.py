@@ -60,14 +60,14 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
         ({"tile_size": 0.0}, "tile_size"),
         ({"pixels": 2}, "pixels"),
         ({"threads": 0}, "threads"),
-        ({"ground": "some"}, "ground is 'some'; it must be one of auto, all, class"),
+        ({"ground": "some"}, "`ground` is 'some'; it must be one of auto, all, class"),
         ({"z_unit": "yard"}, "z_unit"),
         ({"compat": "other"}, "compat"),
-        ({"workers": 0}, "workers is 0; it must be a whole number, at least 1"),
+        ({"workers": 0}, "`workers` is 0; it must be a whole number, at least 1"),
         ({"workers": 2, "scheduler": "tcp://a:1"}, "give one of them"),
         ({"scheduler": "tls://a:1"}, "needs certificates: give `tls_config='FILE'`"),
         ({"scheduler": "tcp://a:1", "tls_config": Path("t.toml")}, "address starts with tls://"),
-        ({"workers": 2, "tls_config": Path("t.toml")}, "scheduler is None; certificates are for a scheduler"),
+        ({"workers": 2, "tls_config": Path("t.toml")}, "`scheduler` is None; certificates are for a scheduler"),
     ],
 )
 def test_values_out_of_bounds_are_refused(setting, message):

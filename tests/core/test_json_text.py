@@ -7,7 +7,8 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.json_text import parse_json
+from bumpymap.core.json_text import Each, Nullable, Number, parse_json, shape_fault
+from bumpymap.core.run_folder import RunFolder, work_folder
 from bumpymap.lab.simulate.journal import Journal
 from bumpymap.scan import load_stripes
 
@@ -24,6 +25,48 @@ def test_what_is_not_deep_is_parsed():
     assert parse_json(json.dumps(value)) == value
     assert parse_json("1") == 1
     assert parse_json(nested(50))
+
+
+SHAPE = {"a": Number(0, 9, whole=True), "b?": [str], "c?": (Nullable(Number()),) * 2, "d?": Each({"e": bool})}
+
+
+@pytest.mark.parametrize(
+    "value",
+    [{"a": 0}, {"a": 9, "more": None}, {"a": 1, "b": [], "c": [None, 0.5], "d": {"x": {"e": True}}}],
+)
+def test_a_value_of_the_declared_shape_has_no_fault(value):
+    assert shape_fault(value, SHAPE) == ""
+
+
+@pytest.mark.parametrize(
+    ("value", "named"),
+    [
+        (5, "it"),
+        (None, "it"),
+        ({}, "it"),
+        ({"a": True}, "a"),
+        ({"a": 10}, "a"),
+        ({"a": 1.5}, "a"),
+        ({"a": 1, "b": "x"}, "b"),
+        ({"a": 1, "b": ["x", 2]}, "b.1"),
+        ({"a": 1, "c": [1]}, "c"),
+        ({"a": 1, "c": [1, float("nan")]}, "c.1"),
+        ({"a": 1, "c": [1, float("inf")]}, "c.1"),
+        ({"a": 1, "d": {"x": {"e": 1}}}, "d.x.e"),
+    ],
+)
+def test_the_first_fault_of_a_shape_is_named(value, named):
+    assert shape_fault(value, SHAPE).startswith(f"{named} is ")
+
+
+@pytest.mark.parametrize("spec", ['{"inputs": 5, "settings": {}, "made with": {}}', '{"settings": "x"}', "[1]", "{"])
+def test_a_damaged_run_spec_is_not_resumed(tmp_path, spec):
+    folder = work_folder(tmp_path)
+    folder.mkdir(mode=0o700)
+    (folder / "run_spec.json").write_text(spec)
+    now = {"inputs": {"a.las": {"size": 1}}, "settings": {"x": 1}, "made with": {}}
+    with RunFolder.opened(tmp_path, now, resume=True, finished=lambda _: True, advice="") as run:
+        assert not run.resumed
 
 
 @pytest.mark.parametrize("opening", ["[", '{"a":'])

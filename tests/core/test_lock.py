@@ -12,7 +12,7 @@ import sys
 import pytest
 
 from bumpymap.core.errors import OutputError
-from bumpymap.core.lock import LOCK, locked
+from bumpymap.core.lock import LOCK, Holder, lock_for, locked
 
 HOLD = """
 import sys
@@ -45,6 +45,15 @@ def test_the_loser_says_who_holds_it(tmp_path, holder):
     assert "'a word'" in said
     assert "`out`" in said
     assert (out / LOCK).read_bytes() == before
+
+
+def test_a_worker_holds_the_lock_in_the_name_of_the_command(tmp_path):
+    lock_for(Holder(7, "bumpymap batch flights"))
+    try:
+        with locked(tmp_path), pytest.raises(OutputError, match=r"pid 7 on .* since .*: bumpymap batch flights"):
+            locked(tmp_path).__enter__()
+    finally:
+        lock_for(None)
 
 
 def test_the_lock_of_a_killed_run_holds_nobody_up(tmp_path, holder):

@@ -64,6 +64,15 @@ def test_a_request_ofends_with_its_processor_time():
     assert error.value.signal == "SIGPROF"
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
+def test_a_request_for_more_memory_than_allowed_fails_alone():
+    child = Child("to test", "builtins", [])
+    with pytest.raises(ChildError, match="MemoryError"):
+        child.call("bytes", 1 << 30, memory=200 << 20)
+    assert child.call("len", b"12", memory=200 << 20) == 2
+    child.close()
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_are_for_the_parent(child, number):
     child.call("getpid")

@@ -135,7 +135,8 @@ def furnish(folder: Path) -> None:
         standalone_mode=False,
     )
     (folder / "sample_data").mkdir()
-    shutil.copy(ROOT / "sample_data" / "quarry.laz", folder / "sample_data")
+    for name in ("quarry.laz", "quarry_drive_imu.csv", "quarry_drive_gnss.csv"):
+        shutil.copy(ROOT / "sample_data" / name, folder / "sample_data")
     for name, east in (
         ("site.laz", 0.0),
         ("survey.laz", 0.0),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from bumpymap.core import UsageError
 from bumpymap.layers import SurveyRow
 from bumpymap.survey.batch.table import read_table
 
@@ -24,7 +25,12 @@ def test_the_columns_of_the_summary_are_described_in_their_order():
 def test_the_columns_of_a_table_are_described_and_the_example_is_one(tmp_path):
     (named,) = re.findall(r"The columns are (.*?)\.\s", PAGE, re.DOTALL)
     columns = re.findall(r"`(\w+)`", named)
-    assert read_table(",".join(["survey", "name", *columns]), "a.csv", tmp_path) == []
+    with pytest.raises(UsageError) as caught:
+        read_table("survey,nonsense", "a.csv", tmp_path)
+    assert sorted(str(caught.value).split("there are: ")[1].split(", ")) == sorted(["survey", "name", *columns])
+    (tmp_path / "2026-05-03").mkdir()
+    for name in ("north", "south"):
+        (tmp_path / "2026-05-03" / f"{name}.laz").touch()
     (example,) = re.findall(r"```text\n(survey,.*?)```", PAGE, re.DOTALL)
     north, south = read_table(example, "a.csv", tmp_path)
     assert north == (tmp_path / "2026-05-03" / "north.laz", "north", {"crs": "EPSG:32614"})

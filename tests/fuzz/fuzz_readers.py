@@ -1,9 +1,10 @@
 """Fuzz the readers: damaged surveys in, nothing out but points or one message.
 
 ``python tests/fuzz/fuzz_readers.py --minutes 60 --seed 1 --report journal.json`` damages valid surveys; those that
-reach new lines of the readers are damaged further. What the readers cannot deal with is made small and kept in
-``seeds/``; ``--keep`` keeps what reached new lines too. ``--replay`` runs the files in ``seeds/`` instead, and prints a
-verdict each as JSON.
+reach new lines of the readers are damaged further. ``--what files`` damages all other files and the folders of layers,
+and looks at what is fetched, and written outside of the folder; ``--inputs 3000`` ends after so many. What the readers
+cannot deal with is made small and kept in ``seeds/``; ``--keep`` keeps what reached new lines too. ``--replay`` runs
+the files in ``seeds/`` instead, and prints a verdict each as JSON.
 
 The same seed gives the same inputs, as far as it gets in the time.
 """
@@ -12,10 +13,14 @@ import argparse
 import hashlib
 import json
 import os
+import socket
+import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 # Before libraries are loaded: a pool of threads would not live through a fork.
@@ -23,8 +28,9 @@ os.environ["RAYON_NUM_THREADS"] = "1"
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
 import numpy as np
+from files import make_cases, plant_traps
 from mutate import Start, applied, mutated, starts
-from trial import judged, read_whole
+from trial import Verdict, judged, read_whole, watched
 
 SEEDS = Path(__file__).parent / "seeds"
 BATCH = 400
@@ -35,22 +41,31 @@ _SMALL_FILE = 4096
 class Fuzzer:
     """Inputs, verdicts, and what was learnt from them."""
 
-    def __init__(self, seed: int, folder: Path, seeds: Path) -> None:
-        self._seed, self._folder, self._seeds = seed, folder, seeds
-        self._bases = starts()
+    def __init__(
+        self,
+        seed: int,
+        folder: Path,
+        seeds: Path,
+        bases: Sequence[Start] | None = None,
+        judge: Callable[[Path], Verdict] = read_whole,
+        traps: Sequence[bytes] = (),
+    ) -> None:
+        self._seed, self._folder, self._seeds, self._judge, self._traps = seed, folder, seeds, judge, traps
+        self._bases = list(bases or starts())
         self._pool = list(self._bases)
         self._lines: set[tuple[str, int]] = set()
-        self._made = 0
+        self.made = 0
+        """Inputs so far."""
         self._counts: Counter[str] = Counter()
         self._faults: dict[str, dict[str, object]] = {}
         self._unconfirmed: Counter[str] = Counter()
 
     def batch(self):
         """Make inputs, have them judged, learn."""
-        made = [self._input(self._made + index) for index in range(BATCH)]
-        self._made += BATCH
+        made = [self._input(self.made + index) for index in range(BATCH)]
+        self.made += BATCH
         inputs = [applied(start.data, start.edits) for start in made]
-        verdicts = list(judged(inputs, self._folder, [start.name for start in made], self._lines))
+        verdicts = list(judged(inputs, self._folder, [start.name for start in made], self._lines, self._judge))
         for start, verdict in zip(made, verdicts, strict=True):
             self._counts[f"{start.name} {verdict.kind}"] += 1
             if verdict.lines - self._lines:
@@ -63,6 +78,9 @@ class Fuzzer:
         rng = np.random.default_rng([self._seed, index])
         pool = self._bases if rng.random() < 0.5 else self._pool
         start = pool[int(rng.integers(len(pool)))]
+        if self._traps and rng.random() < 0.1:
+            trap = self._traps[int(rng.integers(len(self._traps)))]
+            return Start(start.name, start.data, start.fields, start.text_end, ((0, len(start.data), trap),))
         edits = mutated(start, self._bases, rng)
         return Start(start.name, start.data, start.fields, start.text_end, edits)
 
@@ -85,7 +103,7 @@ class Fuzzer:
         self._faults[key] = {"seed": name, "times": 1, "edits": len(edits), "detail": verdict.detail[-1500:]}
 
     def _write(self, kind, survey, data):
-        stem, _, suffix = survey.partition(".")
+        stem, _, suffix = survey.replace("/", "_").replace(" ", "_").replace(":", "_").partition(".")
         name = f"{kind}-{stem}-{hashlib.sha256(data).hexdigest()[:8]}.{suffix}"
         self._seeds.mkdir(exist_ok=True)
         (self._seeds / name).write_bytes(data)
@@ -109,18 +127,18 @@ class Fuzzer:
         return edits
 
     def _judged(self, start, edits):
-        return next(judged([applied(start.data, edits)], self._folder, [start.name], self._lines))
+        return next(judged([applied(start.data, edits)], self._folder, [start.name], self._lines, self._judge))
 
     def journal(self, seconds):
         """Give what was done so far, as a record."""
         kinds: Counter[str] = Counter()
         for name, count in self._counts.items():
-            kinds[name.split()[1]] += count
+            kinds[name.split()[-1]] += count
         return {
             "seed": self._seed,
             "seconds": round(seconds, 1),
-            "inputs": self._made,
-            "inputs_per_second": round(self._made / max(seconds, 1e-9), 1),
+            "inputs": self.made,
+            "inputs_per_second": round(self.made / max(seconds, 1e-9), 1),
             "lines_reached": len(self._lines),
             "pool": len(self._pool),
             "verdicts": dict(sorted(kinds.items())),
@@ -141,14 +159,57 @@ def warm_up(folder: Path) -> None:
                 raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
 
 
-def fuzz(minutes: float, seed: int, report: Path | None, seeds: Path, *, keep: bool) -> int:
-    """Fuzz for a time; 1 where faults were found."""
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch)
-        warm_up(folder)
-        fuzzer = Fuzzer(seed, folder, seeds)
+@contextmanager
+def server(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Serve nothing on this machine; yield the URL and the log, which has a line for each request."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    log = folder / "requests"
+    command = [sys.executable, "-m", "http.server", str(port), "--bind", "127.0.0.1", "--directory", str(folder)]
+    with log.open("wb") as lines:
+        run = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=lines)
+        try:
+            yield f"http://127.0.0.1:{port}", log
+        finally:
+            run.terminate()
+            run.wait()
+
+
+@contextmanager
+def of_files(seed: int, folder: Path, seeds: Path) -> Iterator[Fuzzer]:
+    """Yield a fuzzer of all files but surveys."""
+    (folder / "valid").mkdir()
+    (folder / "inputs").mkdir()
+    (folder / "traps").mkdir()
+    with server(folder / "traps") as (url, log):
+        cases = {case.start.name: case for case in make_cases(folder / "valid")}
+        traps = plant_traps(folder / "traps", url)
+        judge = watched({name.replace("/", "_"): case for name, case in cases.items()}, log)
+        yield Fuzzer(seed, folder / "inputs", seeds, [case.start for case in cases.values()], judge, traps)
+
+
+@contextmanager
+def of_surveys(seed: int, folder: Path, seeds: Path) -> Iterator[Fuzzer]:
+    """Yield a fuzzer of surveys."""
+    warm_up(folder)
+    yield Fuzzer(seed, folder, seeds)
+
+
+def fuzz(
+    make: Callable[..., AbstractContextManager[Fuzzer]],
+    most: tuple[float, int],
+    seed: int,
+    report: Path | None,
+    seeds: Path,
+    *,
+    keep: bool,
+) -> int:
+    """Fuzz for so many minutes or inputs at most; 1 where faults were found."""
+    minutes, inputs = most
+    with tempfile.TemporaryDirectory() as scratch, make(seed, Path(scratch), seeds) as fuzzer:
         began = written = time.monotonic()
-        while time.monotonic() - began < 60 * minutes:
+        while time.monotonic() - began < 60 * minutes and fuzzer.made < inputs:
             fuzzer.batch()
             if report and time.monotonic() - written > _JOURNAL_EVERY:
                 written = time.monotonic()
@@ -178,7 +239,9 @@ def replay(seeds: Path) -> int:
 def main() -> int:
     """Read the command line."""
     parser = argparse.ArgumentParser(description="Fuzz the readers of bumpymap.")
+    parser.add_argument("--what", choices=("surveys", "files"), default="surveys")
     parser.add_argument("--minutes", type=float, default=1.0)
+    parser.add_argument("--inputs", type=int, default=10**9, help="end after so many")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--report", type=Path, help="journal to write, JSON")
     parser.add_argument("--seeds", type=Path, default=SEEDS, help="folder of what was found")
@@ -187,7 +250,8 @@ def main() -> int:
     given = parser.parse_args()
     if given.replay:
         return replay(given.seeds)
-    return fuzz(given.minutes, given.seed, given.report, given.seeds, keep=given.keep)
+    make = of_files if given.what == "files" else of_surveys
+    return fuzz(make, (given.minutes, given.inputs), given.seed, given.report, given.seeds, keep=given.keep)
 
 
 if __name__ == "__main__":

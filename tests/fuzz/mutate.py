@@ -3,6 +3,7 @@
 A list of edits can be shortened one by one, which is how a finding becomes small.
 """
 
+import json
 import struct
 from dataclasses import dataclass
 
@@ -41,6 +42,11 @@ _WORDS = (
     b"binary", b"binary_compressed", b"binary_little_endian", b"binary_big_endian", b"property", b"element", b"F", b"U",
     b"I", b"", b"\xff", b"\n", b"end_header", b"DATA", b"COUNT", b"SIZE", b"POINTS", b"comment",
 )  # fmt: skip
+_VALUES = (
+    None, True, -1, 0, 1e308, 10**30, float("nan"), float("inf"), "", "x", "../../x", "/etc/passwd", "nan", [], ["a"],
+    {}, {"a": 1}, [[1, 2], [3]], [None], "\x00", "\ud800",
+)  # fmt: skip
+"""Instead of a value of JSON."""
 _MOST_EDITS = 24
 
 
@@ -83,6 +89,8 @@ def mutated(start: Start, others: list[Start], rng: np.random.Generator) -> tupl
 
 def _edit(data, start, others, rng):
     kind = rng.random()
+    if start.name.endswith("json") and kind < 0.7 and (edit := _json_edit(data, rng)) is not None:
+        return edit
     if start.fields and kind < 0.55:
         return _field_edit(data, start, rng)
     if start.text_end and kind < 0.6:
@@ -102,6 +110,35 @@ def _field_edit(data, start, rng):
     choices = _INTEGERS if rng.random() < 0.5 else near
     value = choices[int(rng.integers(len(choices)))] % 256**size
     return place, place + size, value.to_bytes(size, "little")
+
+
+def _json_edit(data, rng):
+    """Replace, remove or rename one value of a JSON document; None if it is no longer one."""
+    try:
+        record = json.loads(data)
+    except (ValueError, RecursionError):
+        return None
+    places = list(_places(record))
+    if not places:
+        return None
+    holder, key = places[int(rng.integers(len(places)))]
+    kind = int(rng.integers(5))
+    if kind == 0:
+        del holder[key]
+    elif kind == 1 and isinstance(holder, dict):
+        holder[f"{key}_"] = holder.pop(key)
+    elif isinstance(holder[key], int | float) and kind == 2:
+        holder[key] *= (-1, 0, 2, 1e9, 1e-9)[int(rng.integers(5))]
+    else:
+        holder[key] = _VALUES[int(rng.integers(len(_VALUES)))]
+    return 0, len(data), json.dumps(record).encode()
+
+
+def _places(value):
+    keys = list(value) if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    for key in keys:
+        yield value, key
+        yield from _places(value[key])
 
 
 def _word_edit(data, start, rng):

@@ -11,19 +11,21 @@ import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bumpymap.readers
 from bumpymap.core.errors import BumpymapError
 from bumpymap.readers import PointStats, open_survey
 
-__all__ = ["Verdict", "judged", "read_whole"]
+__all__ = ["Verdict", "judged", "read_whole", "watched"]
 
 MEMORY = 1_500_000_000
-SECONDS = 10
+SECONDS = 15
 _READERS = str(Path(bumpymap.readers.__file__).parent)
+_HOUSE = str(Path(bumpymap.readers.__file__).parents[1])
 _SMALL = 16
 _OWN_FAULT = 99
 """Exit code of a child where not the readers failed, but this module."""
@@ -35,7 +37,7 @@ class Verdict:
 
     kind: str
     """``read``, ``refused``, or a fault: ``escaped``, ``memory``, ``short``, ``differs``, ``unnamed``, ``noise``,
-    ``died``, ``hang``; ``harness``: not the readers failed, but this module."""
+    ``died``, ``hang``, ``fetched``, ``outside``; ``harness``: not the readers failed, but this module."""
     where: str = ""
     """Of a fault: what tells it from others."""
     detail: str = ""
@@ -70,6 +72,49 @@ def read_whole(path: Path) -> Verdict:
     return Verdict("read") if again == points else Verdict("short", "pieces", f"chunks give {points}, pieces {again}")
 
 
+def watched(cases: Mapping[str, Any], log: Path) -> Callable[[Path], Verdict]:
+    """Return a judge that runs the case an input is named after, and looks at what it fetched and wrote.
+
+    Parameters
+    ----------
+    cases : mapping
+        Name of an input -> what is called with its bytes and a scratch folder.
+    log : Path
+        Grows with each request of the network.
+    """
+    outside: list[str] = []
+    home: list[str] = []
+
+    def hear(event: str, details: tuple[Any, ...]) -> None:
+        if event == "open" and home and isinstance(details[0], str | bytes | os.PathLike):
+            path = os.fsdecode(details[0])
+            path = os.path.realpath(path) if path.startswith("/") else home[0]  # others are relative to an open folder
+            writes = bool((details[2] or 0) & (os.O_WRONLY | os.O_RDWR | os.O_CREAT))
+            if writes and not path.startswith((home[0], "/dev/", "/proc/")) and "__pycache__" not in path:
+                outside.append(path)
+
+    def judge(path: Path) -> Verdict:
+        if not home:
+            sys.addaudithook(hear)
+        before, place = log.stat().st_size, Path(tempfile.mkdtemp(dir=path.parent))
+        home[:], outside[:] = [str(path.parent)], []
+        try:
+            cases[path.name].run(path.read_bytes(), place)
+            verdict = Verdict("read")
+        except (BumpymapError, OSError):
+            verdict = Verdict("refused")
+        except MemoryError:
+            verdict = Verdict("memory", _place(), traceback.format_exc())
+        except BaseException as error:  # noqa: BLE001 (a Rust panic is no Exception)
+            verdict = Verdict("escaped", f"{type(error).__name__} {_place()}", traceback.format_exc())
+        shutil.rmtree(place)
+        if log.stat().st_size != before:
+            return Verdict("fetched", path.name, "a request of the network was made")
+        return Verdict("outside", path.name, f"{outside[0]} was written") if outside else verdict
+
+    return judge
+
+
 def _in_pieces(reader) -> tuple[int, str]:
     """Points that count, read in small pieces back to front, and why the file was refused that way."""
     batches = {}
@@ -88,12 +133,16 @@ def _in_pieces(reader) -> tuple[int, str]:
 def _place() -> str:
     """Innermost line of bumpymap that the exception came through."""
     frames = traceback.extract_tb(sys.exc_info()[2])
-    own = [frame for frame in frames if frame.filename.startswith(_READERS)] or list(frames)
+    own = [frame for frame in frames if frame.filename.startswith(_HOUSE)] or list(frames)
     return f"{Path(own[-1].filename).name} {own[-1].name}"
 
 
 def judged(
-    inputs: Sequence[bytes], folder: Path, names: Sequence[str], known_lines: set[tuple[str, int]]
+    inputs: Sequence[bytes],
+    folder: Path,
+    names: Sequence[str],
+    known_lines: set[tuple[str, int]],
+    judge: Callable[[Path], Verdict] | None = None,
 ) -> Iterator[Verdict]:
     """Verdicts of all inputs, in order; a child that dies is the verdict of the input it died of.
 
@@ -106,15 +155,17 @@ def judged(
         File name of each input.
     known_lines : set of (str, int)
         Lines that are no news.
+    judge : callable, optional
+        Called with the path of an input; None: `read_whole`.
     """
     done = 0
     while done < len(inputs):
-        for verdict in _child(inputs[done:], folder, names[done:], known_lines):
+        for verdict in _child(inputs[done:], folder, names[done:], known_lines, judge or read_whole):
             done += 1
             yield verdict
 
 
-def _child(inputs, folder, names, known_lines) -> Iterator[Verdict]:
+def _child(inputs, folder, names, known_lines, judge) -> Iterator[Verdict]:
     """Fork; yield the verdicts up to the end, or to the input that the child dies of."""
     # Of its own: two children must never share a file.
     folder = Path(tempfile.mkdtemp(dir=folder))
@@ -123,7 +174,7 @@ def _child(inputs, folder, names, known_lines) -> Iterator[Verdict]:
     if child == 0:
         os.close(listen)
         try:
-            _work(inputs, folder, names, known_lines, tell)
+            _work(inputs, folder, names, known_lines, judge, tell)
         except BaseException:  # noqa: BLE001 (nothing of the child may run on as the parent)
             os.write(2, traceback.format_exc().encode())
             os._exit(_OWN_FAULT)
@@ -146,7 +197,7 @@ def _child(inputs, folder, names, known_lines) -> Iterator[Verdict]:
     shutil.rmtree(folder)
 
 
-def _work(inputs, folder, names, known_lines, tell):
+def _work(inputs, folder, names, known_lines, judge, tell):
     said = os.open(folder / "said", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
     os.dup2(said, 1)
     os.dup2(said, 2)
@@ -158,16 +209,16 @@ def _work(inputs, folder, names, known_lines, tell):
     lines = set(known_lines)
     with os.fdopen(tell, "wb") as answers:
         for data, name in zip(inputs, names, strict=True):
-            path = folder / name
+            path = folder / name.replace("/", "_")
             path.write_bytes(data)
             os.ftruncate(said, 0)
             os.lseek(said, 0, os.SEEK_SET)
             signal.alarm(SECONDS)
-            with _traced(lines) as fresh:
-                verdict = read_whole(path)
+            with _traced(lines) if judge is read_whole else contextlib.nullcontext(set()) as fresh:
+                verdict = judge(path)
             signal.alarm(0)
             noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
-            if noise and not verdict.is_fault:
+            if noise and not verdict.is_fault and judge is read_whole:
                 verdict = Verdict("noise", _gist(noise), noise)
             pickle.dump(Verdict(verdict.kind, verdict.where, verdict.detail, frozenset(fresh)), answers)
             answers.flush()

@@ -164,10 +164,27 @@ def test_a_map_across_the_antimeridian(tmp_path):
     assert (halves[0] ^ halves[1]).sum() > 0.998 * halves[0].size  # but for tiles on the line itself
 
 
-def test_areas_beside_the_map_are_no_error_but_a_warning(tmp_path, caplog):
-    far = geojson(tmp_path / "far.geojson", feature(shapely.box(11.0, 48.0, 11.1, 48.1)))
-    assert len(read_areas(far, SITE)) == 0
+@pytest.mark.parametrize("swapped", [False, True])
+def test_areas_beside_the_map_are_an_error_unless_that_is_allowed(tmp_path, caplog, swapped):
+    longitude, latitude = SITE.to_lonlat(480_150.0, 2_136_120.0)
+    place = (latitude, longitude) if swapped else (11.0, 48.0)
+    far = geojson(tmp_path / "far.geojson", feature(shapely.Point(place).buffer(1e-3)))
+    with pytest.raises(BadInputError, match=r"no area of .*, read in WGS 84 .*, lies on the map\.") as caught:
+        read_areas(far, SITE)
+    assert ("changed places" in str(caught.value)) == swapped
+    assert len(read_areas(far, SITE, allow_outside=True)) == 0
     assert "no area of" in caplog.text
+
+
+def test_projected_numbers_of_a_geojson_are_in_the_crs_of_the_map(tmp_path, caplog):
+    """Read as degrees they would lie nowhere, and the way would lead through."""
+    area = blob(3)
+    (found,) = read_areas(geojson(tmp_path / "a.geojson", feature(area)), SITE)
+    assert found.equals(area)
+    assert "cannot be degrees" in caplog.text
+    beyond = geojson(tmp_path / "b.geojson", feature(shapely.box(4e6, 5e6, 4e6 + 9.0, 5e6 + 9.0)))
+    with pytest.raises(BadInputError, match=r"read in .*EPSG:32614.*, lies on the map"):
+        read_areas(beyond, SITE)
 
 
 def test_an_area_that_crosses_itself_is_mended(tmp_path):

@@ -52,6 +52,16 @@ def test_points_of_a_geojson_that_states_another_crs(tmp_path):
     assert np.allclose([(point.x, point.y) for point in found], PLACES, atol=1e-9)
 
 
+def test_projected_numbers_and_names_that_are_no_text(tmp_path, caplog):
+    points = [shapely.Point(480_000.0, 2_136_000.0), shapely.Point(480_050.0, 2_136_020.0)]
+    path = geojson(tmp_path / "utm.geojson", feature(points[0], name=["a"]), feature(points[1], name=7))
+    assert read_points(path) == [
+        FilePoint("1", 480_000.0, 2_136_000.0, "crs"),
+        FilePoint("7", 480_050.0, 2_136_020.0, "crs"),
+    ]
+    assert "cannot be degrees" in caplog.text
+
+
 GPX = '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">{}</gpx>'
 
 
@@ -102,8 +112,13 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.csv", "", r"columns \(none\)"),
         ("a.csv", b"\xff\xfe\x00", "cannot read"),
         ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
-        ("a.geojson", "{", r"cannot read .*a\.geojson: it is no vector file, or it is damaged\. Give"),
+        ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
+        ("a.geojson", '{"type": "Point", "coordinates": [NaN, 1]}', "cannot read"),
+        ("a.geojson", '{"type": "FeatureCollection", "features": 5}', "cannot read"),
+        ("a.geojson", '{"type": "Point", "coordinates": {"a": 1}}', "cannot read"),
         ("a.gpx", "<gpx", "cannot read"),
+        ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
+        ("a.gpx", "<gpx><wpt lat='1' lon='x'/></gpx>", "cannot read"),
     ],
 )
 def test_files_that_are_no_points_are_refused(tmp_path, name, text, words):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core.types import NO_CLASS, CostTable
-from bumpymap.layers import summarise
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable
+from bumpymap.layers import MapSummary, summarise
 
 class_ids = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
 
@@ -34,6 +34,31 @@ def test_counts_and_medians_are_those_of_all_tiles(make_map, class_id, seed, col
             known = values[chosen][np.isfinite(values[chosen])].astype(float)
             expected = np.median(known) if len(known) else np.nan
             assert found[number] == pytest.approx(expected, abs=near, nan_ok=True)
+
+
+def test_the_median_of_the_last_class_is_of_the_tiles_that_their_c_r_puts_there(make_map):
+    cost_map = make_map(np.arange(5), np.zeros(5, int), [3, 3, 3, 3, 0], [0] * 5)
+    cost_map.c_r[:] = [0.1, 0.2, 0.5, 0.7, 0.05]
+    cost_map.p_fail[:] = [0.9, 0.5, 0.9, 0.0, 0.0]
+    summary = summarise(CostTable.of(cost_map), (0.1, 0.2, 0.4))
+    assert summary.failing == 2
+    assert summary.median_c_r[3] == pytest.approx(0.6, abs=1e-4)
+    assert summary.by_class == (1, 0, 0, 4)
+
+
+def test_unknown_are_the_tiles_without_a_class():
+    """Those with one of which too little was seen are not passable, but not unknown."""
+    counts = {
+        "tiles": 10,
+        "points": 99,
+        "passable": 5,
+        "by_class": dict(zip(CLASS_NAMES, (5, 1, 1, 1), strict=True)),
+        "by_reason": {"too few points": 2},
+        "barred": {"unknown ground": 3, "step": 2},
+    }
+    summary = MapSummary.of(counts)
+    assert summary.unknown == 2
+    assert summary.crossing == {"passable": 5, "unknown ground": 2, "too little seen": 1, "step": 2}
 
 
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):

@@ -18,7 +18,8 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.readers import decoder, open_survey
-from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
+from bumpymap.readers.decoder import Decoder, LocalDecoder
+from bumpymap.readers.guard import DecoderError
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 
@@ -54,12 +55,12 @@ def records(reader, points=700):
 
 
 def pid_of(child):
-    return child.child.process.pid
+    return child.guard.child.process.pid
 
 
 def kill(child):
     os.kill(pid_of(child), signal.SIGKILL)
-    child.child.process.wait()
+    child.guard.child.process.wait()
 
 
 @pytest.mark.parametrize("kind", ["chunks", "variable", "stream"])
@@ -107,7 +108,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
         os.kill(pid_of(child), signal.SIGSEGV)
         return ask(what, *args, **more)
 
-    monkeypatch.setattr(child, "_live_child", lambda: child.child)  # does not look whether it lives
+    monkeypatch.setattr(type(child.guard), "is_alive", True)  # does not look whether it lives
     monkeypatch.setattr(child, "_call", die)
     with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
@@ -119,7 +120,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
 def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
     reader = open_survey(survey("chunks"))
     kill(child)
-    monkeypatch.setattr(child, "_live_child", lambda: child.child)
+    monkeypatch.setattr(type(child.guard), "is_alive", True)
     with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
         reader.fetch(reader.chunks()[0])
 
@@ -241,7 +242,7 @@ def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child)
     reader = open_survey(survey("chunks"))
     held = reader.fetch(reader.chunks(700)[0])
     expected = held.copy()
-    process = child.child.process
+    process = child.guard.child.process
     decoder.close_decoder()
     assert process.poll() is not None
     assert processes.MEMORY.size > 0, "an array is still in use"
@@ -270,7 +271,7 @@ def test_no_child_outlives_its_parent(survey, how):
         from pathlib import Path
         from bumpymap.readers import decoder, open_survey
         open_survey(Path(sys.argv[1]))
-        print(decoder.decoder().child.process.pid, flush=True)
+        print(decoder.decoder().guard.child.process.pid, flush=True)
         {f"os.kill(os.getpid(), {how})" if how else ""}
     """
     command = [sys.executable, "-c", textwrap.dedent(code), str(survey("chunks"))]

@@ -177,20 +177,12 @@ def test_no_crs_at_all(las):
     assert info.notes == ()
 
 
-def test_given_crs_fills_in_and_wins(las, read, caplog):
-    silent = las.write("a.las")
-    assert open_survey(silent, ReadOptions(crs="EPSG:2276")).info.georeference.metres_per_unit == US_FOOT
+def test_given_crs_fills_in_and_a_forced_one_wins(las):
+    options = ReadOptions(crs="EPSG:2276")
+    assert open_survey(las.write("a.las"), options).info.georeference.metres_per_unit == US_FOOT
     loud = las.write("b.las", epsg=32614)
-    caplog.clear()
-    with caplog.at_level("WARNING"):
-        same = open_survey(loud, ReadOptions(crs="EPSG:32614"))
-        assert not caplog.records
-        other = open_survey(loud, ReadOptions(crs="EPSG:32613"))
-    assert "EPSG:32614" in caplog.text
-    assert "EPSG:32613" in caplog.text
-    assert same.info.georeference.crs.to_epsg() == 32614
-    assert other.info.georeference.crs.to_epsg() == 32613
-    assert any("wins" in note for note in other.info.notes)
+    assert open_survey(loud, options).info.georeference.crs.to_epsg() == 32614
+    assert open_survey(loud, ReadOptions(force_crs="EPSG:32613")).info.georeference.crs.to_epsg() == 32613
 
 
 def test_unreadable_wkt_is_refused_unless_a_crs_is_given(las):
@@ -238,7 +230,7 @@ def test_degrees_are_refused_with_the_command_that_helps(las, middle, code, how)
 
 
 def test_metres_that_are_said_to_be_degrees(las):
-    with pytest.raises(BadInputError, match=r"not such a place.*`crs`"):
+    with pytest.raises(BadInputError, match=r"not such a place.*`force_crs`"):
         open_survey(las.write(wkt=CRS(4326).to_wkt("WKT1_GDAL")))
 
 

@@ -162,6 +162,11 @@ def test_a_compressed_file_unpacks_to_its_points(tmp_path, claimed):
         open_survey(bomb(tmp_path / "a.pcd", 100_000, claimed))
 
 
+def test_much_that_is_packed_in_little_is_refused_whatever_memory_there_is(tmp_path):
+    with pytest.raises(BadInputError, match=r"would unpack to 320 MB, \d+ times its size.*DATA binary"):
+        open_survey(bomb(tmp_path / "a.pcd", 20_000_000), ReadOptions(memory=1 << 40))
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="limits of memory are set as Linux has them")
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):

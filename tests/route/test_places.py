@@ -56,6 +56,20 @@ def test_swapped_numbers_are_noticed():
         parse_point(f"{latitude:.7f},{longitude:.7f}", SITE)
     with pytest.raises(BadInputError, match=r"x \(east\) comes before y \(north\): did you mean 480100,2136100\?"):
         parse_point("2136100,480100", SITE)
+    with pytest.raises(BadInputError, match="did you mean"):  # 2 km beside the map
+        parse_point("2138300,480100", SITE)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("480100,2136300", "coordinates in the survey's CRS, it is 60.0 m away"),
+        ("-99.19,20.32", r"longitude and latitude, it is 110\.\d km away"),
+    ],
+)
+def test_a_point_beside_the_map_is_told_how_far_and_as_what_it_was_read(text, told):
+    with pytest.raises(BadInputError, match=told):
+        parse_point(text, SITE)
 
 
 def test_points_near_the_map_are_taken_if_asked():

@@ -1,9 +1,11 @@
 """The loop of a robot: memory of the classifier, and the documented node of ROS 2, run without ROS."""
 
+import copy
 import re
 import sys
 import tracemalloc
 from array import array
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
@@ -195,3 +197,25 @@ def test_the_documented_node_classifies_recorded_messages(tmp_path, monkeypatch)
         np.testing.assert_array_equal(np.array(grid.data, np.int8).reshape(side, side), expected)
     (warning,) = node.warnings
     assert "declares 1 x 120,000 points" in warning
+
+
+@pytest.mark.parametrize(("method", "reuse"), [(None, False), ("filter", True)])
+def test_threads_share_a_classifier(method, reuse):
+    classify = ScanClassifier(method=method, reuse=reuse)
+    scans = [revolution(seed, count) for seed, count in enumerate((60_000, 15_000, 40_000, 15_000))]
+    alone = [classify(scan).point_class.copy() for scan in scans]
+
+    def classes(number):
+        return classify(scans[number % len(scans)]).point_class.copy()
+
+    with ThreadPoolExecutor(len(scans)) as threads:
+        for number, found in enumerate(threads.map(classes, range(32))):
+            np.testing.assert_array_equal(found, alone[number % len(scans)])
+
+
+def test_a_classifier_goes_to_another_process_with_its_settings():
+    classify = ScanClassifier(method="filter", robot={"radius_m": 8.0}, vehicle="warthog", reuse=True)
+    scan = revolution(0)
+    here, there = classify(scan), copy.copy(classify)(scan)  # as pickle does it
+    np.testing.assert_array_equal(here.point_class, there.point_class)
+    np.testing.assert_array_equal(here.sector_c_r, there.sector_c_r)

@@ -157,5 +157,5 @@ def test_settings_that_contradict_the_vehicle():
         bumpymap.ScanClassifier(vehicle="warthog", calibration="c.json")
     with pytest.raises(UsageError, match="compat='paper'"):
         bumpymap.ScanClassifier(vehicle="warthog", compat="paper")
-    with pytest.raises(TypeError, match="no setting wheels"):
+    with pytest.raises(UsageError, match="unknown setting wheels"):
         bumpymap.ScanClassifier(wheels=4)

@@ -105,6 +105,14 @@ def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
 
 
+def test_it_tells_how_many_kernels_are_compiled(place):
+    (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
+    code = "import other\ntold = []\nwith native.compiling_reports(lambda *each: told.append(each)):\n"
+    code += "".join(f"    {line}\n" for line in RUN.splitlines()) + "print('told', *told[:1])"
+    assert run(place, code).endswith("\ntold (0, 2)")
+    assert run(place, code).endswith("\ntold")
+
+
 @pytest.mark.parametrize("keep", [0, 10, 400, -1])
 def test_a_damaged_file_is_made_anew(place, keep):
     first = run(place)

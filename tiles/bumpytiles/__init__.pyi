@@ -26,6 +26,8 @@ from .grouping import (
     group_scaled_points as group_scaled_points,
 )
 from .native import (
+    compile_packages as compile_packages,
+    compiling_reports as compiling_reports,
     helper as helper,
     kernel as kernel,
     order_free as order_free,
@@ -38,6 +40,10 @@ from .pack import (
     PackError as PackError,
     PackWriter as PackWriter,
 )
+from .processes import (
+    blocked_signals as blocked_signals,
+    start_python as start_python,
+)
 from .run import (
     run_blocks as run_blocks,
 )
@@ -47,9 +53,6 @@ from .scaling import (
     Scaling as Scaling,
     coordinate as coordinate,
     coordinates as coordinates,
-)
-from .signals import (
-    blocked_signals as blocked_signals,
 )
 from .split import (
     TilePoints as TilePoints,

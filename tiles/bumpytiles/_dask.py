@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, get_worker, utils as distributed_utils
 
-from bumpytiles.signals import blocked_signals
+from bumpytiles.processes import blocked_signals, safe_path
 
 __all__ = ["ClusterError", "TlsFiles", "Workers", "local_workers", "threads_here", "workers_at"]
 
@@ -178,6 +178,7 @@ def local_workers(number: int, environment: Mapping[str, str], modules: Sequence
     _silence_dask()
     security = Security.temporary()  # its key stays in memory; workers receive it through a pipe
     with ExitStack() as running:
+        running.enter_context(safe_path())
         resource_tracker.ensure_running()  # else it starts with the first worker, and unblocks the signals
         with blocked_signals():
             folder = running.enter_context(TemporaryDirectory(prefix="bumpytiles-workers-", ignore_cleanup_errors=True))

@@ -8,10 +8,12 @@ from pyproj import CRS, Transformer
 
 from bumpymap.core.errors import BadInputError
 
-__all__ = ["SAY_CRS", "Place", "describe_crs", "refuse_unprojected", "reproject_command", "utm_epsg"]
+__all__ = ["FORCE_CRS", "SAY_CRS", "Place", "describe_crs", "refuse_unprojected", "reproject_command", "utm_epsg"]
 
 _ZONE = "where ZZ is the UTM zone, (longitude + 180) / 6 + 1 (327ZZ in the south)"
 SAY_CRS = "Say which CRS the coordinates are in with `crs`, such as `crs='EPSG:32614'`"
+FORCE_CRS = "Override it with `force_crs`, such as `force_crs='EPSG:32614'`"
+"""For files that state no CRS, and for those that state a wrong one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ def refuse_unprojected(place: Place, crs: CRS, *, from_user: bool) -> None:
         shown = ", ".join(f"{value:.10g}" for value in place.middle[:2])
         raise BadInputError(
             f"{place.path} is stated to be in {what} ({describe_crs(crs)}), but its centre lies at {shown}, which is "
-            f"not such a place. {SAY_CRS}"
+            f"not such a place. {FORCE_CRS}"
         )
     source = crs.to_string() if from_user else None
     raise BadInputError(

@@ -1,8 +1,8 @@
 """Determine the CRS and units of a file, and of the files of a run.
 
-A ``CrsStatement`` holds what a file states. ``--crs`` overrides it; ``--z-unit`` overrides every unit of height. The
-result keeps the vertical CRS, see `bumpymap.core.crs.vertical`. Degrees and Earth-centred coordinates are refused with
-a message that shows the command to reproject the file.
+A ``CrsStatement`` holds what a file states. ``--crs`` supplies what it does not state, ``--force-crs`` overrides it,
+and ``--z-unit`` overrides every unit of height. The result keeps the vertical CRS, see `bumpymap.core.crs.vertical`.
+Degrees and Earth-centred coordinates are refused with a message that shows the command to reproject the file.
 """
 
 import logging
@@ -15,13 +15,14 @@ from typing import Protocol
 from pyproj import CRS, Proj, get_units_map
 from pyproj.exceptions import CRSError, ProjError
 
-from bumpymap.core.crs.reproject import SAY_CRS, Place, describe_crs, refuse_unprojected
+from bumpymap.core.crs.reproject import FORCE_CRS, SAY_CRS, Place, describe_crs, refuse_unprojected
 from bumpymap.core.crs.vertical import in_metres, same_datum, vertical_of, with_vertical
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
 
 __all__ = [
     "CrsStatement",
+    "GivenCrs",
     "common_georeference",
     "crs_from_epsg",
     "georeference",
@@ -42,6 +43,18 @@ _Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
 _SCALE_TOLERANCE = 0.01
 _LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
 """Allowed range of units, m; those of EPSG lie well inside, from the millimetre to the nautical mile."""
+
+
+@dataclass(frozen=True, slots=True)
+class GivenCrs:
+    """The CRS that the user gives."""
+
+    crs: str | None = None
+    """CRS of surveys that state none."""
+    force_crs: str | None = None
+    """CRS of all surveys, whatever they state."""
+    must_agree: bool = False
+    """Whether a survey that states another CRS than ``crs`` is refused; else its own is used, with a note."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,13 +79,14 @@ class _HasGeoreference(Protocol):
     def georeference(self) -> Georeference: ...
 
 
-def parse_crs(text: str) -> CRS:
-    """Parse the value of ``--crs``. Raises UsageError if PROJ does not know it."""
+def parse_crs(text: str, name: str = "crs") -> CRS:
+    """Parse the value of ``--crs``, or of the setting ``name``. Raises UsageError if PROJ does not know it."""
     try:
         return CRS.from_user_input(text)
     except CRSError as error:
         raise UsageError(
-            f"`crs='{text}'` is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or WKT"
+            f"`{name}='{text}'` is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or "
+            "WKT"
         ) from error
 
 
@@ -107,7 +121,7 @@ def unit_name(metres_per_unit: float) -> str:
 
 
 def georeference(
-    place: Place, statement: CrsStatement, user_crs: str | None, z_unit: str | None
+    place: Place, statement: CrsStatement, given: GivenCrs, z_unit: str | None
 ) -> tuple[Georeference, tuple[str, ...]]:
     """Determine CRS and units of one file.
 
@@ -116,8 +130,7 @@ def georeference(
     place : Place
     statement : CrsStatement
         What the file states.
-    user_crs : str or None
-        ``--crs``.
+    given : GivenCrs
     z_unit : {"m", "ft", "us-ft"} or None
         ``--z-unit``.
 
@@ -132,14 +145,13 @@ def georeference(
     Raises
     ------
     BadInputError
-        The file's statement is not usable and ``user_crs`` is None, or the CRS is not projected.
+        The file's statement is not usable and no CRS was given, or the CRS is not projected.
     UsageError
-        ``user_crs`` is not a CRS.
+        What was given is not a CRS, or not that of the file although it must be.
     """
-    user = None if user_crs is None else parse_crs(user_crs)
+    user, notes = _from_user(place, statement, given)
     if user is None and statement.trouble:
         raise BadInputError(f"the CRS of {place.path} is unclear: {statement.trouble}. {SAY_CRS}")
-    notes = list(statement.notes) if user is None else _conflict(user, statement)
     crs = user or statement.crs
     if crs is not None:
         refuse_unprojected(place, crs, from_user=user is not None)
@@ -162,7 +174,7 @@ def georeference(
 
 
 def _vertical_crs(user: CRS | None, own: CRS | None) -> CRS | None:
-    """Return the vertical part of ``--crs``, or that of the file if ``--crs`` has none and agrees with the file."""
+    """Return the vertical part of the given CRS, or that of the file if it has none and agrees with the file."""
     vertical = None if user is None else vertical_of(user)
     if own is None or vertical is not None:
         return vertical
@@ -179,23 +191,57 @@ def _refuse_units(place: Place, crs: CRS, *, from_user: bool) -> None:
         return
     if from_user:
         raise UsageError(
-            f"`crs='{crs.name}'` has an invalid unit of {wrong:g} m. Give a code such as EPSG:32614, a PROJ "
+            f"the given CRS, {crs.name}, has an invalid unit of {wrong:g} m. Give a code such as EPSG:32614, a PROJ "
             "string or WKT with units"
         )
     raise BadInputError(
-        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has an invalid unit of {wrong:g} m. {SAY_CRS}"
+        f"the CRS of {place.path} is unclear: {describe_crs(crs)} has an invalid unit of {wrong:g} m. {FORCE_CRS}"
     )
 
 
-def _conflict(user: CRS, statement: CrsStatement) -> list[str]:
+def _from_user(place: Place, statement: CrsStatement, given: GivenCrs) -> tuple[CRS | None, list[str]]:
+    """Return what the user's CRS supplies or overrides, None if the file's is used; with notes."""
+    own, notes = statement.crs, list(statement.notes)
+    if given.force_crs is not None:
+        user = parse_crs(given.force_crs, "force_crs")
+        return user, _set_aside(user, statement, "force_crs")
+    if given.crs is None:
+        return None, notes
+    user = parse_crs(given.crs)
+    if own is None or not _says_where(own):
+        return user, _set_aside(user, statement, "crs")
+    if _same_horizontal(user, own):
+        heights, theirs = vertical_of(user), vertical_of(own)
+        if heights is None or (theirs is not None and heights == theirs):
+            return None, notes
+        if theirs is None and len(own.axis_info) < 3:  # the file states no heights, so they are supplied
+            return user, notes
+    what = f"its CRS is {describe_crs(own)}, and `crs='{given.crs}'` is for surveys that have none"
+    force = f"pass `force_crs='{given.crs}'` if the file is wrong"
+    if given.must_agree:
+        raise UsageError(f"{place.path}: {what}. Leave `crs` out, or {force}")
+    return None, [*notes, f"{what}: its own is used; {force}"]
+
+
+def _set_aside(user: CRS, statement: CrsStatement, name: str) -> list[str]:
+    """Return a note if a file states something else than the CRS that is used."""
     if statement.trouble:
-        return [f"its own CRS was set aside for `crs`: {statement.trouble}"]
-    if statement.crs is None:
+        return [f"its own CRS was set aside for `{name}`: {statement.trouble}"]
+    own = statement.crs
+    if own is None or _same_horizontal(user, own):
         return []
-    ours, theirs = horizontal_of(user), horizontal_of(statement.crs)
-    if ours is not None and theirs is not None and same_crs(ours, theirs):
-        return []
-    return [f"the file says its CRS is {describe_crs(statement.crs)}; `crs` says {describe_crs(user)}, and wins"]
+    return [f"the file says its CRS is {describe_crs(own)}; `{name}` says {describe_crs(user)}, and wins"]
+
+
+def _says_where(crs: CRS) -> bool:
+    """Return whether a CRS locates points on Earth, unlike a local or a vertical one."""
+    base = crs.sub_crs_list[0] if crs.is_compound else crs
+    return not base.is_vertical and base.type_name != "Engineering CRS"
+
+
+def _same_horizontal(first: CRS, second: CRS) -> bool:
+    one, other = horizontal_of(first), horizontal_of(second)
+    return one is not None and other is not None and same_crs(one, other)
 
 
 def same_crs(first: CRS, second: CRS) -> bool:
@@ -222,7 +268,7 @@ def _unit(crs: CRS | None) -> float | None:
 
 
 def _vertical_of_file(statement: CrsStatement, unit: float) -> float | None:
-    """Return the unit of height that the file states; ignored if ``--crs`` contradicts the file's horizontal unit."""
+    """Return the unit of height that the file states; ignored if the CRS used contradicts its horizontal unit."""
     own = statement.metres_per_unit or _unit(statement.crs)
     denied = own is not None and not math.isclose(own, unit, rel_tol=1e-5)
     stated = None if statement.metres_per_unit_z is None else _exact(statement.metres_per_unit_z)
@@ -288,7 +334,7 @@ def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:
     advice = (
         f"{SAY_CRS} if that is right for all of them"
         if any(crs is None for crs in held)
-        else "Reproject them to one CRS, or map them in separate runs; `crs` sets one for all if the files are wrong"
+        else "Reproject them to one CRS, or map them in separate runs; `force_crs` sets one for all if they are wrong"
     )
     raise BadInputError("the files are not in one CRS:", *_listed(ordered, held), advice)
 
@@ -301,7 +347,7 @@ def _common_crs(ordered: Sequence[_HasGeoreference], held: Sequence[CRS | None])
         raise BadInputError(
             "the heights of the files are not in one vertical CRS:",
             *_listed(ordered, held),
-            "Reproject them to one, or map them in separate runs; `crs` with a vertical part, such as "
+            "Reproject them to one, or map them in separate runs; `force_crs` with a vertical part, such as "
             "EPSG:32614+5703, sets one for all if the files are wrong",
         )
     if stated and len(stated) < len(held):

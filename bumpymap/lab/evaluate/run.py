@@ -208,7 +208,7 @@ def _origin(
     found = [identity(reader.info.path) for reader in readers]
     return {
         "files": sorted([str(file["size"]), file["digest"]] for file in found),
-        "options": {"crs": options.crs, "z_unit": options.z_unit},
+        "options": {"crs": options.force_crs or options.crs, "z_unit": options.z_unit},
         "ground_only": survey.ground_only,
         "features": asdict(settings.features),
     }

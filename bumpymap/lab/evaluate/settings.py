@@ -35,14 +35,14 @@ class EvaluateSettings:
     def __post_init__(self) -> None:
         for name, least in (("total_patches", 10), ("min_starts", 2), ("seed", 0)):
             if getattr(self, name) < least:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")
         if self.min_starts > self.max_starts:
             raise UsageError(
-                f"min_starts is {self.min_starts}, more than max_starts, which is {self.max_starts}: give fewer, or "
-                "raise --max-starts"
+                f"`min_starts` is {self.min_starts}, more than `max_starts`, which is {self.max_starts}: give fewer, "
+                "or raise `max_starts`"
             )
         if not all(math.isfinite(density) and density > 0 for density in self.densities):
-            raise UsageError(f"densities are {self.densities}; they must be positive numbers of points per m2")
+            raise UsageError(f"`densities` are {self.densities}; they must be positive numbers of points per m2")
         unknown = sorted(set(self.skip) - set(get_args(Part)))
         if unknown:
             raise UsageError(f"--skip {','.join(unknown)}; what can be left out: {', '.join(get_args(Part))}")

@@ -1,6 +1,8 @@
 """Make the calibration of a vehicle: drive it over textures of each z range and over the terrain library."""
 
+from dataclasses import replace
 from functools import partial
+from time import perf_counter
 
 from bumpymap.lab.simulate.journal import Journal
 from bumpymap.lab.simulate.library import FitRide, FitThin
@@ -10,7 +12,23 @@ from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.summary import summarise
 from bumpymap.rating import Calibration
 
-__all__ = ["calibrate_vehicle"]
+__all__ = ["calibrate_vehicle", "seconds_of_a_drive"]
+
+
+def seconds_of_a_drive(settings: CalibrationSettings) -> float:
+    """Return the time that one drive of a calibration takes one process, s, measured on one drive of each kind.
+
+    Raises
+    ------
+    UsageError
+        The extra ``sim`` is not installed.
+    """
+    require_dart()
+    kinds = {type(job): job for job in settings.jobs()}  # the last job of each
+    begin = perf_counter()
+    for job in kinds.values():
+        run_job(settings, replace(job, starts=1))
+    return (perf_counter() - begin) / len(kinds)
 
 
 def calibrate_vehicle(

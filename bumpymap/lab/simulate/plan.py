@@ -66,9 +66,9 @@ class CalibrationSettings:
         lowest = {"seed": 0, "patches": 2, "starts": 1, "terrains": 1, "terrain_starts": 2, "pixels": 4}
         for name, least in lowest.items():
             if getattr(self, name) < least:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
-            raise UsageError(f"tile size is {self.tile_size}; it must be a positive number of metres")
+            raise UsageError(f"`tile_size` is {self.tile_size}; it must be a positive number of metres")
         if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
             raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise from one to the next")
 

@@ -34,13 +34,13 @@ class TrainSettings(LoopSettings):
     def __post_init__(self) -> None:
         for name, least in {"epochs": 1, "patches_per_texture": 1, "batch": 2, "threads": 1}.items():
             if getattr(self, name) < least:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be at least {least}")
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be at least {least}")
         if self.seed < 0:
-            raise UsageError(f"seed is {self.seed}; it must be 0 or more")
+            raise UsageError(f"`seed` is {self.seed}; it must be 0 or more")
         if not (math.isfinite(self.tile_size) and self.tile_size > 0):
-            raise UsageError(f"tile_size is {self.tile_size}; it must be a positive number of metres")
+            raise UsageError(f"`tile_size` is {self.tile_size}; it must be a positive number of metres")
         if self.network.pixels < 9:
-            raise UsageError(f"pixels is {self.network.pixels}; the network needs at least 9")
+            raise UsageError(f"`pixels` is {self.network.pixels}; the network needs at least 9")
 
     @property
     def command(self) -> str:

@@ -42,6 +42,7 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
     found = {
         "map": result.ground,
         "warnings": result.warnings,
+        "skipped": result.skipped,
         "agreement": result.agreement,
         "by_class": [
             {"class": code, "name": CLASS_NAMES[code]} | _entries(agreement)
@@ -91,6 +92,7 @@ def result_of(record: Mapping[str, Any]) -> CheckResult:
         agreement=None if whole is None else _agreement(whole),
         by_class={_class_of(entry["class"]): _agreement(entry) for entry in record["by_class"]},
         warnings=_texts(record["warnings"]),
+        skipped={str(drive): str(why) for drive, why in record.get("skipped", {}).items()},
     )
 
 

@@ -1,6 +1,5 @@
 """Write stretches.csv: a row for each stretch that was driven."""
 
-import csv
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -8,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CheckResult, atomic
+from bumpymap.core import CheckResult, write_csv
 from bumpymap.layers.check.ground import CheckPlaces
 from bumpymap.layers.check.vectors import stretch_properties
 
@@ -34,13 +33,7 @@ def write_stretch_table(result: CheckResult, places: CheckPlaces | None, path: P
         A position cannot be transformed to longitude and latitude.
     """
     columns = {**_positions(places, len(result.stretches.drive)), **stretch_properties(result)}
-    with (
-        atomic(path) as temporary,
-        temporary.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows(map(_texts, zip(*columns.values(), strict=True)))
+    write_csv(path, columns, zip(*columns.values(), strict=True))
 
 
 def _positions(places: CheckPlaces | None, rows: int) -> dict[str, Sequence[Any]]:
@@ -58,8 +51,3 @@ def _positions(places: CheckPlaces | None, rows: int) -> dict[str, Sequence[Any]
 
 def _written(pairs: NDArray[np.float64], decimals: int) -> list[list[str]]:
     return [["" if np.isnan(value) else f"{value:.{decimals}f}" for value in side] for side in pairs.T.tolist()]
-
-
-def _texts(row: Sequence[Any]) -> list[Any]:
-    plain = {True: "true", False: "false"}
-    return ["" if value is None else plain[value] if isinstance(value, bool) else value for value in row]

@@ -124,9 +124,10 @@ def drive_notes(result: CheckResult) -> list[str]:
 
 
 def warnings_of(result: CheckResult) -> list[str]:
-    """Return the warnings of the whole check and of each drive, each once."""
+    """Return which drives are left out, and the warnings of the whole check and of each drive, each once."""
+    skipped = [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
     own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
-    return list(dict.fromkeys([*result.warnings, *own]))
+    return list(dict.fromkeys([*skipped, *result.warnings, *own]))
 
 
 def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:

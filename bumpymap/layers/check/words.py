@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
+from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement, count_text
 
 __all__ = [
     "FEW",
@@ -37,11 +37,11 @@ def check_headline(result: CheckResult) -> str:
     if agreement is None:
         mean = measured_mean(result.stretches)
         way = float(np.sum(result.stretches.way_m))
-        count = _counted(len(result.drives), "drive")
+        count = count_text(len(result.drives), "drive")
         if not np.isfinite(mean):
             return f"Nothing was measured on {count}."
         return f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."
-    over = f"{metres(agreement.way_m)} in {_counted(agreement.stretches, 'stretch', 'stretches')}"
+    over = f"{metres(agreement.way_m)} in {count_text(agreement.stretches, 'stretch', 'stretches')}"
     if agreement.stretches < FEW:
         return f"Too little was driven on the map to judge it: {over}. Drive at least {FEW} stretches of it."
     parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
@@ -121,10 +121,6 @@ def _is_even(stretches: DrivenStretches) -> bool:
     known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
     low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
     return bool(high < EVEN * low)
-
-
-def _counted(count: int, one: str, many: str = "") -> str:
-    return f"1 {one}" if count == 1 else f"{count:,} {many or f'{one}s'}"
 
 
 def names_of(items: Sequence[str], most: int = 3) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path
 from bumpymap.layers.export.area import FRAME, ExportArea
-from bumpymap.layers.manifest import describe_file
+from bumpymap.layers.map_files import require_written
 from bumpymap.layers.route_sheet import common_window
 from bumpytiles import TileWindow
 
@@ -83,21 +83,13 @@ def make_layers(area: ExportArea) -> GridLayers:
             f"the area has {rows * cols:,} cells of {area.resolution:g} m; a grid_map may have {_MAX_CELLS:,}. "
             "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
         )
-    _check_classes(area)
+    for sheet in area.route_map.sheets:
+        require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
     values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
     for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
     return GridLayers(values)
-
-
-def _check_classes(area: ExportArea) -> None:
-    """Compare class.tif with its checksum: ways do not need that file, so `open_map` has not looked at it."""
-    for sheet in area.route_map.sheets:
-        written = {str(file["path"]): str(file["sha256"]) for file in sheet.manifest["files"]}
-        path = sheet.folder / "class.tif"
-        if describe_file(path)["sha256"] != written.get(path.name):
-            raise BadInputError(f"{path} is damaged: its checksum is not that of run.json. Map the survey again")
 
 
 def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:

@@ -46,22 +46,22 @@ class ExportSettings:
     every: int | None = None
     """graph: side of the largest squares of tiles with one node each: 1, 3, 9 or 27; else by the size of the area."""
     route: Path | None = None
-    """plan: GeoJSON file of the route; else route.geojson in the first folder of the map."""
+    """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
 
     def __post_init__(self) -> None:
         for name, allowed in (("to", get_args(ExportFormat)), ("resolution", get_args(ExportResolution))):
             if getattr(self, name) not in allowed:
-                raise UsageError(f"{name} is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}")
+                raise UsageError(f"`{name}` is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}")
         for name, least in (("radius", 0.0), ("comfort", 0.0), ("dearest", 1.0)):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > least):
-                raise UsageError(f"{name} is {value}; it must be a number greater than {least:g}")
+                raise UsageError(f"`{name}` is {value}; it must be a number greater than {least:g}")
         if self.every is not None and self.every not in SQUARES:
-            raise UsageError(f"every is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
+            raise UsageError(f"`every` is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
         for name in ("around", "datum"):
             place = getattr(self, name)
             if place is not None and not np.isfinite(place).all():
-                raise UsageError(f"{name} is {place}; it must be two numbers, easting and northing in metres")
+                raise UsageError(f"`{name}` is {place}; it must be two numbers, easting and northing in metres")
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,14 +98,16 @@ def export_map(
         The extra ``ros`` is needed and not installed.
     """
     folder = Path(out)
-    check_target(folder, settings.to, overwrite=overwrite)
     area = choose_area(
         route_map, _split(route_map, settings), _point(settings.around), settings.radius, _point(settings.datum)
     )
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
-    write = _MAKERS[settings.to](area, settings)
+    # The faults of what was given come first, but for those that take long to find.
+    write = _plan(area, settings) if settings.to == "plan" else None
+    check_target(folder, settings.to, overwrite=overwrite)
+    write = write or _MAKERS[settings.to](area, settings)
     with export_folder(folder, settings.to, overwrite=overwrite) as staged:
         record |= write(staged)
         write_json(staged / DATUM_NAME, record)
@@ -147,12 +149,13 @@ def _graph(area: ExportArea, settings: ExportSettings) -> _Writer:
 
 
 def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
-    own = area.route_map.sheets[0].folder / "route.geojson"
-    if settings.route is None and not own.exists():
+    route = settings.route or area.route_map.sheets[0].folder
+    path = route / "route.geojson" if route.is_dir() else route
+    if not path.exists():
         raise BadInputError(
-            f"there is no {own}. Plan a route first: `bumpymap route`, then pass its route.geojson with `route`"
+            f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    mission = make_mission(area.route_map, read_route_line(settings.route or own))
+    mission = make_mission(area.route_map, read_route_line(path))
     return lambda folder: write_plan(folder, mission)
 
 

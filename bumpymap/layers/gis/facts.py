@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from bumpymap.core import CLASS_NAMES, OutputError
-from bumpymap.layers.ride_scale import RideScale, class_limits
+from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.ride_scale import OR_FAILS, RideScale, class_limits
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["StyleFacts"]
@@ -62,7 +62,7 @@ class StyleFacts:
         if self.intervals is None or not self.by_c_r:
             return CLASS_NAMES
         named = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, self.intervals, strict=True)]
-        return (*named[:-1], f"{named[-1]}, or drives fail")
+        return (*named[:-1], f"{named[-1]}{OR_FAILS}")
 
     @property
     def ride_labels(self) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ def _setting(record: Mapping[str, Any], name: str) -> Any:
 def _c_r_sample(path: Path) -> NDArray[np.float32]:
     """Return the first band of a raster, the ride cost, from an overview if it is large."""
     try:
-        with rasterio.open(path) as raster:
+        with open_layer(path) as raster:
             shape = (min(raster.height, _SAMPLE), min(raster.width, _SAMPLE))
             return np.asarray(raster.read(1, out_shape=shape), dtype=np.float32)
     except RasterioError as error:

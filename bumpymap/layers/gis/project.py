@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import rasterio
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
@@ -18,6 +17,7 @@ from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, 
 from bumpymap.layers.gis.raster_style import MULTIPLY
 from bumpymap.layers.gis.styles import layer_style
 from bumpymap.layers.gis.xml_file import QGIS_VERSION, add, write_qgis
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = ["write_project"]
@@ -138,7 +138,7 @@ def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
 def _bounds(path: Path) -> tuple[float, float, float, float]:
     """Return west, south, east, north of a raster."""
     try:
-        with rasterio.open(path) as raster:
+        with open_layer(path) as raster:
             west, south, east, north = map(float, raster.bounds)
             return west, south, east, north
     except RasterioError as error:

@@ -10,7 +10,7 @@ from html import escape
 from importlib.resources import files
 from urllib.parse import quote
 
-from bumpymap.core import CLASS_NAMES, Barred
+from bumpymap.core import CLASS_NAMES, Barred, count_text, escape_controls, share_text, shares_text
 from bumpymap.layers.batch_row import SurveyRow, SurveyStatus
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.index_page.place_map import draw_places
@@ -124,7 +124,9 @@ def _headline(rows: Sequence[SurveyRow]) -> str:
         for status in _ORDER[2::-1]
         if counts[status]
     ]
-    return f"{len(rows)} {'survey' if len(rows) == 1 else 'surveys'}: {', '.join(parts)}"
+    warned = sum(bool(row.warnings) for row in rows)
+    more = f", {warned} with warnings" if warned else ""
+    return f"{count_text(len(rows), 'survey')}: {', '.join(parts)}{more}"
 
 
 def _legend() -> str:
@@ -151,6 +153,7 @@ def _row(row: SurveyRow, view: SurveyView) -> str:
         size = f'width="{_SIDE}" height="{_SIDE}"'
         name += f'<img src="data:image/png;base64,{data}" {size} alt="Classes over relief, dark where not passable">'
     message = f"<p>{_escaped(row.message)}</p>" if row.message else ""
+    message += "".join(f'<p class="soft">Warning: {_escaped(warning)}</p>' for warning in row.warnings)
     status = f'<span class="{_KINDS[row.status]}">{_WORDS[row.status]}</span>{message}'
     drivable = None if row.share_passable is None else f"{row.share_passable:.6f}"
     cells = (
@@ -177,7 +180,8 @@ def _shares(row: SurveyRow) -> str:
     shares = [share or 0.0 for share in known]
     names = (*CLASS_NAMES, "unknown")
     colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
-    about = ", ".join(f"{name} {share:.1%}" for name, share in zip(names, shares, strict=True))
+    told = shares_text(shares, (len(CLASS_NAMES),), 1)
+    about = ", ".join(f"{name} {share}" for name, share in zip(names, told, strict=True))
     parts, left = "", 0.0
     for share, colour in zip(shares, colours, strict=True):
         if share > 0:
@@ -188,15 +192,8 @@ def _shares(row: SurveyRow) -> str:
         "</svg>"
     )
     why = f", mostly {escape(row.unknown_reason)}" if row.unknown_reason and row.share_unknown else ""
-    passable = "" if row.share_passable is None else f"{_share(row.share_passable)} passable, "
+    passable = "" if row.share_passable is None else f"{share_text(row.share_passable)} passable, "
     return f"{bar}{passable}{row.share_unknown:.1%} unknown{why}"
-
-
-def _share(part: float) -> str:
-    """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
-    if 0.0 < part < 0.01:
-        return "under 1%"
-    return "over 99%" if 0.99 < part < 1.0 else f"{part:.0%}"
 
 
 def _area(square_metres: float) -> str:
@@ -206,8 +203,8 @@ def _area(square_metres: float) -> str:
 
 
 def _text(text: str) -> str:
-    """Return text as valid UTF-8: bytes of a file name that are not are shown as escapes, as in summary.csv."""
-    return text.encode("utf-8", "backslashreplace").decode()
+    """Return text that shows what it holds: control characters and bytes that are not UTF-8 as escapes."""
+    return escape_controls(" ".join(text.split()))
 
 
 def _escaped(text: str) -> str:

@@ -9,6 +9,7 @@ from html import escape
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
+from bumpymap.core import count_text
 from bumpymap.layers.batch_row import SurveyRow
 
 __all__ = ["draw_places"]
@@ -69,7 +70,8 @@ def draw_places(rows: Sequence[SurveyRow], kinds: Sequence[str], labels: Sequenc
             "</title></rect>"
         )
     missing = len(rows) - len(found)
-    about = f"Where {len(found)} surveys lie, north up, {west:.4f} to {east:.4f} east, {south:.4f} to {north:.4f} north"
+    lying = count_text(len(found), "survey lies", "surveys lie")
+    about = f"Where {lying}, north up, {west:.4f} to {east:.4f} east, {south:.4f} to {north:.4f} north"
     beside = f" {missing} without a known place are not drawn." if missing else ""
     return (
         f'<figure><svg class="places" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" role="img" '

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import CHANGE_KINDS, BadInputError, atomic, read_record
+from bumpymap.core import CHANGE_KINDS, BadInputError, Each, Nullable, Number, atomic, read_record, shape_fault
 from bumpymap.layers.colours import CHANGE_COLOURS
+from bumpymap.layers.manifest import COUNT, PLACE_SHAPE
 from bumpymap.layers.report.change_figure import DIFFERENCE_RAMP, change_figure
 from bumpymap.layers.report.change_sections import (
     change_headline,
@@ -24,6 +25,27 @@ from bumpymap.layers.report.markup import tag
 __all__ = ["is_comparison", "read_comparison", "write_change_report"]
 
 _MANIFEST, _FORMAT = "change.json", "bumpymap-change"
+_SIDE = {"folders": [str], "runs": [Each()]}
+_SHAPE = PLACE_SHAPE | {
+    "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
+    "sources": {"before": _SIDE, "after": _SIDE},
+    "vehicle": str,
+    "calibration": str,
+    "fit": {
+        "widened": Each(Number()),
+        "median_density_m2": (Nullable(Number()),) * 2,
+        "versions": (Nullable(str),) * 2,
+        "offset_taken_off_m": Number(),
+        "offset_m": Nullable(Number()),
+    },
+    "counts": {
+        **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
+        "dropped_as_too_small": COUNT,
+        "by_change": Each(COUNT),
+    },
+    "classes": {"names": [str], "tiles_before_after": [[COUNT]]},
+    "remarks?": [str],
+}
 
 
 def is_comparison(folder: Path) -> bool:
@@ -36,6 +58,8 @@ def read_comparison(folder: Path) -> dict[str, Any]:
     record = read_record(folder / _MANIFEST)
     if record is None or record.get("format") != _FORMAT:
         raise BadInputError(f"{folder / _MANIFEST} is not that of a comparison. Compare the surveys again")
+    if fault := shape_fault(record, _SHAPE):
+        raise BadInputError(f"{folder / _MANIFEST} is damaged: {fault}. Compare the surveys again")
     return record
 
 

@@ -4,11 +4,11 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bumpymap.core import CHANGE_KINDS, CLASS_NAMES
+from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, count_text
 from bumpymap.layers.report.change_site import ChangedPlace, ChangeSite
 from bumpymap.layers.report.charts import lines_of
 from bumpymap.layers.report.markup import Html, join, table, tag
-from bumpymap.layers.report.numbers import DASH, area, number, share, whole
+from bumpymap.layers.report.numbers import DASH, area, number, share, shares, whole
 from bumpymap.layers.report.site import plain_name
 
 __all__ = [
@@ -54,7 +54,7 @@ def change_headline(site: ChangeSite) -> str:
     if not changed:
         return f"No change was found on the {area(site.area_of(compared))} that were compared."
     text = (
-        f"{whole(regions)} {'place has' if regions == 1 else 'places have'} changed, {area(site.area_of(changed))} of "
+        f"{count_text(regions, 'place has', 'places have')} changed, {area(site.area_of(changed))} of "
         f"{area(site.area_of(compared))} compared"
     )
     tiles = counts["by_change"]
@@ -71,9 +71,12 @@ def kind_section(site: ChangeSite) -> Html:
     rows: list[tuple[str, ...]] = [
         (
             join(name, tag("span", _MEANING[name], class_="meaning")),
-            *_amount(site, int(counts["by_change"][name]), compared),
+            told,
+            *_amount(site, int(counts["by_change"][name]), compared)[1:],
         )
-        for name in CHANGE_KINDS
+        for name, told in zip(
+            CHANGE_KINDS, shares([int(counts["by_change"][kind]) for kind in CHANGE_KINDS]), strict=True
+        )
     ]
     rows += [
         ("compared", *_amount(site, compared, compared)),
@@ -87,9 +90,12 @@ def kind_section(site: ChangeSite) -> Html:
     ]
     lost, won = int(counts["passable_lost"]), int(counts["passable_won"])
     notes = [
-        f"Of the changed tiles, {whole(lost)} are no longer passable, and {whole(won)} have become passable.",
         (
-            f"{whole(int(counts['dropped_as_too_small']))} tiles differed too, in groups of fewer than "
+            f"Of the changed tiles, {count_text(lost, 'is', 'are')} no longer passable, and "
+            f"{count_text(won, 'has', 'have')} become passable."
+        ),
+        (
+            f"{count_text(int(counts['dropped_as_too_small']), 'tile')} differed too, in groups of fewer than "
             f"{site.record['settings']['min_tiles']}; they were left out and count as not changed."
         ),
     ]
@@ -127,7 +133,7 @@ def place_section(site: ChangeSite) -> Html:
     )
     rows = [_place_row(site, place, decimals) for place in site.places]
     left = total - len(rows)
-    more = f" The {whole(left)} smaller ones are in change.geojson." if left else ""
+    more = f" {count_text(left, 'smaller one is', 'smaller ones are')} in change.geojson." if left else ""
     note = (
         "The largest first, with what became of the ride in how many of its tiles. Numbers are those on the map and "
         "the ids in change.geojson. Heights and C_r are means over the place,"

@@ -18,6 +18,7 @@ from rasterio.windows import Window
 
 from bumpymap.core import CHANGE_KINDS, BadInputError, parse_json
 from bumpymap.layers.colours import CHANGE_COLOURS
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.report.codes import ByteGrid, packed
 from bumpymap.layers.report.ground import jpeg
 
@@ -106,7 +107,7 @@ class ChangeSite:
         path = folder / "change.tif"
         try:
             unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
-            with rasterio.open(path) as file:
+            with open_layer(path) as file:
                 compared = int(record["counts"]["compared"])
                 step = max(
                     1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.layers.report.markup import Html, join, raw, table, tag
-from bumpymap.layers.report.numbers import share, whole
+from bumpymap.layers.report.numbers import share, shares, whole
 from bumpymap.layers.report.tiles import C_R_EDGES, SLOPE_EDGES
 
 __all__ = ["c_r_chart", "lines_of", "slope_chart", "swatch"]
@@ -35,8 +35,8 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Htm
     ticks = [(np.log10(value), f"{value:g}") for value in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)]
     marks = [(float(np.log10(limit)), f"{limit:g}") for limit in limits if limit > 0]
     rows = [
-        (_between(C_R_EDGES[bin_], C_R_EDGES[bin_ + 1], 3), whole(int(bins[bin_])), share(bins[bin_], bins.sum()))
-        for bin_ in range(first, last)
+        (_between(C_R_EDGES[bin_], C_R_EDGES[bin_ + 1], 3), whole(int(bins[bin_])), told)
+        for bin_, told in zip(range(first, last), shares(bins[first:last].tolist()), strict=True)
     ]
     title = "Ride cost C_r of the tiles"
     note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
@@ -51,8 +51,8 @@ def slope_chart(bins: NDArray[np.int64], limit: float | None, key: str) -> Html:
     ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
     marks = [] if limit is None else [(limit, f"{limit:g}°")]
     rows = [
-        (f"{SLOPE_EDGES[bin_]:g} to {SLOPE_EDGES[bin_ + 1]:g}", whole(int(bins[bin_])), share(bins[bin_], bins.sum()))
-        for bin_ in range(last)
+        (f"{SLOPE_EDGES[bin_]:g} to {SLOPE_EDGES[bin_ + 1]:g}", whole(int(bins[bin_])), told)
+        for bin_, told in zip(range(last), shares(bins[:last].tolist()), strict=True)
     ]
     title = "Slope of the tiles"
     note = f"Red line: steepest slope for the vehicle, {limit:g} degrees." if limit is not None else ""

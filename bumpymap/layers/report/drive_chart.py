@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CheckResult, DrivenStretches
+from bumpymap.core import CheckResult, DrivenStretches, count_text
 from bumpymap.layers.check.log_axis import LogAxis
 from bumpymap.layers.check.offset import MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
@@ -38,7 +38,9 @@ def drive_chart(result: CheckResult, key: str) -> Html:
     parts = [*_axes(axis, limits), *_bars(axis, stretches, shown), *_marks(axis, stretches, offset, order)]
     picture = tag(
         "svg",
-        tag("title", f"{_TITLE}: a mark for each of {len(shown)} stretches", id=f"chart-{key}"),
+        tag(
+            "title", f"{_TITLE}: a mark for each of {count_text(len(shown), 'stretch', 'stretches')}", id=f"chart-{key}"
+        ),
         raw("".join(parts)),
         viewBox=f"0 0 {_WIDTH} {_HEIGHT}",
         role="img",

@@ -16,6 +16,7 @@ from rasterio.windows import Window
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, BadInputError
 from bumpymap.layers.colours import UNKNOWN_OBJECT
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.report.tiles import PageTiles, Spot
 from bumpymap.layers.sheets.folders import raster_in
 
@@ -74,7 +75,7 @@ def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.f
     for folder in folders:
         path = folder / "heightmap.tif"
         try:
-            with rasterio.open(path) as file:
+            with open_layer(path) as file:
                 _add_heights(file, spot, factor, total, weight)
         except RasterioError as error:
             raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
@@ -165,7 +166,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
     path = raster_in(folder, "obstacle.tif")
     try:
-        with rasterio.open(path) as file:
+        with open_layer(path) as file:
             for top in range(0, spot.rows, lines):
                 count = min(lines, spot.rows - top)
                 window = Window(0, top * spot.pixels, file.width, count * spot.pixels)

@@ -11,7 +11,7 @@ from bumpymap.layers.report.charts import swatch
 from bumpymap.layers.report.codes import NOT_KNOWN, ByteGrid
 from bumpymap.layers.report.markup import Html, join, raw, tag
 from bumpymap.layers.report.site import Site
-from bumpymap.layers.report.tables import class_limits
+from bumpymap.layers.ride_scale import class_ranges
 
 __all__ = ["RAMP", "controls_of", "map_figure", "scale_of", "stage_of"]
 
@@ -112,10 +112,9 @@ def _capital(text: str) -> str:
 
 def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
     if key == "class":
-        limits = class_limits(site)
-        entries = [
-            (CLASS_COLOURS[code], f"{code} {name}{_limit(limits, code)}") for code, name in enumerate(CLASS_NAMES)
-        ]
+        ranges = class_ranges(site.record)
+        told = [f": C_r {text}" for text in ranges] or [""] * len(CLASS_NAMES)
+        entries = [(CLASS_COLOURS[code], f"{code} {name}{told[code]}") for code, name in enumerate(CLASS_NAMES)]
         items = [tag("li", swatch(colour), " ", text) for colour, text in entries]
     elif key == "barred":
         codes = [code for code in Barred if code != Barred.UNKNOWN and (site.summary.by_bar[code] or not code)]
@@ -125,14 +124,6 @@ def _legend(key: str, site: Site, grids: dict[str, ByteGrid]) -> Html:
     items.append(tag("li", swatch(_GREY, hatched=True), " not known"))
     items.append(tag("li", swatch((255, 255, 255)), " no points"))
     return tag("ul", *items, class_="legend", data_of=key, hidden=key != "class")
-
-
-def _limit(limits: Sequence[float], code: int) -> str:
-    if not limits:
-        return ""
-    if code == 0:
-        return f": C_r under {limits[0]:.3g}"
-    return f": from {limits[code - 1]:.3g}{', or too steep, or drives fail' if code == len(limits) else ''}"
 
 
 def scale_of(grid: ByteGrid, ramp: Sequence[str], ends: tuple[str, str] = ("light", "dark")) -> Html:

@@ -1,9 +1,12 @@
 """Numbers as the page shows them."""
 
 import math
+from collections.abc import Collection, Sequence
 from typing import Any
 
-__all__ = ["DASH", "area", "number", "share", "whole"]
+from bumpymap.core import share_text, shares_text
+
+__all__ = ["DASH", "area", "number", "share", "shares", "whole"]
 
 DASH = "\N{EN DASH}"
 """Stands where nothing is known."""
@@ -26,14 +29,12 @@ def whole(value: int) -> str:
 
 def share(part: float, total: float) -> str:
     """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
-    if not total:
-        return DASH
-    percent = 100 * part / total
-    if 0 < percent < 1:
-        return f"under 1{_PERCENT}"
-    if 99 < percent < 100:
-        return f"over 99{_PERCENT}"
-    return f"{percent:.0f}{_PERCENT}"
+    return share_text(part / total, percent=_PERCENT) if total else DASH
+
+
+def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
+    """Return the shares of all parts of a whole, which make 100 % together; see `shares_text`."""
+    return shares_text(counts, alone, percent=_PERCENT) if sum(counts) else [DASH] * len(counts)
 
 
 def area(square_metres: float) -> str:

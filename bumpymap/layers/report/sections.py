@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bumpymap.core import count_text
 from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.drive_section import drive_figures
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import DASH, area, number, share, whole
 from bumpymap.layers.report.sheet_table import sheet_table
 from bumpymap.layers.report.site import Site
-from bumpymap.layers.report.tables import bar_table, class_limits, class_table, reason_table
+from bumpymap.layers.report.tables import bar_table, class_table, reason_table
 from bumpymap.layers.report.ways import DrawnWay
 from bumpymap.layers.report.words import (
     base_name,
@@ -19,6 +20,7 @@ from bumpymap.layers.report.words import (
     measured_surfaces,
     settings_of,
 )
+from bumpymap.layers.ride_scale import class_limits
 
 __all__ = [
     "drive_section",
@@ -55,7 +57,7 @@ def ground_section(sites: Sequence[Site]) -> Html:
         tag(
             "div",
             tag("h3", f"{letter}: {site.name}") if letter else "",
-            c_r_chart(site.tiles.c_r_bins, class_limits(site), f"ride-{at}"),
+            c_r_chart(site.tiles.c_r_bins, class_limits(site.record) or (), f"ride-{at}"),
             slope_chart(site.tiles.slope_bins, site.record["cost"]["slope_limit_deg"], f"slope-{at}"),
             class_="charts",
         )
@@ -169,7 +171,19 @@ def _survey(site: Site) -> Html:
     listed = table("Files of the survey", head, files, texts=2, wide=True) if files else Html()
     skipped = record.get("skipped")
     left = [tag("p", f"Left out, because it could not be read: {base_name(str(path))}.") for path in skipped or ()]
-    return join(_facts(rows), listed, *left)
+    return join(
+        _facts(rows), listed, *left, *(tag("p", tag("strong", "Warning: "), text) for text in _warnings(record))
+    )
+
+
+def _warnings(record: Mapping[str, Any]) -> list[str]:
+    """Return the warnings of a run that are not told otherwise; files without their folders, which are private."""
+    places = [item for name in ("inputs", "skipped_inputs") for item in record.get(name) or ()]
+    names = {str(item["path"]) for item in places if isinstance(item, Mapping) and item.get("path")}
+    texts = [str(text) for text in record.get("warnings") or ()]
+    for path in sorted(names, key=len, reverse=True):
+        texts = [text.replace(path, base_name(path)) for text in texts]
+    return [text for text in texts if not text.startswith("skipped ")]
 
 
 def _crs_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -201,7 +215,8 @@ def _line_facts(record: Mapping[str, Any]) -> list[tuple[str, str]]:
     text = whole(int(lines["lines"]))
     if pairs:
         largest = max(abs(float(pair.get("largest") or 0.0)) for pair in pairs)
-        text += f"; {len(pairs)} pairs overlap, largest height step between them {100 * largest:.1f} cm"
+        overlap = count_text(len(pairs), "pair overlaps", "pairs overlap")
+        text += f"; {overlap}, largest height step between them {100 * largest:.1f} cm"
     if lines.get("method") not in {None, "none"}:
         text += f"; heights of the lines were adjusted ({lines['method']})"
     return [("flight lines", text)]

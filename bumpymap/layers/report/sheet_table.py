@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
+from bumpymap.core import count_text
 from bumpymap.layers.products import REPORT_NAME, SHEET_TABLE_NAME
 from bumpymap.layers.report.markup import Html, join, table, tag
 from bumpymap.layers.report.numbers import area, share, whole
@@ -26,7 +27,7 @@ def sheet_table(site: Site) -> Html:
     shown = sheets[:_MOST]
     side = float(site.record["sheet_side_m"])
     size = f"{side:g} m" if side < _METRES else f"{side / 1000:g} km"
-    about = f"The layers are in {whole(len(sheets))} sheets of {size}, each a folder with a page of its own."
+    about = f"The layers are in {count_text(len(sheets), 'sheet')} of {size}, each a folder with a page of its own."
     listed = "every sheet" if len(shown) == len(sheets) else f"all of them; the table below the first {whole(_MOST)}"
     file = tag("a", SHEET_TABLE_NAME, href=SHEET_TABLE_NAME) if site.has_links else SHEET_TABLE_NAME
     return join(

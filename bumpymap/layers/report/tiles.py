@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import rasterio
 from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
 from bumpymap.core import BARRED_TEXT, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
 from bumpymap.layers.colours import UNKNOWN_OBJECT
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.sheets.folders import raster_in, sheets_of
 
 __all__ = ["C_R_EDGES", "NO_POINTS", "SLOPE_EDGES", "UNKNOWN_FROM", "PageTiles", "Spot"]
@@ -57,7 +57,7 @@ class Spot:
         """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
         path = raster_in(folder, "class.tif")
         try:
-            with rasterio.open(path) as file:
+            with open_layer(path) as file:
                 place, width, height = file.transform, file.width, file.height
         except RasterioError as error:
             raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error

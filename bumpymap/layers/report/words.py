@@ -9,7 +9,7 @@ from typing import Any
 
 from bumpymap.core import MapConfig
 from bumpymap.layers.report.markup import Html, join, table, tag
-from bumpymap.layers.report.numbers import number, share
+from bumpymap.layers.report.numbers import number, share, shares
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.surfaces import read_surfaces
 
@@ -29,15 +29,15 @@ _FILES = ("vehicle", "calibration", "model")
 def headline(site: Site) -> str:
     """Return the result in one or two sentences: shares of the tiles that hold points."""
     summary = site.summary
-    barred = sum(summary.bars.values()) - summary.bars.get("unknown ground", 0)
-    unknown = summary.bars.get("unknown ground", 0)
+    parts = (summary.passable, summary.unknown, summary.tiles - summary.passable - summary.unknown)
+    passable, unknown, barred = shares(parts, (0, 1))
     named, total = site.vehicle, summary.tiles
     subject = "The vehicle" if named == _NAMELESS else f"The vehicle {named}"
-    text = f"{subject} can cross {share(summary.passable, total)} of the surveyed ground"
-    if barred:
-        text += f" and cannot cross {share(barred, total)}"
-    if unknown:
-        text += f"; {share(unknown, total)} is not known"
+    text = f"{subject} can cross {passable} of the surveyed ground"
+    if parts[2]:
+        text += f" and cannot cross {barred}"
+    if parts[1]:
+        text += f"; {unknown} is not known"
     calm = _capital(share(site.tiles.calm, total))
     return f"{text}. {calm} of the ground can be crossed and is smooth or fair to ride on."
 

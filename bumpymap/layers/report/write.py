@@ -8,6 +8,7 @@ from typing import Any
 
 from bumpymap.core import BadInputError, OutputError, UsageError, atomic, utf8_path
 from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
+from bumpymap.layers.map_files import require_map_written, require_written
 from bumpymap.layers.products import REPORT_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.layers.report.drives import DrawnCheck, read_drawn_check
@@ -20,6 +21,7 @@ __all__ = ["write_report", "write_reports"]
 _MOST = 2
 """Maps that a page can show."""
 _SUFFIXES = {".html", ".htm"}
+_READ = ("class.tif", "heightmap.tif", "obstacle.tif", "tiles.parquet")
 
 
 def write_report(folder: Path, record: Mapping[str, Any]) -> None:
@@ -96,12 +98,13 @@ def write_reports(
     checks = _checks(check, folders, records)
     try:
         for folder, record, drives in zip(folders, records, checks, strict=True):
+            require_map_written(folder, record, _READ)
             ways = () if route is None else read_ways(Path(route), record)
             with utf8_path(folder) as readable:
                 beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
                 sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside, check=drives))
         _write(sites, path)
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         named = " or ".join(str(folder / MANIFEST_NAME) for folder in folders)
         raise BadInputError(f"{named} is not that of a map of this version: {error!r}. Map the survey again") from error
     return path
@@ -147,8 +150,12 @@ def _write_comparison(folders: Sequence[Path], path: Path, asked: Sequence[str],
     (folder,) = folders
     record = read_comparison(folder)
     _check(path, replace=replace)
-    with utf8_path(folder) as readable:
-        write_change_report(readable, record, path)
+    require_written(folder, record, ("change.tif", "change.geojson"), "change.json")
+    try:
+        with utf8_path(folder) as readable:
+            write_change_report(readable, record, path)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise BadInputError(f"{folder / 'change.json'} is damaged: {error!r}. Compare the surveys again") from error
     return path
 
 

@@ -71,7 +71,7 @@ class RouteCoordinates:
             raise BadInputError(
                 "a route lies outside the area where the survey's CRS "
                 f"({self.files.placement.horizontal_crs}) can be converted to longitude and latitude. Map the survey "
-                "again with the right one, `crs='EPSG:CODE'`"
+                "again with the right one, `force_crs='EPSG:CODE'`"
             )
         return degrees
 

@@ -1,13 +1,12 @@
 """Write profile.csv: what lies along routes, one row for each point of a profile."""
 
-import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Route, atomic
+from bumpymap.core import Route, write_csv
 from bumpymap.layers.route.coordinates import RouteCoordinates
 
 __all__ = ["PROFILE_COLUMNS", "write_profile"]
@@ -36,14 +35,7 @@ def write_profile(routes: Sequence[Route], path: Path) -> None:
         The file cannot be written.
     """
     place = RouteCoordinates.of(routes)
-    with (
-        atomic(path) as temporary,
-        temporary.open("w", encoding="utf-8", errors="backslashreplace", newline="") as file,
-    ):
-        writer = csv.writer(file)
-        writer.writerow(PROFILE_COLUMNS)
-        for route in routes:
-            writer.writerows(_rows(route, place))
+    write_csv(path, PROFILE_COLUMNS, (row for route in routes for row in _rows(route, place)))
 
 
 def _rows(route: Route, place: RouteCoordinates) -> Iterator[tuple[str, ...]]:

@@ -7,12 +7,13 @@ follows from its azimuth in each scan; both are lookups over all cells at once.
 import math
 from array import array
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, UsageError
+from bumpymap.core import NOT_TRAVERSABLE, ClassedSectors, PolarSettings, Scan, SectorStack, UsageError, short_repr
 
 __all__ = ["GRID_LAYERS", "OCCUPANCY", "UNKNOWN_OCCUPANCY", "GridSettings", "GroundGrid", "sector_occupancy"]
 
@@ -36,6 +37,10 @@ class GridSettings:
 
     def __post_init__(self) -> None:
         resolution, reach = self.resolution_m, self.reach_m
+        if not all(isinstance(size, Real) and not isinstance(size, bool) for size in (resolution, reach)):
+            raise UsageError(
+                f"a grid reaches {short_repr(reach)} m with cells of {short_repr(resolution)} m; both are numbers"
+            )
         if not (0.0 < resolution <= reach < math.inf) or (2.0 * reach / resolution) ** 2 > _MOST_CELLS:
             raise UsageError(
                 f"a grid reaches {reach} m with cells of {resolution} m; both are above 0, and there are at most "

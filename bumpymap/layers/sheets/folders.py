@@ -6,7 +6,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from bumpymap.core import STAGED, BadInputError, OutputError, read_record, remove_path
+from bumpymap.core import STAGED, BadInputError, OutputError, count_text, read_record, remove_path
 from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT
 from bumpymap.layers.products import (
     CATALOG_NAME,
@@ -78,8 +78,8 @@ def sheets_of(folder: Path, record: Mapping[str, Any]) -> list[Path]:
     if missing:
         more = f" and {len(missing) - 1} more are" if len(missing) > 1 else " is"
         raise BadInputError(
-            f"the map in {folder} has {len(found)} sheets, of which {missing[0]}{more} missing. Copy the whole folder "
-            "again, or map the survey again"
+            f"the map in {folder} has {count_text(len(found), 'sheet')}, of which {missing[0]}{more} missing. Copy the "
+            "whole folder again, or map the survey again"
         )
     return found
 

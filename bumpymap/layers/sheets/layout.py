@@ -53,8 +53,8 @@ class SheetLayout:
         blocks = round(kilometres / block)
         if not 1 <= blocks <= most:
             raise UsageError(
-                f"sheets is {kilometres:g} km; with tiles of {grid.tile_size:g} m and {grid.pixels} pixels a sheet has "
-                f"a side of at least {block:g} km (one block of {BLOCK_TILES} x {BLOCK_TILES} tiles) and at most "
+                f"`sheets` is {kilometres:g} km; with tiles of {grid.tile_size:g} m and {grid.pixels} pixels a sheet "
+                f"has a side of at least {block:g} km (one block of {BLOCK_TILES} x {BLOCK_TILES} tiles) and at most "
                 f"{most * block:g} km, the largest map. Give `sheets={suggested_sheets(grid):g}` or another number "
                 "between them"
             )

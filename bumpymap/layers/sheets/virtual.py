@@ -14,6 +14,7 @@ from rasterio.errors import RasterioError
 
 from bumpymap.core import BadInputError, atomic
 from bumpymap.layers._value_table import sum_counts
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileWindow
 
@@ -85,7 +86,7 @@ def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[
 
 
 def _source(root: Path, path: str, whole: TileWindow, window: TileWindow) -> _Source:
-    with rasterio.open(root / path) as file:
+    with open_layer(root / path) as file:
         pixels = file.width // window.cols
         left = (window.col - whole.col) * pixels
         top = (whole.row + whole.rows - window.row - window.rows) * pixels

@@ -1,6 +1,5 @@
 """Write a map in sheets: each a complete folder of layers, then what leads to them, the manifest last."""
 
-import csv
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,9 +14,9 @@ from bumpymap.core import (
     CostTable,
     Progress,
     SilentProgress,
-    atomic,
     read_record,
     utf8_path,
+    write_csv,
     write_together,
 )
 from bumpymap.layers.folder import write_products, write_views
@@ -30,6 +29,7 @@ from bumpymap.layers.manifest import (
 )
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import CATALOG_NAME, EVERY_VIEW_NAME, SHEET_FOLDER, SHEET_TABLE_NAME
+from bumpymap.layers.ride_scale import class_limits
 from bumpymap.layers.sheets.finished import is_finished, virtual_names
 from bumpymap.layers.sheets.folders import (
     make_sheet_folder,
@@ -123,7 +123,7 @@ def write_sheets(
         windows[f"{SHEET_FOLDER}/{name}"] = part.tiles.window
         _write_sheet(part, make_sheet_folder(folder, name), place, run, around=table.tiles, local=local)
         progress.advance(1)
-    summary = summarise(table)
+    summary = summarise(table, class_limits(manifest))
     remove_map_files(folder)
     remove_sheets(folder, keep=places)
     virtual = virtual_names(manifest)
@@ -188,16 +188,13 @@ def _describe(root: Path, path: str, place: SheetPlace, whole: Placement, window
 def _write_table(path: Path, sheets: Sequence[Mapping[str, Any]]) -> None:
     """Write sheets.csv, one row a sheet."""
     numbers = ("points", "tiles", *(name.replace(" ", "_") for name in CLASS_NAMES), "unknown", "passable", "bytes")
-    with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("folder", "column", "row", *_BOUNDS, *numbers))
-        for sheet in sheets:
-            classes = {name.replace(" ", "_"): count for name, count in sheet["by_class"].items()}
-            values = {**sheet, **classes}
-            places = (f"{side:.10g}" for side in sheet["bounds"])
-            writer.writerow(
-                (sheet["folder"], sheet["column"], sheet["row"], *places, *(values[name] for name in numbers))
-            )
+    rows = []
+    for sheet in sheets:
+        classes = {name.replace(" ", "_"): count for name, count in sheet["by_class"].items()}
+        values = {**sheet, **classes}
+        places = (f"{side:.10g}" for side in sheet["bounds"])
+        rows.append((sheet["folder"], sheet["column"], sheet["row"], *places, *(values[name] for name in numbers)))
+    write_csv(path, ("folder", "column", "row", *_BOUNDS, *numbers), rows, end="\n")
 
 
 def _title(record: Mapping[str, Any]) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 from pyproj import CRS
 
 from bumpymap.layers.manifest import MANIFEST_NAME
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
 from bumpymap.layers.stac.classes import classes_of_band
 
@@ -92,9 +93,7 @@ def describe_crs(crs: CRS | None) -> dict[str, Any]:
 
 def describe_grid(path: Path) -> dict[str, Any]:
     """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
-    import rasterio
-
-    with rasterio.open(path) as raster:
+    with open_layer(path) as raster:
         return {
             "proj:shape": list(raster.shape),
             "proj:transform": list(raster.transform)[:6],
@@ -117,10 +116,8 @@ def _role(name: str, known: Mapping[str, Any]) -> str:
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
     """Return the fields of a raster: its bands and its pixels."""
-    import rasterio
-
     limits = _class_limits(record)
-    with rasterio.open(path) as raster:
+    with open_layer(path) as raster:
         bands = [_band(raster, number, limits) for number in raster.indexes]
         title, pixel = raster.tags().get("title"), raster.transform.a * record["metres_per_unit"]["horizontal"]
     found: dict[str, Any] = {"title": title} if title else {}

@@ -6,7 +6,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any
 
-from bumpymap.core import BadInputError, UsageError, parse_record, read_toml, refuse_faults, short_repr
+from bumpymap.core import BadInputError, UsageError, parse_record, path_of_call, read_toml, refuse_faults, short_repr
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
 from bumpymap.rating.vehicle.body import Body, body_table
 from bumpymap.rating.vehicle.floor import Floor
@@ -14,7 +14,7 @@ from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
 
 __all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
 
-_SCHEMA = "docs/pages/vehicle-profile.md lists every key"
+_SCHEMA = "`bumpymap vehicle new NAME` writes a file with every key, its unit and its range"
 _LONGEST_BELLY = 4.0
 """Longest belly in wheelbases; a bus with its overhangs has about two."""
 _LIGHTEST, _HEAVIEST = 5.0, 3000.0
@@ -195,7 +195,7 @@ def load_profile(name_or_path: str | Path) -> Vehicle:
             return Vehicle.from_dict(
                 read_toml(shipped, "the vehicle profile", BadInputError), f"vehicle profile {name_or_path}"
             )
-    path = Path(name_or_path)
+    path = Path(path_of_call("the vehicle", name_or_path))
     if not path.exists():
         raise UsageError(
             f"no vehicle '{name_or_path}': it is neither a file nor an included vehicle "

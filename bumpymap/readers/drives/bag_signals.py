@@ -54,16 +54,6 @@ def bag_signals(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Drive
         The extra ``ros`` is not installed.
     """
     name = ", ".join(path.name for path in paths)
-    try:
-        return _read(name, paths, columns)
-    except MemoryError as error:  # its messages are small, so a length in it is wrong
-        raise BadInputError(
-            f"cannot read the bag {name}: it declares a record that is larger than the memory. It is damaged; mend it "
-            "(mcap recover IN.mcap -o OUT.mcap, or ros2 bag reindex FOLDER), or copy it again"
-        ) from error
-
-
-def _read(name: str, paths: Sequence[Path], columns: Mapping[str, str]) -> list[DriveSignals]:
     bags = [Ros1Bag(path) if is_ros1(path) else BagReader(path) for path in paths]
     held: dict[str, tuple[str, int]] = {}
     for bag in bags:

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 
 from bumpymap.core import UsageError
 from bumpymap.readers.drives.column_names import DriveColumn, unit_in_name
@@ -88,7 +89,9 @@ def _unit(quantity: str, stated: str) -> str:
     unit = plain_unit(stated, DIMENSIONS[quantity])
     if unit is None:
         allowed = ", ".join(filter(None, UNITS[DIMENSIONS[quantity]])) or "none"
-        raise UsageError(f"'{stated}' is no unit of {quantity} in `columns`. Units of it are: {allowed}")
+        close = get_close_matches(stated, filter(None, UNITS[DIMENSIONS[quantity]]), 1)
+        meant = f" Did you mean '{close[0]}'?" if close else ""
+        raise UsageError(f"'{stated}' is no unit of {quantity} in `columns`.{meant} Units of it are: {allowed}")
     return unit
 
 

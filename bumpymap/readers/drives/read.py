@@ -1,11 +1,23 @@
 """Read a recorded drive from files of any format."""
 
+import os
 import re
+import threading
 from collections.abc import Mapping, Sequence
-from itertools import takewhile
+from itertools import chain, takewhile
 from pathlib import Path
+from traceback import format_exc
 
-from bumpymap.core import BadInputError, DriveLog, UsageError
+from bumpymap.core import (
+    BadInputError,
+    BumpymapError,
+    Child,
+    DriveLog,
+    UsageError,
+    can_start_children,
+    free_memory,
+    missing_resource,
+)
 from bumpymap.readers.drives.ardupilot import refuse_binary
 from bumpymap.readers.drives.assemble import assemble
 from bumpymap.readers.drives.bag_signals import bag_signals
@@ -16,9 +28,20 @@ from bumpymap.readers.drives.signals import DriveSignals
 from bumpymap.readers.drives.table_signals import find_columns, table_signals
 from bumpymap.readers.drives.text_table import TextTable, open_table
 from bumpymap.readers.drives.ulog_signals import is_ulog, ulog_signals
-from bumpymap.readers.frames.bag import is_bag
+from bumpymap.readers.frames.bag import bag_files, is_bag
+from bumpymap.readers.guard import DecoderError, Guard
+from bumpymap.readers.source import size_of
 
-__all__ = ["read_drive"]
+__all__ = ["close_log_reader", "read_drive", "read_in_child"]
+
+SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
+"""CPU time limit of reading a drive, and for each byte of its files: ten times what real ones need."""
+_MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
+"""Limit of the memory of the process that reads, likewise."""
+_COPY_AGAIN = "The file is damaged; copy or download it again"
+_lock = threading.Lock()
+_guard = Guard(lambda: Child("to read logs", __name__), "reads logs of drives", "bumpymap")
+"""Parsers of logs run or allocate without end on some damaged files."""
 
 
 def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog:
@@ -48,7 +71,54 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     wanted = dict(columns or {})
     unknown_quantities(wanted, (*QUANTITIES, *TOPICS))
     paths = _paths(place)
-    return assemble(_name([path.stem for path in paths]), paths, _sources(paths, wanted))
+    if not can_start_children():
+        return _read(paths, wanted)
+    size = sum(map(size_of, chain.from_iterable(bag_files(path) if is_bag(path) else [path] for path in paths)))
+    seconds, memory = SECONDS + SECONDS_PER_BYTE * size, _MEMORY + _MEMORY_PER_BYTE * size
+    enough = (free_memory() or 0) >= memory
+    try:
+        with _lock:
+            log, error = _guard.call("read_in_child", paths, wanted, str(Path.cwd()), seconds=seconds, memory=memory)
+    except DecoderError as refusal:
+        raise BadInputError(f"cannot read {place}: {refusal}. {_COPY_AGAIN}") from refusal
+    if error is not None and enough and missing_resource(error) == "memory":
+        raise BadInputError(f"cannot read {place}: it needs more memory than its size explains. {_COPY_AGAIN}")
+    if error is not None:
+        raise error
+    read: DriveLog = log
+    return read
+
+
+def close_log_reader() -> None:
+    """End the process that reads logs; the next one starts it again."""
+    with _lock:
+        _guard.end()
+
+
+def read_in_child(
+    paths: Sequence[Path], wanted: Mapping[str, str], folder: str
+) -> tuple[DriveLog | None, Exception | None]:
+    """Read files of a drive, named relative to a folder, in the child; return it, or the error for the parent."""
+    os.chdir(folder)
+    try:
+        return _read(paths, wanted), None
+    except Exception as error:  # noqa: BLE001 (the parent raises it)
+        if not isinstance(error, BumpymapError):
+            error.add_note(format_exc())
+        return None, error
+
+
+def _read(paths: Sequence[Path], wanted: Mapping[str, str]) -> DriveLog:
+    """Read files of a drive. All errors name them."""
+    name = _name([path.stem for path in paths])
+    try:
+        return assemble(name, paths, _sources(paths, wanted))
+    except BadInputError as error:
+        if any(
+            re.search(rf"(?<!\w){re.escape(each)}(?!\w)", str(error)) for each in {name, *(path.name for path in paths)}
+        ):
+            raise
+        raise BadInputError(f"{', '.join(map(str, paths))}: {error}") from error
 
 
 def _name(stems: Sequence[str]) -> str:
@@ -108,3 +178,12 @@ def _of_tables(tables: Sequence[TextTable], wanted: Mapping[str, str]) -> list[D
             + (f"Columns of {listed}" if tables else "Columns are named for tables of text, topics for bags")
         )
     return [table_signals(table, each) for table, each in zip(tables, found, strict=True)]
+
+
+def _reset_after_fork() -> None:
+    global _lock  # noqa: PLW0603 (another thread may have held it)
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_reset_after_fork)

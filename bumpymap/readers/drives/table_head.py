@@ -21,6 +21,8 @@ _NUMBER = re.compile(
     r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?|[-+]?(nan|inf)|\d{4}[-/]\d\d[-/]\d\d.*|\d\d?:\d\d.*", re.IGNORECASE
 )
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+([eE][-+]?\d+)?")
+_LONGEST, _MOST_COLUMNS = 500, 10_000
+"""Characters of a name or number, and columns: patterns take the square of the one, guesses of each column time."""
 _REMARK = "#%"
 _NMEA = re.compile(rb"\$[A-Z]{5},")
 _FORMATS = (
@@ -72,6 +74,12 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
         raise BadInputError(
             f"{path} has no header line: its first row is '{lines[first][:80]}'. Put the names of the columns before "
             "it, such as time,gyro_x,gyro_y,gyro_z"
+        )
+    if max(map(len, names)) > _LONGEST or len(names) > _MOST_COLUMNS:
+        raise BadInputError(
+            f"{path} is no table of a drive: its header line has {len(names):,} columns, and the longest name "
+            f"{max(map(len, names)):,} characters; at most {_MOST_COLUMNS:,} columns and {_LONGEST} characters are "
+            "read. Is the file damaged?"
         )
     if names[-1:] == [""] and len(names) == len(row) + 1:
         names = names[:-1]
@@ -145,7 +153,7 @@ def _with_units(heads: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _is_number(cell: str) -> bool:
-    return _NUMBER.fullmatch(cell) is not None
+    return len(cell) <= _LONGEST and _NUMBER.fullmatch(cell) is not None
 
 
 def _has_decimal_comma(cell: str) -> bool:

@@ -18,7 +18,7 @@ _MOST_REWRITTEN = 1 << 30
 """Files with remarks between their rows, or with blanks between their values, are rewritten in memory."""
 _NULLS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "N/A", "NA", "n/a", "-", "#N/A"]
 _REMARK = re.compile(rb"^[ \t]*[#%][^\n]*(?:\n|\Z)", re.MULTILINE)
-_INDENT = re.compile(rb"^[ \t]+|[ \t]+$", re.MULTILINE)
+_INDENT = re.compile(rb"^[ \t]+|(?<![ \t])[ \t]+$", re.MULTILINE)
 _BLANKS = re.compile(rb"[ \t]+")
 _MOST_BROKEN = 0.01
 """Share of rows with too many or too few values that may be left out."""

@@ -9,7 +9,7 @@ from threading import Lock
 from typing import Any
 
 from bumpymap.core import BadInputError, BagMessage, UsageError
-from bumpymap.readers.checks import decoding
+from bumpymap.readers.checks import asks_too_much, decoding
 from bumpymap.readers.source import Version, read_range, require_unchanged, size_of, version_of
 
 __all__ = ["BAG_SUFFIXES", "CLOUD", "BagReader", "BagRecord", "bag_files", "is_bag", "message_types"]
@@ -167,6 +167,11 @@ def _reading(path: Path) -> Iterator[None]:
         if error.__cause__ is None:  # of our own
             raise
         raise _damaged(path, str(error.__cause__)) from error.__cause__
+    except Exception as error:
+        if not asks_too_much(error, [path]):
+            raise
+        # Without its cause, which would be reported as a lack of memory.
+        raise _damaged(path, "it declares a record that is larger than the memory") from None
 
 
 def _damaged(path: Path, why: str) -> BadInputError:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, UsageError, short_repr
 from bumpymap.readers.frames.point_time import TIME_COLUMNS, point_seconds, start_of_day_time
 from bumpymap.readers.frames.raw import RawScan
 
 __all__ = ["points_of", "read_cloud"]
 
+_ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of numpy of the constants in sensor_msgs/PointField."""
 _INTENSITY = ("intensity", "intensities", "reflectivity")
@@ -40,7 +41,14 @@ def points_of(message: Any) -> NDArray[np.float32]:
     ------
     BadInputError
         The message has no x, y and z, or less data than it declares.
+    UsageError
+        This is no such message.
     """
+    missing = [name for name in _ATTRIBUTES if not hasattr(message, name)]
+    if missing:
+        raise UsageError(
+            f"message is {short_repr(message)}, without {', '.join(missing)}; give a message sensor_msgs/PointCloud2"
+        )
     return _xyz(_rows(message))
 
 

@@ -163,7 +163,7 @@ def label_set(name_or_path: str | Path) -> LabelSet:
     if text in LABEL_SETS:
         return LABEL_SETS[text]
     path, suffix = Path(text), Path(text).suffix.lower()
-    if not (isinstance(name_or_path, Path) or suffix in _SUFFIXES or "/" in text):
+    if not (suffix in _SUFFIXES or path.exists() or len(path.parts) > 1):
         raise UsageError(
             f"`labels` is '{text}'; it must be {', '.join(LABEL_SETS)}, or a file that ends in .csv or .toml"
         )

@@ -27,10 +27,12 @@ class Robot:
 
     def __post_init__(self) -> None:
         rear, front, right, left = self.box_m or (0.0, 1.0, 0.0, 1.0)
-        if not self.radius_m >= 0.0 or not (rear < front and right < left):
+        if not self.radius_m >= 0.0:
+            raise UsageError(f"`radius_m` is {self.radius_m}; the radius of the robot must be 0 m or more")
+        if not (rear < front and right < left):
             raise UsageError(
-                f"the robot's radius is {self.radius_m} m and its box {self.box_m}; a radius is 0 or more, a box goes "
-                "from rear to front and from right to left: x from, x to, y from, y to"
+                f"box_m is {self.box_m}; the box of the robot goes from rear to front and from right to left, in "
+                "metres: x from, x to, y from, y to"
             )
 
 

@@ -1,20 +1,18 @@
 """Map many surveys from Python: one call that returns what became of each."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 from typing import Any, Unpack
 
-from bumpymap.core import CLASHES, MapConfig, refuse_clashes, settings_of_call
+from bumpymap.core import UsageError, path_of_call, refuse_unknown, short_repr
 from bumpymap.layers import SurveyRow
-from bumpymap.survey.api import EachSettings, PathLike, place_text
+from bumpymap.survey.api import EachSettings, PathLike, map_settings
 from bumpymap.survey.batch.night import BatchResult, run_batch
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 
 __all__ = ["BatchSettings", "map_batch"]
 
 _OF_BATCH = ("survey_per", "jobs")
-_NOT_OF_BATCH = ("surveys", "out", "resume")
 
 
 class BatchSettings(EachSettings, total=False):
@@ -57,8 +55,6 @@ def map_batch(
     ------
     BumpymapError
         The source holds no surveys, a setting is not allowed, or ``out`` cannot be used.
-    TypeError
-        There is no setting of this name.
 
     Examples
     --------
@@ -69,13 +65,13 @@ def map_batch(
     >>> night.exit_code
     4
     """
-    known = [*_OF_BATCH, *(field.name for field in fields(MapConfig) if field.name not in _NOT_OF_BATCH)]
-    if unknown := [name for name in settings if name not in known]:
-        raise TypeError(f"map_batch() has no setting {', '.join(unknown)}; there are: {', '.join(known)}")
+    known = [*_OF_BATCH, *EachSettings.__annotations__]
+    refuse_unknown(settings, known, "map_batch")
     given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
     own = {name: given.pop(name) for name in _OF_BATCH if name in given}
-    refuse_clashes(given, CLASHES)
-    places = [place_text("source", source), place_text("out", out)]
+    if report is not None and not callable(report):
+        raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
+    places = [path_of_call("source", source), path_of_call("out", out)]
     target = places[1] if "://" in places[1] else Path(places[1])
-    config = BatchConfig(Path(places[0]), target, settings_of_call(given, MapConfig, "map_batch"), **own)
+    config = BatchConfig(Path(places[0]), target, map_settings(given, "map_batch", known), **own)
     return run_batch(config, report)

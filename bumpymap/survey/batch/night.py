@@ -7,7 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
-from bumpymap.core import MapConfig, locked, remove_empty_on_error, without_keys
+from bumpymap.core import (
+    Holder,
+    MapConfig,
+    UsageError,
+    brief_repr,
+    count_text,
+    locked,
+    refuse_faults,
+    remove_empty_on_error,
+    without_keys,
+)
 from bumpymap.layers import BATCH_LOG, SurveyRow, SurveyStatus, check_batch_out
 from bumpymap.survey.batch.log import BatchLog
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
@@ -15,6 +25,7 @@ from bumpymap.survey.batch.remote import check_remote_out, fetch_log, upload_sum
 from bumpymap.survey.batch.results import Results
 from bumpymap.survey.batch.settings import BatchConfig
 from bumpymap.survey.batch.source import ListedSurvey, list_surveys
+from bumpymap.survey.batch.table import SettingsCheck
 from bumpymap.survey.batch.workers import map_tasks
 from bumpymap.survey.engine import connect
 
@@ -34,6 +45,8 @@ BatchReport: TypeAlias = Callable[[SurveyRow], None]
 @dataclass(frozen=True, slots=True)
 class BatchResult:
     """What became of the surveys of a batch."""
+
+    __repr__ = brief_repr
 
     rows: tuple[SurveyRow, ...]
     """One for each survey, by name."""
@@ -80,7 +93,9 @@ def run_batch(
     OutputError
         ``config.out`` cannot be written, is in use, or holds files of something else.
     """
-    surveys = list_surveys(config.source, config.survey_per)
+    settings = SettingsCheck()
+    refuse_faults(settings.faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
+    surveys = list_surveys(config.source, config.survey_per, lambda own: settings.faults(config.merged(own)))
     tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
     _require_scheduler(tasks[0].config)
     if remote is None:
@@ -101,8 +116,10 @@ def run_batch(
             try:
                 with closing(ends):
                     for end in ends:
-                        message, survey = map(without_keys, (spell(end.row.message), end.row.survey))
-                        row = replace(end.row, message=message, survey=survey)
+                        row = end.row
+                        message, survey = map(without_keys, (spell(row.message), row.survey))
+                        warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
+                        row = replace(row, message=message, warnings=warnings, survey=survey)
                         _note(log, replace(end, row=row))
                         results.add(row, end.view)
                         if report is not None:
@@ -134,7 +151,7 @@ def _title(out: Path | str) -> str:
 
 def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
     """Return the surveys to map: by name, or the largest first if several run at a time, so that none is left alone."""
-    jobs = min(config.jobs, len(surveys))
+    jobs, holder = min(config.jobs, len(surveys)), Holder.here()
     tasks = [
         MapTask(
             survey.name,
@@ -142,6 +159,8 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
             config.overwrite,
             None if config.remote is None else config.remote.below(survey.name),
             min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
+            config.of_survey(survey.settings).memory,
+            holder,
         )
         for survey in surveys
     ]
@@ -165,8 +184,8 @@ def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
     if renamed:
         first = renamed[0]
         _log.warning(
-            "%d surveys share their name with another; their folders have longer ones, such as %s for %s",
-            len(renamed),
+            "%s the name of another; a longer name is used, such as %s for %s",
+            count_text(len(renamed), "survey has", "surveys have"),
             first.name,
             without_keys(str(first.place)),
         )
@@ -178,5 +197,7 @@ def _note(log: BatchLog, end: TaskEnd) -> None:
         log.write(**{**event, "name": row.name})
     facts = {"status": row.status, "seconds": row.seconds, "points": row.points, "message": row.message}
     log.write("survey ended", name=row.name, **{key: value for key, value in facts.items() if value not in {None, ""}})
+    for warning in row.warnings:
+        _log.warning("%s: %s", row.name, warning)
     if row.status in {"failed", "incomplete"}:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)

@@ -11,17 +11,21 @@ import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
     BumpymapError,
+    Holder,
     MapConfig,
     OutputError,
     SilentProgress,
     TooUnknownError,
     UsageError,
+    count_text,
     is_interrupted,
+    lock_for,
     locked,
     missing_resource,
     read_record,
@@ -40,7 +44,7 @@ from bumpymap.layers import (
     write_manifest,
 )
 from bumpymap.survey.batch.remote import naming_remote
-from bumpymap.survey.result import MapResult
+from bumpymap.survey.result import MapResult, WarningCollector
 
 __all__ = ["MapTask", "TaskEnd", "look_at", "map_one"]
 
@@ -55,12 +59,17 @@ class MapTask:
 
     name: str
     config: MapConfig
+    """Its settings, with its share of threads and memory."""
     overwrite: bool
     """Replace layers that were made from other inputs or settings."""
     remote: RemoteFolder | None = None
     """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
     """Largest picture of the map to make."""
+    memory: str | None = None
+    """The setting of the batch, of which ``config`` has a share."""
+    started_by: Holder | None = None
+    """The batch, for whoever finds the folder locked."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +86,7 @@ def map_one(task: MapTask) -> TaskEnd:
     """Map a survey, continue its interrupted run, or find that it is done."""
     begin = time.perf_counter()
     view = SurveyView()
+    lock_for(task.started_by)
     with _collected_warnings() as events:
         try:
             if task.remote is None:
@@ -88,7 +98,8 @@ def map_one(task: MapTask) -> TaskEnd:
             row = _failed(task, error, round(time.perf_counter() - begin, 3))
             if not isinstance(error, BumpymapError):
                 events.append({"event": "traceback", "message": traceback.format_exc()})
-    return TaskEnd(row, tuple(events), view)
+    said = [event["message"] for event in events if event["event"] == "warning"]
+    return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), tuple(events), view)
 
 
 def look_at(folder: Path | RemoteFolder, thumbnail_bytes: int) -> SurveyView:
@@ -160,7 +171,7 @@ def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
     if result.skipped:
         path, why = next(iter(result.skipped.items()))
-        message = f"{len(result.skipped)} files were skipped, such as {path}: {why}"
+        message = f"{count_text(len(result.skipped), 'file was', 'files were')} skipped, such as {path}: {why}"
     try:
         require_known(result, task.config)
     except TooUnknownError as error:
@@ -176,15 +187,16 @@ def _run(task: MapTask) -> MapResult:
     from bumpymap.survey.pipeline import map_surveys
 
     out, progress = task.config.out, _Begun()
+    run = partial(map_surveys, progress=progress, crs_must_agree=False, recorded_memory=task.memory)
     resume = is_interrupted(out)
     try:
-        return map_surveys(replace(task.config, resume=resume), progress)
+        return run(replace(task.config, resume=resume))
     except (OutputError, UsageError) as error:
         no_layers = resume and isinstance(error, UsageError) and not is_complete(out)
         # Before its first stage a run has only compared itself with what is there; after that, the error is another.
         if progress.begun or not (task.overwrite or no_layers):
             raise
-    return map_surveys(replace(task.config, overwrite=True), progress)
+    return run(replace(task.config, overwrite=True))
 
 
 def _wait_for_killed(out: Path) -> None:
@@ -221,31 +233,18 @@ def _survey(task: MapTask) -> str:
     return " ".join(map(str, task.config.surveys))
 
 
-class _Collector(logging.Handler):
-    """Keeps warnings as events."""
-
-    def __init__(self) -> None:
-        super().__init__(logging.WARNING)
-        self.events: list[dict[str, Any]] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Keep a record."""
-        try:
-            self.events.append({"event": record.levelname.lower(), "message": record.getMessage()})
-        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
-            self.handleError(record)
-
-
 @contextmanager
 def _collected_warnings() -> Iterator[list[dict[str, Any]]]:
     """Collect the warnings of bumpymap and its engine during the body, instead of printing them."""
-    collector = _Collector()
+    collector = WarningCollector(every_thread=True)
     loggers = [logging.getLogger(name) for name in ("bumpymap", "bumpytiles")]
     before = [(logger.handlers, logger.propagate) for logger in loggers]
     for logger in loggers:
         logger.handlers, logger.propagate = [collector], False
+    events: list[dict[str, Any]] = []
     try:
-        yield collector.events
+        yield events
     finally:
+        events[:0] = [{"event": level, "message": message} for level, message in collector.kept]
         for logger, (handlers, propagate) in zip(loggers, before, strict=True):
             logger.handlers, logger.propagate = handlers, propagate

@@ -58,9 +58,9 @@ class BatchConfig:
 
     def __post_init__(self) -> None:
         if isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs < 1:
-            raise UsageError(f"jobs is {self.jobs!r}; it must be a whole number, at least 1")
+            raise UsageError(f"`jobs` is {self.jobs!r}; it must be a whole number, at least 1")
         if self.survey_per not in get_args(SurveyPer):
-            raise UsageError(f"survey_per is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
+            raise UsageError(f"`survey_per` is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
         refuse_clashes(self.defaults, CLASHES)
         config = self.of_survey({})
         if self.jobs > 1 and _on_workers(config):
@@ -90,6 +90,12 @@ class BatchConfig:
         """Whether layers that were made from other inputs or settings are replaced."""
         return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
 
+    def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the settings of one survey, with those that its row in the CSV gives."""
+        settings = override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
+        settings.pop("overwrite", None)
+        return settings
+
     def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path | str, ...] = (), name: str = "") -> MapConfig:
         """Return the settings of one survey, before resources are shared out.
 
@@ -107,9 +113,7 @@ class BatchConfig:
         UsageError
             A value that is not allowed.
         """
-        settings = override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
-        settings.pop("overwrite", None)
-        config = MapConfig(surveys=surveys, out=self.folder / name, **settings)
+        config = MapConfig(surveys=surveys, out=self.folder / name, **self.merged(own))
         if self.remote is not None and config.sheets is not None:
             raise UsageError(
                 f"sheets is {config.sheets:g}, and layers in sheets cannot be uploaded to {self.out}. Give a folder of "

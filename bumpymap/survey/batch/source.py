@@ -3,7 +3,7 @@
 import logging
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,17 @@ class ListedSurvey:
     """Whether another survey has, or could have, the name that it would get."""
 
 
-def list_surveys(source: Path, survey_per: SurveyPer) -> list[ListedSurvey]:
+def list_surveys(
+    source: Path, survey_per: SurveyPer, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[ListedSurvey]:
     """Return the surveys of a batch by name.
+
+    Parameters
+    ----------
+    source : Path
+    survey_per : {"file", "folder"}
+    check : callable, optional
+        Returns what is wrong with the settings of a row of a table.
 
     Raises
     ------
@@ -48,7 +57,7 @@ def list_surveys(source: Path, survey_per: SurveyPer) -> list[ListedSurvey]:
         places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])
         rows: list[tuple[Path | str, str | None, dict[str, Any]]] = [(place, None, {}) for place in places]
     else:
-        rows = _listed(source)
+        rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
     places = [place if isinstance(place, str) else _absolute(place) for place, _, _ in rows]
     _refuse_repeated(places, source)
@@ -68,7 +77,9 @@ def read_text(path: Path) -> str:
         raise BadInputError(f"cannot read {path}: {error.strerror}") from error
 
 
-def _listed(source: Path) -> list[tuple[Path | str, str | None, dict[str, Any]]]:
+def _listed(
+    source: Path, check: Callable[[Mapping[str, Any]], list[str]]
+) -> list[tuple[Path | str, str | None, dict[str, Any]]]:
     if not source.exists():
         raise BadInputError(f"{source} does not exist; name a folder of surveys, or a list of them (.txt or .csv)")
     suffix = source.suffix.lower()
@@ -79,7 +90,7 @@ def _listed(source: Path) -> list[tuple[Path | str, str | None, dict[str, Any]]]
         )
     folder = _absolute(source.parent)
     if suffix == ".csv":
-        found = read_table(read_text(source), str(source), folder)
+        found = read_table(read_text(source), str(source), folder, check)
     else:
         lines = [line.strip() for line in read_text(source).splitlines()]
         wanted = [(number, line) for number, line in enumerate(lines, 1) if line and not line.startswith("#")]

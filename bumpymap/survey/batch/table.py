@@ -2,17 +2,30 @@
 
 import csv
 import io
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
-from bumpymap.core import CLASHES, MapConfig, UsageError, parse_record, path_fault, refuse_clashes, refuse_faults
+from bumpymap.core import (
+    CLASHES,
+    BumpymapError,
+    MapConfig,
+    UsageError,
+    parse_crs,
+    parse_record,
+    parse_share,
+    path_fault,
+    refuse_clashes,
+    refuse_faults,
+)
+from bumpymap.rating import find_calibration
 from bumpymap.survey.batch.names import plain_name
 from bumpymap.survey.batch.settings import OWN_SETTINGS
 
-__all__ = ["read_table"]
+__all__ = ["SettingsCheck", "read_table"]
 
 _SURVEY, _NAME = "survey", "name"
 _TABLES = ("features", "csf")
@@ -24,7 +37,9 @@ _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0"
 Row = tuple[Path | str, str | None, dict[str, Any]]
 
 
-def read_table(text: str, origin: str, folder: Path) -> list[Row]:
+def read_table(
+    text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[Row]:
     """Parse the CSV of a batch.
 
     Parameters
@@ -36,6 +51,8 @@ def read_table(text: str, origin: str, folder: Path) -> list[Row]:
         Name of the file, for messages.
     folder : Path
         Folder at which relative paths start.
+    check : callable, optional
+        Returns what else is wrong with the settings of a row.
 
     Returns
     -------
@@ -55,7 +72,7 @@ def read_table(text: str, origin: str, folder: Path) -> list[Row]:
     rows = [(number, row) for number, row in rows if any(row)]
     columns = _columns(rows[0][1] if rows else [], origin)
     faults: list[str] = []
-    found = [_row(number, row, columns, folder, faults) for number, row in rows[1:]]
+    found = [_row(number, row, columns, folder, faults, check) for number, row in rows[1:]]
     names = [name.casefold() for _, name, _ in found if name]
     faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
     refuse_faults(faults, origin, UsageError)
@@ -73,7 +90,14 @@ def _columns(titles: list[str], origin: str) -> list[str]:
     return columns
 
 
-def _row(number: int, cells: list[str], columns: list[str], folder: Path, faults: list[str]) -> Row:
+def _row(
+    number: int,
+    cells: list[str],
+    columns: list[str],
+    folder: Path,
+    faults: list[str],
+    check: Callable[[Mapping[str, Any]], list[str]],
+) -> Row:
     """Return a row; append what is wrong with it to ``faults``."""
     wrong = [f"it has {len(cells)} cells, the header has {len(columns)}"] if any(cells[len(columns) :]) else []
     given = {name: cell for name, cell in zip(columns, cells, strict=False) if cell and name}
@@ -82,8 +106,15 @@ def _row(number: int, cells: list[str], columns: list[str], folder: Path, faults
         wrong.append(path_fault(place) or "the survey is empty")
     if name is not None and (why := plain_name(name)):
         wrong.append(f"the name is {name!r}; {why}")
+    elif "://" not in place and not (folder / place).exists():
+        wrong.append(f"there is no file or folder {folder / place}")
     settings, more = parse_record({key: _value(key, cell) for key, cell in given.items()}, MapConfig, folder)
-    wrong += more or _refused(settings)
+    if not more:
+        with _noted(more):
+            refuse_clashes(settings, CLASHES)
+            MapConfig(surveys=(), out=Path(), **settings)
+            more += check(settings)
+    wrong += more
     faults += [f"line {number}: {why}" for why in wrong]
     return (place if "://" in place else folder / place, name, settings)
 
@@ -91,6 +122,9 @@ def _row(number: int, cells: list[str], columns: list[str], folder: Path, faults
 def _value(name: str, text: str) -> Any:
     """Convert a cell to the type of its setting; one that cannot be is left for the message."""
     kinds = get_args(_KINDS[name]) or (_KINDS[name],)
+    if name == "max_unknown":
+        share = parse_share(text)
+        return text if share is None else share
     if bool in kinds:
         return _WORDS.get(text.lower(), text)
     if any(get_origin(kind) is tuple for kind in kinds):  # of numbers
@@ -103,11 +137,33 @@ def _value(name: str, text: str) -> Any:
     return text
 
 
-def _refused(settings: Mapping[str, Any]) -> list[str]:
-    """Return what is wrong with the settings of a row."""
+class SettingsCheck:
+    """Finds what is wrong with the settings of surveys: values, CRS, and vehicles and files that are not there."""
+
+    def __init__(self) -> None:
+        self._calibration = cache(find_calibration)
+
+    def faults(self, settings: Mapping[str, Any], *, complete: bool = True) -> list[str]:
+        """Return the faults; ``complete``: no others come to these, so that they must also fit each other."""
+        faults: list[str] = []
+        for name in ("crs", "force_crs"):
+            if settings.get(name) is not None:
+                with _noted(faults):
+                    parse_crs(settings[name], name)
+        with _noted(faults):
+            config = MapConfig(surveys=(), out=Path(), **settings)
+            calibration = self._calibration(config.vehicle, config.calibration)
+            if complete:
+                calibration.require_grid(config.tile_size, config.pixels)
+        if settings.get("model") is not None and not settings["model"].is_file():
+            faults.append(f"there is no file {settings['model']}, given as the model")
+        return faults
+
+
+@contextmanager
+def _noted(faults: list[str]) -> Iterator[None]:
+    """Append the message of an error to a list instead."""
     try:
-        refuse_clashes(settings, CLASHES)
-        MapConfig(surveys=(), out=Path(), **settings)
-    except UsageError as error:
-        return [str(error)]
-    return []
+        yield
+    except BumpymapError as error:
+        faults.append(str(error).replace("`", ""))  # columns: no options of the command line

@@ -11,6 +11,7 @@ from time import perf_counter
 from bumpymap.core import Child, ChildDiedError, ChildError
 from bumpymap.layers import SurveyRow
 from bumpymap.survey.batch.one_survey import MapTask, TaskEnd
+from bumpytiles import compile_packages
 
 __all__ = ["map_tasks"]
 
@@ -35,6 +36,7 @@ def map_tasks(
     UsageError
         No process can be started.
     """
+    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is told, and not done by each worker
     workers = _Workers()
     waiting = deque(tasks)
     try:

@@ -78,8 +78,9 @@ def _find_workers(scheduler: str, tls_config: Path | None, stack: ExitStack) -> 
 
 
 def _start_workers(workers: int, threads: int, stack: ExitStack) -> WorkerPool:
-    from bumpytiles import local_workers
+    from bumpytiles import compile_packages, local_workers
 
+    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is told, and not done by each worker
     each = max(1, threads // workers)
     # The LAZ decoder uses every core by default.
     started = _explain_failed_start(local_workers(workers, {"RAYON_NUM_THREADS": str(each)}, _MODULES))

@@ -9,6 +9,7 @@ from pyproj.database import query_utm_crs_info
 
 from bumpymap.core import (
     CrsStatement,
+    GivenCrs,
     Place,
     common_georeference,
     georeference,
@@ -18,7 +19,6 @@ from bumpymap.core import (
     same_crs,
     scale_note,
     statement_from_wkt,
-    unit_name,
     utm_epsg,
 )
 from bumpymap.core.errors import BadInputError, UsageError
@@ -31,8 +31,8 @@ HERE = Place(Path("site.laz"), (500000.0, 4000000.0, 100.0))
 SILENT = CrsStatement()
 
 
-def settle(statement=SILENT, crs=None, z_unit=None, place=HERE):
-    return georeference(place, statement, crs, z_unit)
+def settle(statement=SILENT, crs=None, z_unit=None, place=HERE, force=None, must_agree=False):
+    return georeference(place, statement, GivenCrs(crs, force, must_agree), z_unit)
 
 
 @pytest.mark.parametrize("text", ["EPSG:32614", "epsg:32614", "32614", "+proj=utm +zone=14 +datum=WGS84"])
@@ -68,42 +68,51 @@ def test_units_by_code(code, unit):
     assert linear_unit(code) == unit
 
 
-def test_units_have_names():
-    assert [unit_name(unit) for unit in (1.0, 0.3048, US_FOOT, 1000.0)] == [
-        "metre",
-        "foot",
-        "US survey foot",
-        "unit of 1000 m",
-    ]
-
-
 def test_heights_of_a_three_dimensional_crs():
     place, _ = settle(CrsStatement(CRS(32614).to_3d()))
     assert place.crs.to_epsg() == 32614
     assert len(place.crs.axis_info) == 2
 
 
-def test_vertical_part_of_the_given_crs_wins_over_the_files():
-    file = CrsStatement(CRS("EPSG:32614+6360"))
-    assert settle(file, "EPSG:32614+5703")[0].metres_per_unit_z == 1.0
+# What a file states, what is given, and the CRS that counts; the units of the forced ones.
+@pytest.mark.parametrize(
+    ("own", "crs", "used"),
+    [
+        ("EPSG:32614", "EPSG:32613", "EPSG:32614"),
+        ("EPSG:2276", "EPSG:32614", "EPSG:2276"),
+        ("EPSG:32614+6360", "EPSG:32614+5703", "EPSG:32614+6360"),
+        ("EPSG:32614+5703", "EPSG:32613", "EPSG:32614+5703"),
+    ],
+)
+def test_a_given_crs_is_for_files_that_have_none(own, crs, used):
+    file = CrsStatement(CRS(own))
+    place, notes = settle(file, crs)
+    assert place == settle(file)[0]
+    assert place.crs == CRS(used)
+    assert f"`force_crs='{crs}'`" in "".join(notes)
+    with pytest.raises(UsageError, match=r"site\.laz.*`force_crs='EPSG"):
+        settle(file, crs, must_agree=True)
+    assert settle(file, force=crs)[0].crs.to_2d().to_epsg() == CRS(crs).to_2d().to_epsg()
 
 
-def test_heights_of_the_file_stay_when_only_the_horizontal_crs_is_given():
-    file = CrsStatement(CRS("EPSG:32614+6360"))
-    place, notes = settle(file, "EPSG:32613")
-    assert place.metres_per_unit_z == US_FOOT
-    assert any("heights are in another unit" in note for note in notes)
+@pytest.mark.parametrize(("own", "crs"), [("EPSG:32614", "EPSG:32614+5703"), ("EPSG:32614+5703", "EPSG:32614")])
+def test_a_given_crs_that_agrees_supplies_heights_and_makes_no_noise(own, crs):
+    place, notes = settle(CrsStatement(CRS(own)), crs, must_agree=True)
+    assert (place.crs, notes) == (CRS("EPSG:32614+5703"), ())
 
 
-def test_a_given_crs_in_another_unit_denies_the_files_heights_too():
-    file = CrsStatement(CRS("EPSG:2276+6360"))
-    place, _ = settle(file, "EPSG:32614")
-    assert (place.metres_per_unit, place.metres_per_unit_z) == (1.0, 1.0)
-
-
-def test_given_crs_that_agrees_makes_no_noise():
-    _, notes = settle(CrsStatement(CRS("EPSG:32614+5703")), "EPSG:32614")
-    assert notes == ()
+@pytest.mark.parametrize(
+    ("own", "force", "units"),
+    [
+        ("EPSG:32614+6360", "EPSG:32614+5703", (1.0, 1.0)),
+        ("EPSG:32614+6360", "EPSG:32613", (1.0, US_FOOT)),
+        ("EPSG:2276+6360", "EPSG:32614", (1.0, 1.0)),
+    ],
+)
+def test_heights_under_a_forced_crs(own, force, units):
+    """The file's unit of height stays, unless the CRS has one, or contradicts the file's horizontal unit."""
+    place, _ = settle(CrsStatement(CRS(own)), force=force)
+    assert (place.metres_per_unit, place.metres_per_unit_z) == units
 
 
 def settled(statement=SILENT, crs=None, z_unit=None):
@@ -124,8 +133,8 @@ def test_the_vertical_part_stays():
 def test_the_files_vertical_part_goes_with_a_given_crs_that_agrees():
     file = CrsStatement(CRS("EPSG:32614+5703"))
     assert settled(file, "EPSG:32614") == CRS("EPSG:32614+5703")
-    assert settled(file, "EPSG:32613") == CRS("EPSG:32613")
-    assert settled(file, "EPSG:32614+5773") == CRS("EPSG:32614+5773")
+    assert settle(file, force="EPSG:32613")[0].crs == CRS("EPSG:32613")
+    assert settle(file, force="EPSG:32614+5773")[0].crs == CRS("EPSG:32614+5773")
 
 
 def test_heights_in_feet_are_written_without_their_crs_and_that_is_said():
@@ -216,11 +225,13 @@ def test_the_command_keeps_millimetres_where_integers_would_overflow():
 @pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
 def test_units_that_are_none(unit):
     wkt = CRS("EPSG:32614").to_wkt("WKT1_GDAL").replace('UNIT["metre",1', f'UNIT["metre",{unit}')
-    with pytest.raises(BadInputError, match=r"the CRS of site\.laz is unclear: .* has an invalid unit of .*`crs`"):
+    with pytest.raises(
+        BadInputError, match=r"the CRS of site\.laz is unclear: .* has an invalid unit of .*`force_crs`"
+    ):
         settle(statement_from_wkt(wkt))
     with pytest.raises(UsageError, match="has an invalid unit of"):
         settle(crs=wkt)
-    assert settle(statement_from_wkt(wkt), crs="EPSG:32614")[0].metres_per_unit == 1.0
+    assert settle(statement_from_wkt(wkt), force="EPSG:32614")[0].metres_per_unit == 1.0
 
 
 def test_a_metre_that_is_none_is_noted():
@@ -262,7 +273,7 @@ def test_files_of_several_crs_are_listed(crs, says):
     message = str(caught.value)
     assert "0.laz: WGS 84 / UTM zone 14N (EPSG:32614)" in message
     assert says in message
-    assert "`crs`" in message
+    assert "crs`" in message
 
 
 def test_files_of_several_vertical_crs_are_listed():
@@ -272,7 +283,7 @@ def test_files_of_several_vertical_crs_are_listed():
     assert "heights of the files are not in one vertical CRS" in message
     assert "0.laz: WGS 84 / UTM zone 14N + NAVD88 height (EPSG:32614+5703)" in message
     assert "1.laz: WGS 84 / UTM zone 14N + EGM96 height (EPSG:32614+5773)" in message
-    assert "`crs`" in message
+    assert "`force_crs`" in message
 
 
 def test_files_with_and_without_a_vertical_crs_share_the_horizontal_one(caplog):

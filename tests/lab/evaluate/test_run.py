@@ -135,7 +135,7 @@ def test_command_writes_a_report_without_drives(quarry, subject, tmp_path):
         (["site.laz", "--densities", "many"], "--densities is 'many'"),
         (["site.laz", "--densities", "-4"], "positive"),
         (["site.laz", "--skip", "lunch"], "--skip lunch"),
-        (["site.laz", "--total-patches", "3"], "total_patches is 3"),
+        (["site.laz", "--total-patches", "3"], "--total-patches is 3"),
         (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--rating", "table"], "twice"),
     ],
 )

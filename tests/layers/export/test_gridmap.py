@@ -118,7 +118,7 @@ def test_classes_that_were_cut_off(easy_folder, tmp_path):
     site = open_map([tmp_path / "site"])
     whole = (tmp_path / "site" / "class.tif").read_bytes()
     (tmp_path / "site" / "class.tif").write_bytes(whole[: len(whole) // 2])
-    with pytest.raises(BadInputError, match=r"class\.tif is damaged"):
+    with pytest.raises(BadInputError, match=r"class\.tif is cut off"):
         export_map(site, tmp_path / "out", ExportSettings(to="gridmap"))
     (tmp_path / "site" / "class.tif").unlink()
     with pytest.raises(BadInputError, match=r"class\.tif"):

@@ -95,9 +95,14 @@ def test_the_route_in_the_folder_of_the_layers_is_taken(easy_folder, tmp_path):
     route = route_file(easy_folder / "route.geojson", {"type": "LineString", "coordinates": line_on(easy_map).tolist()})
     try:
         export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
+        export_map(easy_map, tmp_path / "given", ExportSettings(to="plan", route=easy_folder))
     finally:
         route.unlink()
-    assert len(load_plan(tmp_path / "out" / "route.plan")[1]) == 7
+    plans = [load_plan(tmp_path / name / "route.plan") for name in ("out", "given")]
+    assert len(plans[0][1]) == 7
+    assert plans[0] == plans[1]
+    with pytest.raises(BadInputError, match="`route`"):  # told before that the folder is occupied
+        export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_a_map_has_all_styles_and_a_project(folder):
 def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
-    labels[3] += ", or drives fail"
+    labels[3] += ", or too steep, or drives fail"
     assert palette(styles["class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
     assert palette(styles["reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
     assert palette(styles["barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)

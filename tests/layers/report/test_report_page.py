@@ -19,6 +19,7 @@ from route_maps import VEHICLE, copy_folder, write_folder
 import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_report, write_reports
+from bumpymap.layers.manifest import describe_file
 from bumpymap.layers.report.codes import ByteGrid
 from bumpymap.layers.report.numbers import area, number, share
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
@@ -173,6 +174,10 @@ def change_bars(folder, wanted, bar):
     at = table.schema.get_field_index("barred")
     kind = table.schema.field(at)
     pq.write_table(table.set_column(at, kind, pa.array(bars, pa.string()).cast(kind.type)), path)
+    record = json.loads((folder / "run.json").read_text())
+    files = [entry for entry in record["files"] if entry["path"] != path.name]
+    record["files"] = [*files, describe_file(path) | {"path": path.name}]
+    (folder / "run.json").write_text(json.dumps(record))
     return folder
 
 
@@ -217,8 +222,8 @@ def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page)
     page = read_page(folder / "report.html")
     row = Outline(page.text).tables["Classes"][4]
     assert row[0] == "3 very rough"
-    assert row[4] == "0.3 and more, or steep, or drives fail"
-    assert "3 very rough: from 0.3, or too steep, or drives fail" in page.text
+    assert row[4] == "0.3 and more, or too steep, or drives fail"
+    assert f"3 very rough: C_r {row[4]}" in page.text
 
 
 def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):
@@ -319,6 +324,10 @@ def test_what_cannot_be_made_says_why(site, tmp_path):
         {"flight_lines": {"lines": "two"}},
         {"survey": {"dates": 5}},
         {"metres_per_unit": {"horizontal": 1e308}},
+        {"format": ["x"]},
+        {"grid": {"tile_size_m": 3.0, "pixels": float("inf")}},
+        {"calibration": 5},
+        {"inputs": 5},
     ],
 )
 def test_a_damaged_record_is_told(site, tmp_path, damage):
@@ -326,7 +335,7 @@ def test_a_damaged_record_is_told(site, tmp_path, damage):
     (folder / "report.html").write_text("of before")
     record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     (folder / "run.json").write_text(json.dumps(record | damage), encoding="utf-8")
-    with pytest.raises(BadInputError, match=r"run\.json is not that of a map of this version"):
+    with pytest.raises(BadInputError, match=r"run\.json is |run.json is missing or not that of a map"):
         write_reports([folder])
     assert (folder / "report.html").read_text() == "of before"
 

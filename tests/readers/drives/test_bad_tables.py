@@ -1,11 +1,14 @@
 """Files that hold no drive, or a broken one: each is refused with what came, what is allowed and what to do."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from drive_tables import NAMES, drive, refusal, renamed, write
 
-from bumpymap.core import UsageError
+from bumpymap.core import BadInputError, UsageError
 from bumpymap.readers import read_drive
+from bumpymap.readers.drives.text_table import open_table
 
 
 @pytest.mark.parametrize(
@@ -117,7 +120,8 @@ def test_two_sensors_in_one_file_are_not_mixed(tmp_path):
 
 def test_the_largest_files_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.readers.drives.text_table._MOST_BYTES", 1000)
-    assert "Cut it into several drives" in refusal(write(tmp_path / "a.csv", drive()))
+    with pytest.raises(BadInputError, match="Cut it into several drives"):
+        open_table(Path(write(tmp_path / "a.csv", drive())))
 
 
 def test_degree_signs_of_other_encodings(tmp_path):

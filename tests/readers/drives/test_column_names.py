@@ -2,6 +2,8 @@
 
 import pytest
 
+from bumpymap.core import UsageError
+from bumpymap.readers.drives.choice import chosen_columns
 from bumpymap.readers.drives.column_names import guess_columns
 
 RATES = ("rate_x", "rate_y", "rate_z")
@@ -70,3 +72,8 @@ def test_units_in_names():
 )
 def test_nothing_is_told_that_names_do_not_say(text, quantities):
     assert set(guess_columns("a.csv", text.split(","))) == quantities
+
+
+def test_an_unknown_unit_is_answered_with_the_nearest():
+    with pytest.raises(UsageError, match=r"'mpa' is no unit of speed .* Did you mean 'mph'\?"):
+        chosen_columns({"speed": "v[mpa]"}, ["v"])

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from contextlib import suppress
 
 import pyarrow.parquet as pq
 import pytest
@@ -184,13 +185,73 @@ def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
 
 def test_rows_of_a_table_have_their_own_settings(tmp_path):
     write_survey(tmp_path / "a.laz", epsg=None)
-    (tmp_path / "s.csv").write_text("survey,name,crs,local\na.laz,east,EPSG:32615,\n./../x/none.laz,,,\n")
+    (tmp_path / "bad.laz").touch()
+    (tmp_path / "s.csv").write_text("survey,name,crs,local\na.laz,east,EPSG:32615,\nbad.laz,,,\n")
     result = batch(tmp_path / "s.csv", "--out", tmp_path / "o", "--max-unknown", "0")
     assert result.exit_code == 4, result.output
     row = table(tmp_path / "o")["east"]
     assert (row["crs"], row["status"]) == ("EPSG:32615", "incomplete")
     assert "more than" in row["message"]
-    assert "does not exist" in table(tmp_path / "o")["none"]["message"]
+    assert "is empty" in table(tmp_path / "o")["bad"]["message"]
+
+
+def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywhere(tmp_path):
+    write_survey(tmp_path / "in" / "own.laz")
+    write_survey(tmp_path / "in" / "silent.laz", epsg=None)
+    result = batch(tmp_path / "in", "--out", tmp_path / "o", "--crs", "EPSG:32615")
+    rows = table(tmp_path / "o")
+    assert {name: row["crs"] for name, row in rows.items()} == {"own": "EPSG:32614", "silent": "EPSG:32615"}
+    assert rows["silent"]["warnings"] == ""
+    warning = (
+        "own.laz: its CRS is WGS 84 / UTM zone 14N (EPSG:32614), and --crs EPSG:32615 is for surveys that have none"
+    )
+    assert warning in rows["own"]["warnings"]
+    assert "2 surveys: 2 done, 1 with warnings" in result.stdout
+    assert warning in result.stdout
+    assert warning in result.stderr
+    assert warning in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
+    page = (tmp_path / "o" / "own" / "report.html").read_text(encoding="utf-8")
+    assert "EPSG:32614), and" in page
+    assert str(tmp_path) not in page
+    again = batch(tmp_path / "in", "--out", tmp_path / "o", "--crs", "EPSG:32615")
+    assert "2 already done, 1 with warnings" in again.stdout
+
+    for name, expected in (("crs", 2), ("force-crs", 0)):
+        words = ["map", str(tmp_path / "in" / "own.laz"), "--out", str(tmp_path / name), f"--{name}", "EPSG:32615"]
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code == expected
+        assert "--force-crs" in result.stderr
+    layers = bumpymap.map_survey(tmp_path / "in" / "own.laz", force_crs="EPSG:32615")
+    assert layers.manifest["crs"]["code"] == "EPSG:32615"
+
+
+def test_a_lock_of_a_worker_names_the_command(tmp_path):
+    write_survey(tmp_path / "in" / "a.laz", points=200_000)
+    words = [sys.executable, "-m", "bumpymap", "batch", str(tmp_path / "in"), "--out", str(tmp_path / "o"), "--quiet"]
+    held = ""
+    with subprocess.Popen(words) as process:
+        while process.poll() is None and "command" not in held:
+            with suppress(OSError):
+                held = (tmp_path / "o" / "a" / ".bumpymap-lock").read_text(encoding="utf-8")
+    assert process.returncode == 0
+    holder = json.loads(held)
+    assert holder["pid"] == process.pid
+    assert f"batch {tmp_path / 'in'}" in holder["command"]
+
+
+def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
+    """Other free memory, other threads, a share of a batch: the same run.json, but for its times."""
+    survey, made = write_survey(tmp_path / "in" / "a.laz"), []
+    for cores, jobs in ((1, 1), (2, 2)):
+        monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
+        monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda cores=cores: cores * 3 << 30)
+        map_surveys(MapConfig((survey,), tmp_path / f"{cores}", threads=cores + 1))
+        run_batch(BatchConfig(survey.parent, tmp_path / f"night {cores}", jobs=jobs))
+        made += [tmp_path / f"{cores}", tmp_path / f"night {cores}" / "a"]
+    runs = [json.loads((folder / "run.json").read_text(encoding="utf-8")) for folder in made]
+    assert all(run.pop("seconds") for run in runs)
+    assert runs[0]["settings"]["memory"] == "auto"
+    assert runs == [runs[0]] * 4
 
 
 INTERRUPTED = """
@@ -300,8 +361,6 @@ def test_surveys_on_workers_have_the_layers_of_a_map(surveys, alone, tmp_path):
     (tmp_path / "w.toml").write_text("workers = 2\nthreads = 2")
     result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--config", tmp_path / "w.toml")
     assert result.exit_code == 0, result.output
-    run = json.loads((tmp_path / "o" / "b" / "run.json").read_text(encoding="utf-8"))
-    assert run["settings"]["workers"] == 2
     assert {layer: (tmp_path / "o" / "b" / layer).read_bytes() for layer in LAYERS} == {
         layer: alone["b", layer] for layer in LAYERS
     }
@@ -371,17 +430,17 @@ def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("settings", "error", "words"),
+    ("settings", "words"),
     [
-        ({"resume": True}, TypeError, "survey_per, jobs, tile_size"),
-        ({"jobs": 0}, bumpymap.UsageError, "jobs is 0"),
-        ({"jobs": 2, "workers": 2}, bumpymap.UsageError, "Give `jobs=1`, or no `workers`"),
-        ({"ground": "grass"}, bumpymap.UsageError, "ground"),
-        ({"crs": "EPSG:1", "local": True}, bumpymap.UsageError, "crs and local"),
+        ({"resume": True}, "survey_per, jobs, tile_size"),
+        ({"jobs": 0}, "`jobs` is 0"),
+        ({"jobs": 2, "workers": 2}, "Give `jobs=1`, or no `workers`"),
+        ({"ground": "grass"}, "ground"),
+        ({"crs": "EPSG:1", "local": True}, "crs and local"),
     ],
 )
-def test_wrong_settings_of_a_python_caller(surveys, tmp_path, settings, error, words):
-    with pytest.raises(error, match=words):
+def test_wrong_settings_of_a_python_caller(surveys, tmp_path, settings, words):
+    with pytest.raises(bumpymap.UsageError, match=words):
         bumpymap.map_batch(surveys, tmp_path / "o", **settings)
     assert not (tmp_path / "o").exists()
 

@@ -1,10 +1,12 @@
 """The surveys that a batch finds: in folders, lists and tables; and whose settings count."""
 
+from pathlib import Path
+
 import pytest
 from small_surveys import write_survey
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.survey import BatchConfig, read_batch_settings
+from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
 from bumpymap.survey.batch.source import list_surveys
 
 
@@ -66,6 +68,8 @@ def test_a_list(flights, tmp_path):
     ],
 )
 def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
+    for place in ("a.laz", "b.laz"):
+        (tmp_path / place).touch()
     if text is not None:
         (tmp_path / name).write_text(text)
     with pytest.raises(error) as caught:
@@ -74,20 +78,55 @@ def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
 
 
 def test_all_faults_of_a_table_are_said_at_once(tmp_path):
-    (tmp_path / "a.csv").write_text("survey,pixels\na.laz,many\nb.laz,15\nc.laz,1\n")
-    with pytest.raises(UsageError, match=r"2 errors.*line 2: pixels.*line 4: pixels"):
-        list_surveys(tmp_path / "a.csv", "file")
+    for name in ("a.laz", "b.laz", "c.laz"):
+        (tmp_path / name).touch()
+    rows = ["a.laz,many,,", "b.laz,15,,", "c.laz,1,,", "none.laz,,,", "a.laz,,truck,", "a.laz,,,EPSG:99999"]
+    (tmp_path / "a.csv").write_text("\n".join(["survey,pixels,vehicle,crs", *rows]))
+    said = [
+        "5 errors",
+        "line 2: pixels",
+        "line 4: pixels",
+        "line 5: there is no file",
+        "line 6: .*truck",
+        "line 7: .*99999",
+    ]
+    with pytest.raises(UsageError, match="(?s)" + ".*".join(said)):
+        run_batch(BatchConfig(tmp_path / "a.csv", tmp_path / "o"))
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize("given", [{"vehicle": "truck"}, {"crs": "EPSG:99999"}, {"calibration": "none.json"}])
+def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path, given):
+    write_survey(tmp_path / "a.las")
+    given = {name: Path(value) if name == "calibration" else value for name, value in given.items()}
+    with pytest.raises(UsageError, match="settings for all surveys"):
+        run_batch(BatchConfig(tmp_path, tmp_path / "o", given))
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(("typed", "share"), [("50%", 0.5), ("0.25", 0.25), ("60", None)])
+def test_a_share_is_typed_as_for_the_option(tmp_path, typed, share):
+    (tmp_path / "a.laz").touch()
+    (tmp_path / "a.csv").write_text(f"survey,max_unknown\na.laz,{typed}\n")
+    if share is None:
+        with pytest.raises(UsageError, match="max_unknown is '60'"):
+            list_surveys(tmp_path / "a.csv", "file")
+    else:
+        assert list_surveys(tmp_path / "a.csv", "file")[0].settings == {"max_unknown": share}
 
 
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_the_columns_of_a_table_are_settings(tmp_path, separator):
     text = "survey,name,--tile-size,Pixels,local,vehicle,calibration\n"
-    text += "a b.laz,n,2.5,11,yes,,own.json\n/x/c.laz,,,,no,own.toml,\n"
+    text += f"a b.laz,n,2.5,11,yes,,own.json\n{tmp_path}/x/c.laz,,,,no,own.toml,\n"
+    for name in ("a b.laz", "x/c.laz"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
     second, first = list_surveys(tmp_path / "a.csv", "file")
     assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
     assert first.settings == {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json"}
-    assert (second.name, str(second.place)) == ("c", "/x/c.laz")
+    assert (second.name, second.place) == ("c", tmp_path / "x" / "c.laz")
     assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml")}
 
 

@@ -40,7 +40,7 @@ def test_a_size_that_is_given_is_used():
     config = replace(CONFIG, memory="700 MB")
     assert with_memory(config) is config
     assert memory_bytes(with_memory(replace(CONFIG, memory=" Auto ")).memory) >= 512 << 20
-    with pytest.raises(UsageError, match=r"memory is 'automatic'; it must be a size of .* or auto"):
+    with pytest.raises(UsageError, match=r"`memory` is 'automatic'; it must be a size of .* or auto"):
         with_memory(replace(CONFIG, memory="automatic"))
 
 

@@ -1,6 +1,5 @@
 """Two hosts that share one folder, of which one is lost: the same bytes. See ``tests/benchmarks/hosts.py``."""
 
-import os
 import shutil
 import subprocess
 import sys
@@ -11,16 +10,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def can_make_hosts():
-    if not sys.platform.startswith("linux") or os.geteuid() != 0:
-        return False
-    if not all(shutil.which(tool) for tool in ("ip", "unshare", "nsenter", "openssl")):
-        return False
-    return subprocess.run(["unshare", "--mount", "--net", "true"], capture_output=True, check=False).returncode == 0
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(not can_make_hosts(), reason="needs root, ip, unshare, nsenter and openssl")
+@pytest.mark.namespaces
+@pytest.mark.skipif(not all(map(shutil.which, ("ip", "nsenter", "openssl"))), reason="needs ip, nsenter and openssl")
 def test_a_host_that_is_lost_changes_no_byte(tmp_path):
     pytest.importorskip("distributed")
     before = subprocess.run(["ip", "netns", "list"], capture_output=True, check=True).stdout

@@ -35,7 +35,7 @@ class RouteTrialSettings:
             ("seed", self.seed, 0),
         ):
             if value < least:
-                raise UsageError(f"{name} is {value}; it must be {least} or more")
+                raise UsageError(f"`{name}` is {value}; it must be {least} or more")
         if not 0 < self.least_m <= self.most_m:
             raise UsageError(
                 f"distances are {self.least_m} to {self.most_m} m; the first must be above 0 and no larger"

@@ -25,4 +25,4 @@ class ScanEvaluateSettings:
     def __post_init__(self) -> None:
         for name, least in (("scenes", 1), ("seed", 0), ("turns", 1), ("repeats", 3), ("pairs", 1)):
             if getattr(self, name) < least:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")

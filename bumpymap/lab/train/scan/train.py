@@ -38,9 +38,9 @@ class ScanTrainSettings(LoopSettings):
     def __post_init__(self) -> None:
         for name in ("epochs", "scenes", "sectors_per_class", "batch", "threads"):
             if getattr(self, name) < 1:
-                raise UsageError(f"{name} is {getattr(self, name)}; it must be at least 1")
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be at least 1")
         if min(self.seed, self.turns) < 0:
-            raise UsageError(f"seed is {self.seed} and turns {self.turns}; they must be 0 or more")
+            raise UsageError(f"`seed` is {self.seed} and turns {self.turns}; they must be 0 or more")
 
     @property
     def options(self) -> str:

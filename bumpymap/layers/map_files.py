@@ -1,0 +1,160 @@
+"""Files of a map as they are read back: opened as the one format that each must be, and held against their manifest.
+
+A folder of layers may come from anybody. GDAL chooses a driver by what a file holds, and several formats (VRT first)
+are instructions to read other files or to fetch URLs. So rasters are opened by the GeoTIFF driver alone, without the
+files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs; vector
+files only if they begin as the format that their name states.
+"""
+
+import re
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree as ET
+
+from bumpymap.core import BadInputError
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
+from bumpymap.layers.sheets.folders import sheets_of, virtual_name
+
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
+
+__all__ = ["open_layer", "require_format", "require_map_written", "require_written"]
+
+_CLOSED = {
+    "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .ovr and .msk, which GDAL opens by any driver
+    "GDAL_PAM_ENABLED": "NO",  # no .aux.xml, which may name other files
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "-",  # no network
+}
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_STARTS = {".tif": _TIFF, ".fgb": (b"fgb\3",), ".shp": (b"\0\0\x27\x0a",), ".gpkg": (b"SQLite format 3\0",)}
+_VIRTUAL = re.compile(
+    "VRTDataset|SRS|GeoTransform|Metadata|MDI|VRTRasterBand|Description|NoDataValue|ColorInterp|CategoryNames|Category|"
+    "ColorTable|Entry|GDALRasterAttributeTable|FieldDefn|Name|Type|Usage|Row|F|UnitType|SimpleSource|"
+    "SourceFilename|SourceBand|SourceProperties|SrcRect|DstRect"
+)
+"""Elements of the virtual rasters that bumpymap writes. None leads to another file but SourceFilename."""
+_AGAIN = "Map the survey again"
+
+
+@contextmanager
+def open_layer(path: Path, **options: Any) -> "Iterator[DatasetReader]":
+    """Open a raster of a map, a GeoTIFF or the virtual raster over those of its sheets; nothing else is read.
+
+    Parameters
+    ----------
+    path : Path
+    **options
+        Of GDAL, while the raster is open.
+
+    Raises
+    ------
+    rasterio.errors.RasterioError
+        It is missing, damaged or of another format.
+    BadInputError
+        It leads to other files.
+    """
+    import rasterio
+
+    virtual = path.suffix == ".vrt"
+    if virtual:
+        _require_virtual(path)
+    with rasterio.Env(**_CLOSED, **options), rasterio.open(path, driver="VRT" if virtual else "GTiff") as file:
+        if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
+            raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
+        yield file
+
+
+def _require_virtual(path: Path) -> None:
+    """Raise BadInputError if a virtual raster is not one that bumpymap wrote: over GeoTIFFs of the map's own sheets."""
+    own = re.compile(rf"sheets/(?!\.\.?/)[^/]+/{re.escape(path.stem)}\.tif")
+    refused = BadInputError(f"{path} is no virtual raster over the sheets of this map, and is not read. {_AGAIN}")
+    try:
+        tree = ET.parse(path).getroot()  # noqa: S314 (of a local file; expat limits what entities grow to)
+    except (OSError, ET.ParseError) as error:
+        raise refused from error
+    for element in tree.iter():
+        if not _VIRTUAL.fullmatch(element.tag) or "subClass" in element.attrib:
+            raise refused
+        if element.tag == "SourceFilename":
+            name = element.text or ""
+            if element.get("relativeToVRT") != "1" or element.get("shared", "1") != "1" or not own.fullmatch(name):
+                raise refused
+            _require_alone(path.parent / name)
+
+
+def _require_alone(path: Path) -> None:
+    """Raise BadInputError if a raster is no GeoTIFF, or one for which GDAL, not held back, would read other files."""
+    from rasterio.errors import RasterioError
+
+    beside = [path.with_name(path.name + suffix) for suffix in (".ovr", ".msk") if Path(f"{path}{suffix}").exists()]
+    sidecar = path.with_name(f"{path.name}.aux.xml")
+    if sidecar.is_file() and b"OVERVIEW" in sidecar.read_bytes():
+        beside.append(sidecar)
+    if beside:
+        raise BadInputError(f"{beside[0]} is not of the map, and would change how it is read. Remove it")
+    require_format(path)
+    try:
+        with open_layer(path):
+            pass
+    except RasterioError as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+
+
+def require_format(path: Path) -> None:
+    """Raise BadInputError if a file does not begin as the format does that its name states."""
+    allowed = _STARTS[path.suffix.lower()]
+    try:
+        with path.open("rb") as file:
+            start = file.read(16)
+    except OSError as error:
+        raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
+    if not start.startswith(allowed):
+        raise BadInputError(
+            f"cannot read {path}: it does not begin as such a file does. It is damaged, or of another format"
+        )
+
+
+def require_written(
+    folder: Path, manifest: Mapping[str, Any], names: Iterable[str], record: str = MANIFEST_NAME
+) -> None:
+    """Raise BadInputError if a file is missing, or is not the one that a manifest lists by size and checksum.
+
+    GDAL reads many a damaged block without an error.
+
+    Parameters
+    ----------
+    folder : Path
+    manifest : mapping
+        With ``files``, from `describe_file`.
+    names : iterable of str
+    record : str
+        File name of the manifest, for messages.
+    """
+    written = {str(file["path"]): file for file in manifest["files"]}
+    for name in names:
+        path = folder / name
+        if not path.is_file():
+            raise BadInputError(f"{path} is missing: it was not written, or was removed since. {_AGAIN}")
+        if name not in written:
+            raise BadInputError(f"{path} is not listed in {record}: it is of another run. {_AGAIN}")
+        size, found = int(written[name]["bytes"]), path.stat().st_size
+        if found != size:
+            raise BadInputError(
+                f"{path} is cut off or was changed: it has {found:,} bytes and was written with {size:,}. Copy it "
+                "again, or map the survey again"
+            )
+        if describe_file(path)["sha256"] != written[name]["sha256"]:
+            raise BadInputError(f"{path} is damaged: its checksum is not that of {record}. {_AGAIN}")
+
+
+def require_map_written(folder: Path, manifest: Mapping[str, Any], names: Collection[str]) -> None:
+    """Do what `require_written` does for layers of a map, and for those of each of its sheets if it is in sheets."""
+    sheets = sheets_of(folder, manifest)
+    if sheets == [folder]:
+        require_written(folder, manifest, names)
+        return
+    require_written(folder, manifest, [virtual_name(name) for name in names if name.endswith(".tif")])
+    for sheet in sheets:
+        require_written(sheet, read_manifest(sheet), names)

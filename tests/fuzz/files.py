@@ -1,0 +1,286 @@
+"""Every file but surveys that a user gives, and folders of layers that others made: valid ones, and who reads them.
+
+A case is a folder that stays as it is, one file of it that is damaged, and a call that reads it. Damaged layers are
+listed in run.json anew, with their checksum, as somebody would who means harm.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mutate import Start
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "helpers"))
+
+__all__ = ["Case", "make_cases", "plant_traps"]
+
+AREA = [(480_010.0, 2_136_005.0), (480_020.0, 2_136_005.0), (480_020.0, 2_136_020.0), (480_010.0, 2_136_005.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A file that is damaged, and who reads it."""
+
+    start: Start
+    folder: Path | None
+    """What lies around it; None: nothing."""
+    name: str
+    """Of the file in its folder."""
+    call: object
+    """Called with the folder (or the file, where there is no folder) and a folder to write to."""
+
+    def run(self, data: bytes, scratch: Path) -> None:
+        """Put the damaged file in its place and read it."""
+        place = scratch / "given"
+        shutil.copytree(self.folder, place) if self.folder else place.mkdir()
+        (place / self.name).write_bytes(data)
+        if self.folder:
+            _list_anew(place, self.name)
+        self.call(place if self.folder else place / self.name, scratch / "out")
+
+
+def _list_anew(place, name):
+    for folder in {(place / name).parent, place}:
+        for manifest in ("run.json", "change.json"):
+            path = folder / manifest
+            if path.name != Path(name).name and path.is_file():
+                record = json.loads(path.read_text())
+                for entry in record["files"]:
+                    data = (folder / entry["path"]).read_bytes() if (folder / entry["path"]).is_file() else b""
+                    entry |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+                path.write_text(json.dumps(record))
+
+
+def plant_traps(folder: Path, url: str) -> list[bytes]:
+    """Plant files that lead to a URL and to a pipe that nobody writes to: who opens it hangs."""
+    pipe = folder / "pipe.tif"
+    os.mkfifo(pipe)
+    vrt = (
+        '<VRTDataset rasterXSize="12" rasterYSize="10"><GeoTransform>480000,3,0,2136030,0,-3</GeoTransform>'
+        '<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}'
+        "</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+    ogr = '<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>{}</SrcDataSource></OGRVRTLayer></OGRVRTDataSource>'
+    aims = (str(pipe), f"/vsicurl/{url}/a.tif", f"{url}/a.geojson")
+    link = json.dumps(
+        {"type": "FeatureCollection", "features": [], "crs": {"type": "link", "properties": {"href": url}}}
+    )
+    made = [form.format(aim).encode() for form in (vrt, ogr) for aim in aims]
+    return [*made, link.encode(), b"\0", b"", *(aim.encode() for aim in aims), b"../../outside", b"[" * 5000]
+
+
+def make_cases(folder: Path) -> list[Case]:
+    """Make valid files and folders, and say who reads each."""
+    return [*_layers(folder), *_vectors(folder), *_logs(folder), *_settings(folder)]
+
+
+def _case(path, call, folder=None, label=""):
+    data, name = path.read_bytes(), path.name if folder is None else str(path.relative_to(folder))
+    text = path.suffix in {".json", ".geojson", ".csv", ".toml", ".gpx", ".txt", ".vrt", ".yaml"}
+    start = Start(f"{label or getattr(call, '__name__', 'read')}:{name}", data, (), len(data) if text else 0)
+    return Case(start, folder, name, call)
+
+
+def _layers(folder):
+    from cost_maps import make_field
+    from route_maps import write_folder
+    from sheet_maps import write_in_sheets
+    from survey_pairs import survey
+
+    from bumpymap.change import diff_surveys
+    from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, write_reports
+    from bumpymap.route import RouteConfig, plan_routes
+    from bumpytiles import Grid
+
+    one = write_folder(folder / "map", make_field(12, 10, grid=Grid(3.0, 5), easy=True))
+    sheets = folder / "sheets_map"
+    write_in_sheets(make_field(20, 18, grid=Grid(3.0, 5), easy=True), sheets)
+    pair = [write_folder(folder / name, survey(seed, rut=0.1 * seed)) for seed, name in enumerate(("before", "after"))]
+    diff_surveys(*pair, folder / "diff")
+
+    def report(place, out):
+        out.mkdir()
+        write_reports([place], out / "page.html")
+
+    def python(place, out):
+        del out
+        layers = open_layers(place)
+        repr(layers)
+        layers.dataset().load()
+        layers.heights().load()
+        layers.tiles()
+        layers.regions()
+
+    def export(place, out):
+        export_map(open_map([place]), out, ExportSettings("nav2"))
+
+    def route(place, out):
+        site = open_map([place])
+        bounds = site.grid.window_bounds(site.window)
+        ends = [f"crs:{bounds.west + step},{bounds.south + step}" for step in (7.0, 22.0)]
+        plan_routes(RouteConfig(layers=(place,), start=ends[0], goal=ends[1], snap=20.0, out=out))
+
+    for name in ("run.json", "class.tif", "heightmap.tif", "roughness.tif", "barred.tif", "obstacle.tif"):
+        calls = (report, python, export, route)
+        yield from (_case(one / name, call, one) for call in calls)
+    for name in ("tiles.parquet", "cost.fgb"):
+        yield from (_case(one / name, call, one) for call in (report, python))
+    inner = min(path.name for path in (sheets / "sheets").iterdir())
+    for name in ("run.json", "class.vrt", "heightmap.vrt", f"sheets/{inner}/run.json", f"sheets/{inner}/class.tif"):
+        yield from (_case(sheets / name, call, sheets, f"{call.__name__} of sheets") for call in (report, python))
+    for name in ("change.json", "change.tif", "change.geojson"):
+        yield _case(folder / "diff" / name, report, folder / "diff", "report of changes")
+
+
+def _vectors(folder):
+    import shapely
+    from pyogrio.raw import write
+    from route_maps import bare_map
+
+    from bumpymap.layers import read_areas, read_points
+    from bumpymap.layers.export.plan import read_route_line
+
+    site = bare_map()
+
+    def points(path, out):
+        del out
+        read_points(path)
+
+    def areas(path, out):
+        del out
+        read_areas(path, site, allow_outside=True)
+
+    def line(path, out):
+        del out
+        read_route_line(path)
+
+    degrees = [site.to_lonlat(*corner) for corner in AREA]
+    shapes = {
+        "points": shapely.MultiPoint(degrees),
+        "areas": shapely.Polygon(degrees),
+        "line": shapely.LineString(degrees),
+    }
+    for call in (points, areas, line):
+        path = folder / f"{call.__name__}.geojson"
+        geometry = shapely.geometry.mapping(shapes[call.__name__])
+        feature = {"type": "Feature", "properties": {"name": "a"}, "geometry": geometry}
+        path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+        yield _case(path, call)
+    (folder / "p.csv").write_text("name,lon,lat\na,-99.19,19.318\nb,-99.18,19.317\n")
+    (folder / "p.gpx").write_text(
+        '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">'
+        '<wpt lat="19.3" lon="-99.1"><name>a</name></wpt><wpt lat="19.4" lon="-99.1"/></gpx>'
+    )
+    yield from (_case(folder / name, points) for name in ("p.csv", "p.gpx"))
+    wkb = shapely.to_wkb(np.array([shapely.Polygon(AREA)], object))
+    for suffix in (".gpkg", ".fgb", ".shp"):
+        path = folder / "areas" / f"a{suffix}"
+        path.parent.mkdir(exist_ok=True)
+        write(path, wkb, [np.array(["x"], object)], np.array(["name"]), geometry_type="Polygon", crs="EPSG:32614")
+        if suffix != ".shp":
+            yield _case(path, areas)
+
+    def shapefile(place, out):
+        areas(place / "a.shp", out)
+
+    yield from (_case(path, shapefile, path.parent) for path in sorted((folder / "areas").glob("a.[sdpc]*")))
+
+
+def _logs(folder):
+    from drive_tables import drive, write as write_table
+    from ulogs import ulog
+
+    from bumpymap.readers import read_drive, read_poses, read_scan
+
+    def drive_log(path, out):
+        del out
+        read_drive(str(path))
+
+    def scan(path, out):
+        del out
+        read_scan(path)
+
+    def poses(path, out):
+        del out
+        read_poses(path, [Path(f"{number:06d}.bin") for number in range(4)])
+
+    def bag(place, out):
+        del out
+        read_drive(str(place))
+
+    write_table(folder / "drive.csv", drive(200))
+    yield _case(folder / "drive.csv", drive_log)
+    rows = [(10_000 * at, 0.01 * at, 0.0, 0.1, 0.0, 0.0, -9.8) for at in range(1, 100)]
+    fields = ["uint64_t timestamp", "float[3] gyro_rad", "float[3] accelerometer_m_s2"]
+    (folder / "drive.ulg").write_bytes(ulog({"sensor_combined": (fields, rows)}))
+    yield _case(folder / "drive.ulg", drive_log)
+    rng = np.random.default_rng(1)
+    places = rng.normal(0.0, 5.0, (500, 3)).astype(np.float32)
+    np.hstack([places, np.ones((500, 1), np.float32)]).tofile(folder / "frame.bin")
+    head = b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 500\nHEIGHT 1\n"
+    (folder / "frame.pcd").write_bytes(head + b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 500\nDATA binary\n" + places.tobytes())
+    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 500\n"
+    head += b"property float x\nproperty float y\nproperty float z\nend_header\n"
+    (folder / "frame.ply").write_bytes(head + places.tobytes())
+    yield from (_case(folder / name, scan) for name in ("frame.bin", "frame.pcd", "frame.ply"))
+    np.savetxt(folder / "poses.txt", np.tile(np.eye(4)[:3].ravel(), (4, 1)))
+    yield _case(folder / "poses.txt", poses)
+    yield from _bags(folder, bag)
+
+
+def _bags(folder, call):
+    from bags import odometry, write_bag
+    from scipy.spatial.transform import Rotation
+
+    turned = Rotation.identity()
+    messages = [("/odom", 10**8 * at, odometry(10**8 * at, (turned, (0.1 * at, 0.0, 0.0)))) for at in range(20)]
+    for storage in ("mcap", "sqlite3"):
+        place = write_bag(folder / f"bag_{storage}", messages, storage)
+        for path in sorted(place.iterdir()):
+            yield _case(path, call, place, storage)
+
+
+def _settings(folder):
+    import bumpymap
+    from bumpymap.core import MapConfig, read_settings_file
+    from bumpymap.core.run_folder import RunFolder, work_folder
+    from bumpymap.rating import Calibration, TextureModel, Vehicle
+    from bumpymap.survey.batch.source import read_text
+    from bumpymap.survey.batch.table import read_table
+
+    def of(read):
+        def call(path, out):
+            del out
+            read(path)
+
+        return call
+
+    def resume(place, out):
+        del out
+        spec = {"inputs": {"a.las": {"size": 5}}, "settings": {"tile_size": 3.0}, "made with": {"numpy": "2"}}
+        with RunFolder.opened(place, spec, resume=True, finished=lambda _: True, advice=""):
+            pass
+
+    data = Path(bumpymap.__file__).parent / "rating" / "data"
+    profile, calibration = min(data.glob("vehicles/*.toml")), min(data.glob("calibrations/*.json"))
+    yield _case(profile, of(Vehicle.load), label="profile")
+    yield _case(calibration, of(Calibration.load), label="calibration")
+    yield from (_case(path, of(TextureModel.load), label="model") for path in sorted(data.rglob("*texture*.onnx"))[:1])
+    (folder / "settings.toml").write_text(
+        'tile_size = 3.0\npixels = 15\nvehicle = "husky"\n[features]\nmin_points = 30\n'
+    )
+    yield _case(folder / "settings.toml", of(lambda path: read_settings_file(path, MapConfig)), label="settings")
+    (folder / "surveys.csv").write_text("survey,name,crs\na.laz,first,EPSG:32614\nb.laz,second,\n")
+    batch = of(lambda path: read_table(read_text(path), str(path), path.parent))
+    yield _case(folder / "surveys.csv", batch, label="batch")
+    spec = work_folder(folder / "begun")
+    spec.mkdir(parents=True, mode=0o700)
+    inputs = {"a.las": {"size": 5}}
+    text = json.dumps({"inputs": inputs, "settings": {"tile_size": 3.0}, "made with": {"numpy": "2"}, "cut": 3})
+    (spec / "run_spec.json").write_text(text)
+    yield _case(spec / "run_spec.json", resume, folder / "begun")

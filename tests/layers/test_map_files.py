@@ -1,0 +1,181 @@
+"""Folders of layers that somebody else made: nothing is fetched or read but their own files, each as it was written."""
+
+import hashlib
+import json
+import threading
+from contextlib import nullcontext
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from shutil import copytree
+
+import numpy as np
+import pytest
+import rasterio
+import shapely
+from cost_maps import make_field
+from route_maps import bare_map, write_folder
+from sheet_maps import SMALL, write_in_sheets
+
+from bumpymap.change import diff_surveys
+from bumpymap.core import BadInputError
+from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, read_areas, read_points, write_reports
+
+VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
+<VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>
+<SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"""
+OGR_VRT = """<OGRVRTDataSource><OGRVRTLayer name="a"><SrcDataSource>/vsicurl/{}</SrcDataSource></OGRVRTLayer>
+</OGRVRTDataSource>"""
+
+
+@pytest.fixture(name="server")
+def serve():
+    """A URL of this machine, and the paths that were asked for."""
+    asked = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def parse_request(self):
+            asked.append(self.raw_requestline)
+            return False
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        yield f"http://127.0.0.1:{server.server_port}", asked
+        server.shutdown()
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    return write_folder(tmp_path_factory.mktemp("one") / "map", make_field(12, 10, grid=SMALL, easy=True))
+
+
+@pytest.fixture(scope="module")
+def sheets(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sheets") / "map"
+    write_in_sheets(make_field(20, 18, grid=SMALL, easy=True), folder)
+    return folder
+
+
+def list_anew(folder):
+    """State the checksums of the files that are there now, as who planted them would."""
+    record = json.loads((folder / "run.json").read_text())
+    for entry in record["files"]:
+        data = (folder / entry["path"]).read_bytes()
+        entry |= {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+    (folder / "run.json").write_text(json.dumps(record))
+
+
+def report(folder, out):
+    write_reports([folder], out / "page.html")
+
+
+def export(folder, out):
+    export_map(open_map([folder]), out / "grids", ExportSettings("nav2", resolution="pixel"))
+
+
+def diff(folder, out):
+    diff_surveys(folder, folder, out / "diff")
+
+
+def relief(folder, _):
+    site = open_map([folder])
+    site.heights(site.window)
+    site.relief(site.window, (5, 6))
+
+
+def dataset(folder, _):
+    layers = open_layers(folder)
+    repr(layers)
+    layers.heights().load()
+    layers.dataset().load()
+
+
+def virtual(path, aim):
+    path.write_text(VRT.format(aim))
+
+
+def tagged(path, aim):
+    with rasterio.open(path, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=aim)
+
+
+def beside(path, aim):
+    text = f'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">{aim}</MDI></Metadata></PAMDataset>'
+    path.with_name(f"{path.name}.aux.xml").write_text(text)
+    path.with_name(f"{path.name}.ovr").write_text(VRT.format(aim))
+
+
+@pytest.mark.parametrize("plant", [virtual, tagged, beside])
+@pytest.mark.parametrize("read", [report, export, diff, relief, dataset])
+@pytest.mark.parametrize("in_sheets", [False, True])
+def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, plant, read, in_sheets):
+    url, asked = server
+    folder = copytree(sheets if in_sheets else one, tmp_path / "map")
+    owner = min((folder / "sheets").iterdir()) if in_sheets else folder
+    for name in ("heightmap.tif", "class.tif", "obstacle.tif"):
+        plant(owner / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
+    list_anew(owner)
+    ignored = plant is beside and not (in_sheets and read in {report, dataset})
+    with nullcontext() if ignored else pytest.raises(BadInputError, match=str(folder)):
+        read(folder, tmp_path)
+    assert not asked
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('relativeToVRT="1">sheets/', 'relativeToVRT="0">/vsicurl/{}/sheets/'),
+        ('relativeToVRT="1">sheets/', 'relativeToVRT="1">../other/'),
+        ("<SimpleSource>", "<SimpleSource><OpenOptions><OOI key='a'>b</OOI></OpenOptions>"),
+        ('dataType="Byte" band="1"', 'dataType="Byte" band="1" subClass="VRTDerivedRasterBand"'),
+    ],
+)
+@pytest.mark.parametrize("read", [report, dataset])
+def test_a_virtual_raster_is_one_over_the_sheets_of_the_map(sheets, server, tmp_path, read, old, new):
+    folder = copytree(sheets, tmp_path / "map")
+    text = (folder / "class.vrt").read_text()
+    assert old in text
+    (folder / "class.vrt").write_text(text.replace(old, new.format(server[0])))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=r"class\.vrt is no virtual raster over the sheets"):
+        read(folder, tmp_path)
+    assert not server[1]
+
+
+@pytest.mark.parametrize("name", ["class.tif", "heightmap.tif", "tiles.parquet"])
+@pytest.mark.parametrize("read", [report, dataset, diff])
+@pytest.mark.parametrize("in_sheets", [False, True])
+def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, sheets, tmp_path, name, read, in_sheets):
+    if name == "tiles.parquet" and read is not report:
+        pytest.skip("not read")
+    folder = copytree(sheets if in_sheets else one, tmp_path / "map")
+    path = (min((folder / "sheets").iterdir()) if in_sheets else folder) / name
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(BadInputError, match="is damaged: its checksum"):
+        read(folder, tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".gpkg", ".fgb", ".shp", ".json"])
+@pytest.mark.parametrize("read", [read_points, lambda path: read_areas(path, bare_map())])
+def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
+    url, asked = server
+    path = tmp_path / f"a{suffix}"
+    link = {"type": "link", "properties": {"href": url}}
+    feature = {"type": "Feature", "properties": {}, "geometry": shapely.geometry.mapping(shapely.Point(1, 2))}
+    for text in (
+        OGR_VRT.format(f"{url}/{tmp_path.name}"),
+        json.dumps({"type": "FeatureCollection", "crs": link, "features": [feature]}),
+        f'<!DOCTYPE gpx [<!ENTITY a SYSTEM "{url}">]><gpx><wpt lat="1" lon="2"><name>&a;</name></wpt></gpx>',
+        f"<!-- <gpx --> {OGR_VRT.format(url)}",
+    ):
+        path.write_text(text)
+        with pytest.raises(BadInputError):
+            read(path)
+    assert not asked
+
+
+def test_heights_of_a_map_in_sheets_are_those_of_its_sheets(sheets):
+    """The virtual rasters that bumpymap wrote are read as before."""
+    found = open_layers(sheets).heights()
+    site = open_map([sheets])
+    assert np.array_equal(found.to_numpy(), site.heights(site.window), equal_nan=True)
