@@ -80,8 +80,8 @@ def _remarks(result: RouteResult, config: RouteConfig) -> Iterator[str]:
     for route in result.routes:
         if route.figures.obstacle_m > 0:
             yield (
-                f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m, where no gap was found; arrives "
-                "does not include that"
+                f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m: there is no way between them; "
+                "arrives counts each of these metres as failing every second time"
             )
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 

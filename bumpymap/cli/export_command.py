@@ -19,14 +19,15 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
-    "around": ("nav2", "gridmap", "graph"),
-    "radius": ("nav2", "gridmap", "graph"),
+    "around": ("nav2", "gridmap", "graph", "cost"),
+    "radius": ("nav2", "gridmap", "graph", "cost"),
     "datum": ("nav2", "gridmap", "graph"),
     "resolution": ("nav2", "gridmap"),
     "comfort": ("nav2",),
     "dearest": ("nav2",),
     "every": ("graph",),
     "route": ("plan",),
+    "through_obstacles": ("plan",),
 }
 """Formats that an option has an effect on."""
 _POINTS = ("around", "datum")
@@ -62,6 +63,7 @@ _LOCAL_DATUM_M = 1e6
 @click.option(
     "--route", type=PATH, metavar="PATH", help="plan: folder of the route, or a GeoJSON file [default: LAYERS]."
 )
+@click.option("--through-obstacles", is_flag=True, help="plan: take a route that touches obstacles too.")
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
 @output_options("Print no summary.")
 def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
@@ -72,6 +74,7 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     gridmap  a grid_map message in a ROS 2 bag; needs pip install 'bumpymap[ros]'
     graph    a graph of ways for Nav2's route server
     plan     a mission for QGroundControl, from a route
+    cost     cost of driving with 0.2 m pixels, what stops the vehicle grown by half its width
 
     \b
     bumpymap export site_layers --to nav2 --out site_nav2

@@ -12,7 +12,7 @@ from bumpymap.core import UsageError
 
 __all__ = ["command"]
 
-_OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside")
+_OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside", "through_obstacles")
 
 
 @click.command("route")
@@ -28,6 +28,7 @@ _OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside")
 @click.option("--risk", type=float, metavar="M", help="Detour that one certain failure is worth [default: profile].")
 @click.option("--robust", is_flag=True, help="Plan on the upper end of the interval of c_r.")
 @click.option("--unknown", type=float, metavar="COST", help="Cross unknown ground at this cost per metre.")
+@click.option("--through-obstacles", is_flag=True, help="Touch obstacles where there is no other way.")
 @click.option("--snap", type=float, metavar="M", help="Move points on closed ground by up to M [default: 0].")
 @click.option("--avoid", type=PATH, metavar="FILE", help="Polygons that are not entered.")
 @click.option("--only", type=PATH, metavar="FILE", help="Polygons that are not left.")

@@ -4,7 +4,7 @@ from typing import Literal
 
 __all__ = ["ExportFormat", "ExportResolution"]
 
-ExportFormat = Literal["nav2", "gridmap", "graph", "plan"]
+ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
 """Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
 ExportResolution = Literal["tile", "pixel"]
 """One cell a tile, or one a pixel of the heightmap, which shows obstacles."""

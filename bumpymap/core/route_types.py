@@ -119,8 +119,11 @@ class RouteFigures:
 
     @property
     def p_arrives(self) -> float:
-        """``exp(-hazard)``: the probability of arriving if failures on different metres are independent."""
-        return float(np.exp(-self.hazard))
+        """Probability of arriving, if failures on different metres are independent: ``exp(-hazard) 2^-obstacle_m``.
+
+        Nobody knows what driving through an obstacle does: each metre of it is counted as failing every second time.
+        """
+        return float(np.exp(-self.hazard) * 0.5**self.obstacle_m)
 
     @property
     def detour(self) -> float:

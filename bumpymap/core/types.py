@@ -94,6 +94,7 @@ class Barred(IntEnum):
     SLOPE = 3
     FAILS = 4
     STEP = 5
+    SPLIT = 6
 
 
 BARRED_TEXT: dict[Barred, str] = {
@@ -103,6 +104,7 @@ BARRED_TEXT: dict[Barred, str] = {
     Barred.SLOPE: "too steep",
     Barred.FAILS: "drives fail",
     Barred.STEP: "step",
+    Barred.SPLIT: "split by an obstacle",
 }
 CHANGE_KINDS = (
     "not changed",
@@ -370,6 +372,9 @@ class CostMap:
         columns |= dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), unknown)
         columns["barred"] = self.rule.barred(columns)
         columns["passable"] = (columns["barred"] == Barred.NO).astype(np.uint8)
+        columns["passage"] = np.where(
+            np.isin(columns["objects"], (OBSTACLE, UNSEEN)), np.uint8(0), columns["passable"][:, None, None]
+        )
         return columns
 
 
@@ -422,14 +427,16 @@ def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
-    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0. ``motion`` holds the values of
-    `speed_bands`, of so many ``speeds``.
+    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of
+    a tile in which the middle of the vehicle can move, from 1, the largest; 0 where it cannot be. ``motion`` holds the
+    values of `speed_bands`, of so many ``speeds``.
     """
     singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "obstacle", "edge_step")
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
         Column("objects", "|u1", (pixels, pixels)),
+        Column("passage", "|u1", (pixels, pixels)),
         *_motion_column(speeds),
     )
 

@@ -82,6 +82,7 @@ from .geotiff import (
     write_cost as write_cost,
     write_heightmap as write_heightmap,
     write_obstacles as write_obstacles,
+    write_passage as write_passage,
     write_reasons as write_reasons,
     write_roughness as write_roughness,
 )

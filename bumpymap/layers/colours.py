@@ -9,6 +9,8 @@ __all__ = [
     "COST_COLOURS",
     "OBJECT_COLOURS",
     "OFF_COLOURS",
+    "PASSAGE_COLOURS",
+    "PASSAGE_NAMES",
     "REASON_COLOURS",
     "UNKNOWN_OBJECT",
 ]
@@ -28,6 +30,7 @@ BARRED_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Barred.SLOPE: (128, 115, 172, 255),
     Barred.FAILS: (215, 25, 28, 255),
     Barred.STEP: (230, 97, 1, 255),
+    Barred.SPLIT: (191, 129, 45, 255),
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of each `Barred`: passable tiles green, the others by what bars them."""
@@ -41,6 +44,17 @@ OBJECT_COLOURS: dict[int, tuple[int, int, int, int]] = {
     NO_CLASS: (0, 0, 0, 0),
 }
 """Red, green, blue, alpha of the values of obstacle.tif; free ground is transparent."""
+PASSAGE_NAMES = ("closed", "free", "free, second area of the tile", "free, third area", "free, fourth area")
+"""Names of the first values of passage.tif."""
+PASSAGE_COLOURS: dict[int, tuple[int, int, int, int]] = {
+    0: (84, 48, 5, 190),
+    1: (166, 217, 106, 90),
+    2: (253, 174, 97, 170),
+    3: (171, 217, 233, 170),
+    4: (194, 165, 207, 170),
+    NO_CLASS: (0, 0, 0, 0),
+}
+"""Red, green, blue, alpha of these values."""
 REASON_COLOURS: dict[int, tuple[int, int, int, int]] = {
     Reason.OK: (235, 235, 235, 255),
     Reason.NO_POINTS: (0, 0, 0, 0),

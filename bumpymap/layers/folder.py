@@ -16,6 +16,7 @@ from bumpymap.layers.geotiff import (
     write_cost,
     write_heightmap,
     write_obstacles,
+    write_passage,
     write_reasons,
     write_roughness,
 )
@@ -145,6 +146,7 @@ def _layers(
             ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
             ("relief.tif",): partial(write_relief, table, folder / "relief.tif", tags, around),
             ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
+            ("passage.tif",): partial(write_passage, table, folder / "passage.tif", tags),
         },
         {
             ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),

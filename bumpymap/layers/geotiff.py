@@ -1,4 +1,4 @@
-"""Write the raster layers: roughness, class, reason, cost, barred, heightmap and obstacle."""
+"""Write the raster layers: roughness, class, reason, cost, barred, heightmap, obstacle and passage."""
 
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ __all__ = [
     "write_cost",
     "write_heightmap",
     "write_obstacles",
+    "write_passage",
     "write_reasons",
     "write_roughness",
 ]
@@ -165,3 +166,30 @@ def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None =
         return np.where(hidden, np.uint8(UNKNOWN_OBJECT), objects)
 
     write_pixels(table, path, spec, ("objects", "obstacle"), states)
+
+
+def write_passage(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write passage.tif: a uint8 COG with the pixels of heightmap.tif: where the middle of the vehicle can be.
+
+    0: closed, because an obstacle, unseen ground or a tile that the ground bars is nearer than half the vehicle's width
+    and its margin. From 1: the areas of a tile whose pixels hang together, the largest first. Areas of two tiles are
+    joined where their pixels touch across the border. For parameters and errors see `write_roughness`.
+    """
+    place = Placement.of(table)
+    spec = RasterSpec(
+        bands=[
+            BandSpec(
+                "passage", text="areas of a tile in which the middle of the vehicle can move; 0 where it cannot be"
+            )
+        ],
+        dtype="uint8",
+        nodata=NO_CLASS,
+        pixels=place.grid.pixels,
+        crs=place.horizontal_crs,
+        overviews="MODE",
+        block=HEIGHT_BLOCK,
+        tags=layer_tags(table, "where the vehicle fits", about),
+        level=1,
+        worst=tuple(range(NO_CLASS)),
+    )
+    write_pixels(table, path, spec, ("passage",), lambda found, _: found["passage"])

@@ -48,6 +48,7 @@ _COST = Band("cost", "", "factor on distance for a planner; NaN where the tile i
 _BARRED = Band("barred", "", "why the tile is not passable")
 _HEIGHT = Band("height", "m", "mean height of the points in the pixel")
 _OBSTACLE = Band("objects", "", "what stands on the ground")
+_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
 _FLAGS = {
     "class": CLASS_NAMES,
     "reason": tuple(REASON_TEXT.values()),
@@ -197,6 +198,14 @@ class Layers:
             obstacle.tif is missing or damaged.
         """
         return next(self._variables("obstacle.tif", (_OBSTACLE,)))
+
+    def passage(self) -> "xarray.DataArray":
+        """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
+
+        The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
+        arc. See `obstacles` for the dimensions and errors.
+        """
+        return next(self._variables("passage.tif", (_PASSAGE,)))
 
     def tiles(self) -> "geopandas.GeoDataFrame":
         """Read tiles.parquet.

@@ -44,6 +44,7 @@ PRODUCT_NAMES: tuple[str, ...] = (
     "heightmap.tif",
     "relief.tif",
     "obstacle.tif",
+    "passage.tif",
     "tiles.parquet",
     "cost.geojson",
     "cost.fgb",

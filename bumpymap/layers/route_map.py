@@ -156,6 +156,24 @@ class RouteMap:
                 out[place] = worse_objects(out[place], sheet.read("obstacle.tif", part)[0])
         return out
 
+    def passage(self, window: TileWindow) -> NDArray[np.bool_]:
+        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
+
+        Where sheets overlap, what is closed in one of those that know the pixel is closed.
+        """
+        pixels = self.grid.pixels
+        out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is not None:
+                place = window_slices(window, part, pixels)
+                found = sheet.read("passage.tif", part)[0]
+                known = out[place]
+                out[place] = np.where(
+                    known == NO_TILE, found, np.where(found == NO_TILE, known, np.minimum(known, found))
+                )
+        return np.asarray((out > 0) & (out != NO_TILE))
+
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert coordinates of the CRS to easting and northing on the grid, m."""
         unit = self.georeference.metres_per_unit

@@ -29,11 +29,12 @@ _DTYPES = {
     "cost.tif": "float32",
     "heightmap.tif": "float32",
     "obstacle.tif": "uint8",
+    "passage.tif": "uint8",
     "class.tif": "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
 """What a route reads; a comparison of surveys reads the classes too."""
-_PER_PIXEL = ("heightmap.tif", "obstacle.tif")
+_PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
 _PIECE = 512

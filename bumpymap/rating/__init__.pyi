@@ -15,7 +15,9 @@ from .drive_update import (
     update_from_drives as update_from_drives,
 )
 from .passable import (
+    close_split_tiles as close_split_tiles,
     find_passable as find_passable,
+    free_areas as free_areas,
     settle_objects as settle_objects,
 )
 from .ride.correction import (

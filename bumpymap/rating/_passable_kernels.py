@@ -1,4 +1,4 @@
-"""Compiled kernels: pixels of a mosaic of tiles in; grown obstacles, and the ways through each tile, out."""
+"""Compiled kernels: pixels of a mosaic of tiles in; grown obstacles, the ways through each tile and its areas, out."""
 
 import math
 from typing import Annotated, NamedTuple
@@ -9,7 +9,17 @@ from numpy.typing import NDArray
 from bumpymap.core import FREE, OBSTACLE, UNDECIDED, UNSEEN
 from bumpytiles import helper, kernel
 
-__all__ = ["GrowScratch", "InnerTiles", "Mosaic", "find_ways", "grow_scratch", "settle"]
+__all__ = [
+    "GrowScratch",
+    "InnerTiles",
+    "Mosaic",
+    "close_split",
+    "find_ways",
+    "grow_obstacles",
+    "grow_scratch",
+    "number_areas",
+    "settle",
+]
 
 Bytes = NDArray[np.uint8]
 Integers = NDArray[np.int32]
@@ -198,6 +208,163 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
             blocked = blocked and _count(sides) < least
     tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
     tiles.near_obstacle[row, col] = blocked and _near_obstacle(mosaic, top, left)
+
+
+@helper
+def _fill_area(free: Bytes, start: int, number: int, areas: Bytes, stack: Integers) -> int:
+    """Give the free pixels of a tile that hang together with one a number; returns how many there are."""
+    size, depth, count = free.shape[0], 1, 0
+    stack[0] = start
+    areas[start // size, start % size] = number
+    while depth > 0:
+        depth -= 1
+        count += 1
+        r, c = stack[depth] // size, stack[depth] % size
+        for k in range(4):
+            row, col = r + (k == 2) - (k == 0), c + (k == 1) - (k == 3)
+            if 0 <= row < size and 0 <= col < size and free[row, col] != 0 and areas[row, col] == 0:
+                areas[row, col] = number
+                stack[depth] = row * size + col
+                depth += 1
+    return count
+
+
+@helper
+def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) -> None:
+    """Give the areas of one tile their numbers."""
+    pixels = free.shape[0] * free.shape[0]
+    found = 0
+    for k in range(pixels):
+        areas[k // free.shape[0], k % free.shape[0]] = 0
+    for k in range(pixels):
+        r, c = k // free.shape[0], k % free.shape[0]
+        if free[r, c] != 0 and areas[r, c] == 0:
+            found = min(found + 1, 254)
+            sizes[found] = _fill_area(free, k, found, areas, stack)
+    first = 1
+    for number in range(2, found + 1):
+        if sizes[number] > sizes[first]:
+            first = number
+    if first > 1:
+        for k in range(pixels):
+            r, c = k // free.shape[0], k % free.shape[0]
+            number = areas[r, c]
+            areas[r, c] = 1 if number == first else (first if number == 1 else number)
+
+
+@kernel
+def number_areas(
+    free: Annotated[Bytes, 4],
+    areas: Annotated[Bytes, 4],
+    stack: Annotated[Integers, 1],
+    sizes: Annotated[Integers, 1],
+) -> None:
+    """Give the areas of free pixels of every tile numbers from 1, the largest (of equal ones the northernmost), or 0.
+
+    ``free`` and ``areas`` are (rows, cols, pixels, pixels); ``stack`` takes pixels^2 and ``sizes`` 255 numbers. Pixels
+    hang together by their sides. Of more than 254 areas, the last share a number.
+    """
+    for row in range(free.shape[0]):
+        for col in range(free.shape[1]):
+            _number_tile(free[row, col], areas[row, col], stack, sizes)
+
+
+@helper
+def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int) -> bool:
+    """Whether an area of a tile and one of its southern neighbour touch across their border."""
+    last = north.shape[0] - 1
+    meet = False
+    for c in range(north.shape[0]):
+        meet |= north[last, c] == upper and south[0, c] == lower
+    return meet
+
+
+@helper
+def _meet_across(west: Bytes, left: int, east: Bytes, right: int) -> bool:
+    """Whether an area of a tile and one of its eastern neighbour touch across their border."""
+    last = west.shape[0] - 1
+    meet = False
+    for r in range(west.shape[0]):
+        meet |= west[r, last] == left and east[r, 0] == right
+    return meet
+
+
+@helper
+def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool:
+    """Whether an area of the tile beside ``upper``, above or below ``lower``, touches the first areas of both.
+
+    ``upper`` lies north of ``lower``, diagonally; ``side`` is the tile south of ``upper`` (and west of ``lower`` if
+    ``is_east``, else east of it).
+    """
+    most = 0
+    for k in range(side.shape[0] * side.shape[0]):
+        most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
+    for number in range(1, most + 1):
+        if _meet_down(upper, 1, side, number):
+            meets = _meet_across(side, number, lower, 1) if is_east else _meet_across(lower, 1, side, number)
+            if meets:
+                return True
+    return False
+
+
+@helper
+def _joined_under(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool:
+    """Return the same over the tile beside ``upper`` and north of ``lower``."""
+    most = 0
+    for k in range(side.shape[0] * side.shape[0]):
+        most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
+    for number in range(1, most + 1):
+        if _meet_down(side, number, lower, 1):
+            meets = _meet_across(upper, 1, side, number) if is_east else _meet_across(side, number, upper, 1)
+            if meets:
+                return True
+    return False
+
+
+@kernel
+def close_split(
+    areas: Annotated[Bytes, 4],
+    largest: Annotated[Integers, 2],
+    passable: Annotated[Booleans, 2],
+    split: Annotated[Booleans, 2],
+) -> None:
+    """Mark the tiles to close so that the largest areas of any two passable tiles that touch are joined.
+
+    Of two tiles side by side whose largest areas do not touch, the one with the smaller area is closed (of equal ones
+    the southern or eastern). So it is with two tiles that touch at a corner, unless an area of one of the two tiles
+    beside them joins both. All arrays are (rows, cols, ..); ``split`` comes filled with False.
+    """
+    rows, cols = passable.shape
+    for r in range(rows):
+        for c in range(cols):
+            if not passable[r, c]:
+                continue
+            for k in range(4):  # east, south, south-east, south-west
+                row = r + (k > 0)
+                col = c + (k == 0) + (k == 2) - (k == 3)
+                if row >= rows or col < 0 or col >= cols or not passable[row, col]:
+                    continue
+                here, there = areas[r, c], areas[row, col]
+                if k == 0:
+                    joined = _meet_across(here, 1, there, 1)
+                elif k == 1:
+                    joined = _meet_down(here, 1, there, 1)
+                else:
+                    is_east = k == 2
+                    joined = _joined_over(here, areas[row, c], there, is_east) or _joined_under(
+                        here, areas[r, col], there, is_east
+                    )
+                if not joined:
+                    if largest[r, c] < largest[row, col]:
+                        split[r, c] = True
+                    else:
+                        split[row, col] = True
+
+
+@kernel
+def grow_obstacles(mosaic: Mosaic, scratch: GrowScratch) -> None:
+    """Mark in ``scratch.mask`` where the middle of the vehicle cannot be."""
+    _grow(mosaic, scratch)
 
 
 @kernel

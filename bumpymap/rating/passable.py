@@ -4,12 +4,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, VehicleBody
-from bumpymap.rating._passable_kernels import InnerTiles, Mosaic, find_ways, grow_scratch, settle
+from bumpymap.rating._passable_kernels import (
+    InnerTiles,
+    Mosaic,
+    close_split,
+    find_ways,
+    grow_obstacles,
+    grow_scratch,
+    number_areas,
+    settle,
+)
 
-__all__ = ["MARGIN_M", "find_passable", "settle_objects"]
+__all__ = ["MARGIN_M", "close_split_tiles", "find_passable", "free_areas", "settle_objects"]
 
 MARGIN_M = 0.1
 """Room between vehicle and obstacle, m: half a pixel of 0.2 m, for an obstacle fills its pixel only in part."""
+
+_MOST_MARGIN = 0.45
+"""Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
+_GROUND = (Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)
+"""What bars a whole tile; obstacles bar pixels."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -81,3 +95,95 @@ def find_passable(
         [alone, np.uint8(Barred.OBSTACLE), np.uint8(Barred.UNKNOWN), np.uint8(Barred.STEP)],
         np.uint8(Barred.NO),
     )
+
+
+def free_areas(
+    objects: NDArray[np.uint8], barred: NDArray[np.uint8], body: VehicleBody, tile_size: float
+) -> NDArray[np.uint8]:
+    """Find where the middle of the vehicle can be, pixel by pixel, as far as obstacles and the tile's own ground tell.
+
+    It keeps the radius of `find_passable` from obstacles and unseen pixels.
+
+    Parameters
+    ----------
+    objects, body, tile_size
+        As `find_passable`.
+    barred : uint8 (tiles - 2, tiles - 2)
+        What bars the inner tiles; in those that their ground bars there are no areas.
+
+    Returns
+    -------
+    uint8 (tiles - 2, tiles - 2, pixels, pixels)
+        Areas of pixels that hang together by their sides, numbered in each tile from 1, the largest; 0 where the middle
+        of the vehicle cannot be.
+    """
+    count = len(barred) + 2
+    pixels = len(objects) // count
+    radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
+    scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
+    grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius), scratch)
+    tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
+    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None])
+
+
+def close_split_tiles(
+    areas: NDArray[np.uint8], barred: NDArray[np.uint8], body: VehicleBody, tile_size: float
+) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+    """Bar the tiles that obstacles split, and keep the vehicle off ground that it cannot drive on.
+
+    What reads tiles alone steps from one passable tile to any of the eight around it. So of two such tiles whose
+    largest areas are not joined, the one with the smaller is barred (``SPLIT``): then every step between passable
+    tiles is one that the vehicle can take. In the areas, its middle keeps the radius of `find_passable` from tiles
+    that their ground bars as well, but at most 0.45 tiles, so that corridors of one tile stay open.
+
+    Parameters
+    ----------
+    areas : uint8 (tiles, tiles, pixels, pixels)
+        From `free_areas`, of a block and a ring of one tile around it; 0 in missing tiles.
+    barred : uint8 (tiles, tiles)
+        From `find_passable`; `Barred.UNKNOWN` in missing tiles.
+    body : VehicleBody
+        Its width, m.
+    tile_size : float
+        m.
+
+    Returns
+    -------
+    barred : uint8 (tiles - 2, tiles - 2)
+        With `Barred.SPLIT`.
+    areas : uint8 (tiles - 2, tiles - 2, pixels, pixels)
+        Numbered as before.
+    """
+    pixels = areas.shape[2]
+    largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)
+    split = np.zeros(barred.shape, np.bool_)
+    close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, split)
+    radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
+    near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
+    inner = areas[1:-1, 1:-1]
+    final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
+    return final, _numbered((inner > 0) & ~near) if (near & (inner > 0)).any() else inner
+
+
+def _numbered(free: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    """Give the areas of free pixels of tiles numbers, (n, m, pixels, pixels)."""
+    areas = np.empty(free.shape, np.uint8)
+    number_areas(
+        np.ascontiguousarray(free).view(np.uint8),
+        areas,
+        np.empty(free.shape[2] ** 2, np.int32),
+        np.empty(255, np.int32),
+    )
+    return areas
+
+
+def _beside(marked: NDArray[np.bool_], reach: float, pixels: int) -> NDArray[np.bool_]:
+    """Return which pixels of the inner tiles lie nearer than ``reach`` [px] to a marked tile around their own."""
+    apart = np.stack([np.arange(pixels) + 0.5, np.zeros(pixels), np.arange(pixels)[::-1] + 0.5])
+    rows, cols = (side - 2 for side in marked.shape)
+    near = np.zeros((rows, cols, pixels, pixels), np.bool_)
+    for down in range(3):
+        for right in range(3):
+            pixel = np.hypot(apart[down][:, None], apart[right]) < reach
+            near |= marked[down : down + rows, right : right + cols, None, None] & pixel
+    return near

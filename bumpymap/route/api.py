@@ -37,6 +37,7 @@ class RouteSettings(ReachSettings, total=False):
     """Settings of `find_routes`."""
 
     alternatives: int
+    through_obstacles: bool
     visit: bool
     round_trip: bool
     compare: Iterable[PathLike]
@@ -66,8 +67,8 @@ def find_routes(
         Folder, or file that ends in .geojson, .gpx, .csv or .png.
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
-        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``, ``compare``,
-        ``memory``, ``overwrite``.
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
+        ``through_obstacles``, ``compare``, ``memory``, ``overwrite``.
 
     Returns
     -------

@@ -10,6 +10,8 @@ from bumpymap.core import Barred, TileField, UsageError
 
 __all__ = ["TileChoice", "cost_of"]
 
+_OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
+"""Tiles of which a part may be open; unknown ones have no cost, but for those of which too little was seen."""
 _STRIP = 256
 """Rows that are computed at once, so that the float64 arrays in between stay small."""
 
@@ -36,6 +38,7 @@ def cost_of(
     robust: bool = False,
     unknown_cost: float | None = None,
     choice: TileChoice | None = None,
+    through: bool = False,
 ) -> NDArray[np.float32]:
     """Return the cost of one metre on each tile: ``1 + ride_weight c_r + risk_m hazard``; infinite where closed.
 
@@ -58,6 +61,8 @@ def cost_of(
         Cost of a metre on unknown tiles, at least 1.
     choice : TileChoice, optional
         Tiles to avoid, or to keep within.
+    through : bool
+        Leave tiles open that obstacles or unseen pixels close: a way leads through them where the vehicle fits.
 
     Returns
     -------
@@ -79,7 +84,7 @@ def cost_of(
         rows = slice(start, start + _STRIP)
         barred = field.barred[rows]
         factor = weighed.cost(shaking[rows].astype(np.float64), weighed.hazard(field.p_fail[rows]))
-        is_closed = (barred != Barred.NO) | ~np.isfinite(factor)
+        is_closed = (~np.isin(barred, _OPEN_THROUGH) if through else barred != Barred.NO) | ~np.isfinite(factor)
         cost[rows] = np.where(is_closed, np.inf, factor)
         if unknown_cost is not None:
             cost[rows][(barred == Barred.UNKNOWN) & ~(field.obstacle[rows] > 0.0)] = unknown_cost

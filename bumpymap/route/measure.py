@@ -4,15 +4,15 @@ A way may be long and its window large, so it is measured in stretches, each wit
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
 from bumpymap.layers import RouteMap
+from bumpymap.route.ground import stretches, window_around
 from bumpymap.route.line import trace
 from bumpytiles import TileWindow
 
@@ -75,7 +75,7 @@ def measure_way(
     cost_of : callable
         Returns the cost per metre of each tile of a window, inf where closed.
     obstacle_m : float
-        Length on which obstacles are too near, m, from `bumpymap.route.obstacles.find_near_obstacles`.
+        Length on which the vehicle does not fit, m.
     """
     pieces = _all_pieces(site, line, cost_of)
     profile = _profile(site, line, pieces)
@@ -94,30 +94,8 @@ def _cost_m(pieces: _Pieces) -> float:
 
 def _all_pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
     """Cut a way into pieces inside single tiles, stretch by stretch."""
-    parts = [_pieces(site, part, cost_of) for part in _stretches(line, site.grid.tile_size * _STRETCH_TILES)]
+    parts = [_pieces(site, part, cost_of) for part in stretches(line, site.grid.tile_size * _STRETCH_TILES)]
     return _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
-
-
-def _stretches(line: Floats, longest: float) -> Iterator[Floats]:
-    """Yield a line in parts, each at most ``longest`` in easting and northing; consecutive parts share a point."""
-    points = [line[:1]]
-    for start, stop in pairwise(line):
-        count = max(1, math.ceil(float(np.abs(stop - start).max()) / longest))
-        points.append(start + (stop - start) * (np.arange(1, count + 1) / count)[:, None])
-        points[-1][-1] = stop
-    whole = np.concatenate(points)
-    first = 0
-    for last in range(1, len(whole)):
-        if last + 1 == len(whole) or (np.ptp(whole[first : last + 2], axis=0) > longest).any():
-            yield whole[first : last + 1]
-            first = last
-
-
-def _window_around(site: RouteMap, line: Floats, ring: int = 1) -> TileWindow:
-    """Return the tiles that a line spans, and a ring around them."""
-    col, row = site.grid.index(line[:, 0]), site.grid.index(line[:, 1])
-    inner = TileWindow.around(col, row)
-    return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)
 
 
 def _in_window(site: RouteMap, line: Floats, window: TileWindow) -> Floats:
@@ -127,7 +105,7 @@ def _in_window(site: RouteMap, line: Floats, window: TileWindow) -> Floats:
 
 
 def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
-    window = _window_around(site, line)
+    window = window_around(site, line, 1)
     tiles = site.read(window)
     cost = cost_of(tiles)
     place = _in_window(site, line, window)
@@ -231,7 +209,7 @@ def _heights(site: RouteMap, points: Floats) -> Floats:
     reach = pixels // (2 * _SAMPLES_A_TILE)
     around = np.arange(-reach, reach + 1)
     for some in np.array_split(np.arange(len(points)), max(1, len(points) // (_STRETCH_TILES * _SAMPLES_A_TILE))):
-        window = _window_around(site, points[some])
+        window = window_around(site, points[some], 1)
         heights = site.heights(window)
         place = np.floor(_in_window(site, points[some], window) * pixels).astype(np.int64)
         rows = place[:, 0, None, None] + around[:, None]

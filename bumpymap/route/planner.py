@@ -1,21 +1,23 @@
 """Plan ways over a map: costs of its tiles by window, the search, and what a way costs."""
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import TileField
+from bumpymap.core import Barred, TileField
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
 from bumpymap.route.cost_field import TileChoice, cost_of
+from bumpymap.route.ground import Ground, window_around
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
-from bumpymap.route.obstacles import find_near_obstacles
+from bumpymap.route.passages import way_over_areas
 from bumpymap.route.places import place_in_window
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.steering import steer_clear
+from bumpymap.route.steering import sample_line, steer_clear
 from bumpytiles import TileWindow
 
 __all__ = ["PlannedWay", "Planner", "WornTiles"]
@@ -24,9 +26,8 @@ Floats = NDArray[np.float64]
 
 _ROOM_M = 0.1
 """Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
-_MOST_TRIES = 12
-"""How often a way is planned again because it touches obstacles."""
-_NO_TILES = np.empty((0, 2), np.int64)
+_NEAR_TILES = 8
+"""Tiles around a way in which obstacles make it worth while to look for another one between them."""
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 
@@ -108,19 +109,25 @@ class Planner:
         obstacle = () if self.settings.unknown is None else ("obstacle",)
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
-    def cost(self, tiles: TileField, risk: float | None = None) -> NDArray[np.float32]:
-        """Return the cost per metre of each tile of a window, inf where closed."""
+    @property
+    def has_areas(self) -> bool:
+        """Whether there are areas to avoid, or to stay in."""
+        return self.avoid is not None or self.only is not None
+
+    def cost(self, tiles: TileField, risk: float | None = None, *, through: bool = False) -> NDArray[np.float32]:
+        """Return the cost per metre of each tile of a window, inf where closed; ``through`` as in `cost_of`."""
         return cost_of(
             tiles,
             risk_m=self.risk if risk is None else risk,
             robust=self.settings.robust,
             unknown_cost=self.settings.unknown,
             choice=self._choice(tiles.window),
+            through=through,
         )
 
     def _choice(self, window: TileWindow) -> TileChoice | None:
         """Return the tiles of a window that the areas of the settings close."""
-        if self.avoid is None and self.only is None:
+        if not self.has_areas:
             return None
         grid = self.site.grid
         return TileChoice(
@@ -128,12 +135,9 @@ class Planner:
             None if self.only is None else tiles_within(self.only, window, grid),
         )
 
-    def load(self, window: TileWindow, risk: float | None = None, worn: WornTiles | None = None) -> NDArray[np.float32]:
-        """Read the cost per metre of each tile of a window."""
-        cost = self.cost(self.site.read(window, self.bands), risk)
-        if worn is not None:
-            cost *= worn.factors(window)
-        return cost
+    def load(self, window: TileWindow) -> NDArray[np.float32]:
+        """Read the cost per metre of each tile of a window, inf where closed for what reads tiles alone."""
+        return Ground(self).on_tiles(window, through=False)
 
     def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
@@ -154,13 +158,13 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        near = find_near_obstacles(self.site, line, self.reach_m)
-        return PlannedWay(line, measure_way(self.site, line, stops, self.cost, obstacle_m=near.length))
+        touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
+        return PlannedWay(line, measure_way(self.site, line, stops, Ground(self).of_field, obstacle_m=touched))
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
         line = self._leg(start, goal, None, None)
-        return np.inf if line is None else way_cost(self.site, line, self.cost)
+        return np.inf if line is None else way_cost(self.site, line, Ground(self).of_field)
 
     def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
         """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
@@ -175,55 +179,49 @@ class Planner:
         return self._legs[key]
 
     def _clear_line(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
-        """Return the cheapest line on which the vehicle touches no obstacle, or the cheapest if there is none.
+        """Return the cheapest line on which the vehicle fits throughout; None if there is none.
 
-        Where it touches one, it is searched on pixels; if it touches one still, the tiles of these obstacles are
-        closed, and the way is planned again. Obstacles within reach of start and goal are left out.
+        The cheapest way over whole tiles is steered past obstacles on pixels. Where obstacles close tiles nearby, or
+        there is no such way, the areas of tiles are searched as well, and the cheaper of both is returned.
         """
-        first = line = self._steered_line(start, goal, risk, worn, _NO_TILES)
-        if line is None:
-            return None
-        ends = [find_near_obstacles(self.site, np.array([end, end]), self.reach_m).tiles for end in (start, goal)]
-        own = self.site.grid.index(np.array([start[0], goal[0]])), self.site.grid.index(np.array([start[1], goal[1]]))
-        kept = np.concatenate([*ends, np.column_stack(own)])
-        closed = _NO_TILES
-        for _ in range(_MOST_TRIES):
-            if line is None:
-                return first
-            near = _without(find_near_obstacles(self.site, line, self.reach_m).tiles, np.concatenate([kept, closed]))
-            if not len(near):
-                return line
-            closed = np.concatenate([closed, near])
-            line = self._steered_line(start, goal, risk, worn, closed)
-        return first
+        ground = Ground(self, risk, worn)
+        over_tiles = self._tile_line(ground, start, goal)
+        steered = None if over_tiles is None else steer_clear(ground, over_tiles)
+        if steered is not None and not self._may_pass_between(steered):
+            return steered
+        lines = [line for line in (steered, way_over_areas(ground, start, goal)) if line is not None]
+        if not lines and self.settings.through_obstacles:
+            touching = replace(ground, touching=True)
+            over_tiles = self._tile_line(touching, start, goal)
+            return None if over_tiles is None else steer_clear(touching, over_tiles)
+        return min(lines, key=partial(way_cost, self.site, cost_of=ground.of_field), default=None)
 
-    def _steered_line(
-        self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None, closed: NDArray[np.int64]
-    ) -> Floats | None:
-        """Return the cheapest line between two points with some tiles closed, (m, 2) easting and northing, m."""
+    def _touched_m(self, line: Floats) -> float:
+        """Return the length of a line on which the vehicle touches obstacles, m."""
+        points, step = sample_line(line, self.site.grid)
+        return float((~Ground(self).clear_at(points)).sum()) * step
 
-        def load(window: TileWindow) -> NDArray[np.float32]:
-            cost = self.load(window, risk, worn)
-            cost[_mask(closed, window)] = np.inf
-            return cost
+    def _may_pass_between(self, line: Floats) -> bool:
+        """Return whether obstacles close tiles near a line."""
+        barred = self.site.read(window_around(self.site, line, _NEAR_TILES), ()).barred
+        return bool(np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any())
 
+    def _tile_line(self, ground: Ground, start: Floats, goal: Floats) -> Floats | None:
+        """Return the cheapest line over whole tiles, (m, 2) easting and northing, m."""
         window = self.site.window
         ends = (self.place(point, window) for point in (start, goal))
+        load = partial(ground.on_tiles, through=False)
         found = plan_way(load, window, *ends, margin=self.margin, memory_tiles=self.memory_tiles)
         if found is None:
             return None
         east, north = window.col + found.line[:, 1], window.row + window.rows - found.line[:, 0]
         line = np.column_stack([east, north]) * self.site.grid.tile_size
         line[0], line[-1] = start, goal
-        return steer_clear(self.site, line, load, self.reach_m)
+        return line
 
     def line(self, start: Floats, goal: Floats) -> Floats | None:
         """Plan the cheapest line between two points, (m, 2) easting and northing, m; None if there is none."""
         return self._leg(start, goal, None, None)
-
-    def touches_obstacle(self, point: Floats) -> bool:
-        """Return whether the vehicle would touch an obstacle if it stood at a point (easting, northing)."""
-        return len(find_near_obstacles(self.site, np.array([point, point]), self.reach_m).tiles) > 0
 
     def at(self, place: Floats, window: TileWindow) -> Floats:
         """Convert rows from the north edge and columns from the west edge of a window to easting and northing, m."""
@@ -241,9 +239,3 @@ def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:
     inside = (row >= 0) & (row < window.rows) & (col >= 0) & (col < window.cols)
     mask[row[inside], col[inside]] = True
     return mask
-
-
-def _without(tiles: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the tiles that are not among others."""
-    known = (tiles[:, None] == others).all(axis=2).any(axis=1)
-    return np.asarray(tiles[~known])

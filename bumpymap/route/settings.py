@@ -26,6 +26,9 @@ class CostSettings:
     allow_outside: bool = False
     """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
 
+    through_obstacles: bool = False
+    """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
+
     def __post_init__(self) -> None:
         _number("risk", self.risk, 0.0, _MOST_COST)
         _number("unknown", self.unknown, 1.0, _MOST_COST)

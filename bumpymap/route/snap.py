@@ -11,12 +11,14 @@ from bumpymap.layers import RouteMap
 from bumpymap.route.places import GridPoint, place_in_window
 from bumpytiles import TileWindow
 
-__all__ = ["NearestPoint", "nearest_usable", "usable_point"]
+__all__ = ["NearestPoint", "nearest_usable", "place_text", "usable_point"]
 
 _MARGIN = 0.25
 """Default distance of a found point from the sides of its tile, in tiles."""
+_ALWAYS_M = 1.0
+"""A point that is no farther from where the vehicle fits is moved there without being asked, m."""
 _FIRST_REACH = 8
-"""Tiles around a point that are examined first."""
+"""Cells around a point that are examined first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,39 +94,43 @@ def usable_point(
     snap_m: float = 0.0,
     margin: float = _MARGIN,
 ) -> GridPoint:
-    """Return a point itself if its tile is open, else the nearest that can be used if it is near enough.
+    """Return a point itself if the vehicle can stand there, else the nearest where it can, if that is near enough.
 
     Parameters
     ----------
     route_map : RouteMap
     field : TileField
         A window around the point.
-    cost : float32 (rows, cols)
-        Of that window, infinite where closed.
+    cost : float32 (rows * k, cols * k)
+        Of the cells of that window, k along each side of a tile, infinite where closed.
     point : GridPoint
     name : str
         How a message calls the point.
     snap_m : float
-        Greatest distance to a point that is taken in the place of the given one, m.
+        Greatest distance to a point that is taken in the place of the given one, m. Up to 1 m is always taken.
     margin : float
-        Distance of that point from the sides of its tile, tiles.
+        Distance of that point from the sides of its cell, cells.
 
     Raises
     ------
     BadInputError
-        The tile is closed, and nothing can be used within ``snap_m``: why, and where the nearest usable point is.
+        The cell is closed, and nothing can be used within ``snap_m``: why, and where the nearest usable point is.
     """
-    size, window = field.grid.tile_size, field.window
-    row, col = place_in_window(point, field.grid, window)
+    window, cells = field.window, len(cost) // field.window.rows
+    size = field.grid.tile_size / cells
+    row, col = (cells * at for at in place_in_window(point, field.grid, window))
     found = nearest_usable(np.isfinite(cost), row, col, margin=margin)
     if found is not None and found.distance == 0.0:
         return point
     near = None
     if found is not None:
-        near = GridPoint((window.col + found.col) * size, (window.row + window.rows - found.row) * size)
-        if found.distance * size <= snap_m:
+        west, north = window.col * field.grid.tile_size, (window.row + window.rows) * field.grid.tile_size
+        near = GridPoint(west + found.col * size, north - found.row * size)
+        if found.distance * size <= max(snap_m, _ALWAYS_M):
             return near
-    raise BadInputError(f"{name} lies on {_closed_by(field, row, col)}. {_remedy(route_map, point, near, window)}")
+    raise BadInputError(
+        f"{name} lies on {_closed_by(field, row / cells, col / cells)}. {_remedy(route_map, point, near, window)}"
+    )
 
 
 def _closed_by(field: TileField, row: float, col: float) -> str:
@@ -134,8 +140,11 @@ def _closed_by(field: TileField, row: float, col: float) -> str:
     code = int(field.barred[i, j]) if 0 <= i < rows and 0 <= j < cols else NO_TILE
     if code == NO_TILE:
         return "a tile without points, of which nothing is known"
-    if code == Barred.NO:
-        return "a tile that `avoid` or `only` closes"
+    if code in {Barred.NO, Barred.SPLIT}:
+        return (
+            "ground that is closed: the vehicle does not fit beside an obstacle or other closed ground, or `avoid` or "
+            "`only` closes it"
+        )
     if code == Barred.UNKNOWN:
         return "unknown ground; `unknown=COST` lets a way cross unknown ground at that cost per metre"
     return f"a tile that is not passable ({BARRED_TEXT[Barred(code)]})"
@@ -147,13 +156,16 @@ def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, windo
         width, height = (side * route_map.grid.tile_size for side in (window.cols, window.rows))
         return f"No tile in the {width:,.0f} m x {height:,.0f} m around it can be used: choose another point"
     distance = math.dist(point, near)
-    if route_map.has_crs:
-        longitude, latitude = route_map.to_lonlat(*near)
-        where = f"{longitude:.7f},{latitude:.7f} (longitude, latitude)"
-    else:
-        x, y = route_map.to_crs(*near)
-        where = f"crs:{x:.2f},{y:.2f}"
     return (
-        f"The nearest point that can be used is {distance:.1f} m away, at {where}: give that one, or "
-        f"`snap={math.ceil(distance)}` to take it"
+        f"The nearest point that can be used is {distance:.1f} m away, at {place_text(route_map, near)}: give that "
+        f"one, or `snap={math.ceil(distance)}` to take it"
     )
+
+
+def place_text(route_map: RouteMap, point: "GridPoint | NDArray[np.float64]") -> str:
+    """Write a point (easting, northing, m) as an option of the command takes it."""
+    if route_map.has_crs:
+        longitude, latitude = route_map.to_lonlat(float(point[0]), float(point[1]))
+        return f"{longitude:.7f},{latitude:.7f} (longitude, latitude)"
+    x, y = route_map.to_crs(float(point[0]), float(point[1]))
+    return f"crs:{x:.2f},{y:.2f}"

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import read_points
+from bumpymap.route.ground import Ground
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import window_within
@@ -18,8 +19,8 @@ from bumpymap.route.snap import nearest_usable, usable_point
 
 __all__ = ["Stops", "find_stops"]
 
-_LOOK_M = 150.0
-"""How far a message looks for ground that can be used, m."""
+_NEAR_M, _LOOK_M = 30.0, 150.0
+"""How far from a point ground that can be used is looked for: first, and for a message, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +57,9 @@ def find_stops(planner: Planner, config: RouteConfig, compared: Path | None = No
     vehicle = planner.site.vehicle.name
     where, of = ("", "") if compared is None else (f"in {compared} ({vehicle}), ", f"{vehicle}: ")
     named = _named(planner, config)
-    points = [_usable(planner, where + name, point, config.snap) for name, point in named]
+    points = [
+        _usable(planner, where + name, point, config.snap, on_pixels=not config.is_reach) for name, point in named
+    ]
     names, notes = [], []
     for (name, point), used in zip(named, points, strict=True):
         if used == point:
@@ -88,18 +91,28 @@ def _named(planner: Planner, config: RouteConfig) -> list[tuple[str, GridPoint]]
     ]
 
 
-def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float) -> GridPoint:
-    """Return a point, or the nearest one on ground that can be used. Raises BadInputError if that is too far."""
+def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float, *, on_pixels: bool) -> GridPoint:
+    """Return a point, or the nearest one on ground that can be used. Raises BadInputError if that is too far.
+
+    A way needs a pixel on which the vehicle fits; what can be reached is searched on whole tiles.
+    """
     site, size = planner.site, planner.site.grid.tile_size
-    reach, most = (math.ceil(metres / size) + 1 for metres in (_LOOK_M, max(snap_m, _LOOK_M)))
+    cells, margin = (site.grid.pixels, 0.5) if on_pixels else (1, planner.margin)
+    reach, most = (math.ceil(metres / size) + 1 for metres in (_NEAR_M, max(snap_m, _LOOK_M)))
     while True:
         window = window_within(site.window, np.array(point) / size, reach)
-        field = site.read(window, planner.bands)
-        cost = planner.cost(field)
-        found = nearest_usable(np.isfinite(cost), *place_in_window(point, site.grid, window), margin=planner.margin)
-        too_many = 4 * window.cols * window.rows > planner.memory_tiles
+        cost = Ground(planner).on_pixels(window) if on_pixels else planner.load(window)
+        place = (cells * at for at in place_in_window(point, site.grid, window))
+        found = nearest_usable(np.isfinite(cost), *place, margin=margin)
+        too_many = 4 * window.cols * window.rows * cells**2 > planner.memory_tiles
         # What lies outside the window is at least ``reach`` away.
-        if (found is not None and found.distance <= reach) or reach >= most or window == site.window or too_many:
+        if (
+            (found is not None and found.distance <= reach * cells)
+            or reach >= most
+            or window == site.window
+            or too_many
+        ):
             break
         reach = min(2 * reach, most)
-    return usable_point(site, field, cost, point, name=name, snap_m=snap_m, margin=planner.margin)
+    field = site.read(window, planner.bands)
+    return usable_point(site, field, cost, point, name=name, snap_m=snap_m, margin=margin)

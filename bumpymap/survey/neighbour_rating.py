@@ -1,4 +1,4 @@
-"""What the neighbours of a tile change: the step of `bumpymap.survey.second_pass` that a run applies to every block."""
+"""Changes of a tile by its neighbours: the steps of `bumpymap.survey.second_pass`, applied to every block of a run."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -27,11 +27,13 @@ from bumpymap.rating import (
     Calibration,
     TileSteps,
     apply_steps,
+    close_split_tiles,
     crossing_fails,
     dense_share,
     edge_usable,
     find_passable,
     find_steps,
+    free_areas,
     is_rateable,
     motion_felt,
     rate_thin,
@@ -41,7 +43,7 @@ from bumpymap.survey.second_pass import RING, NeighbourWindow
 from bumpymap.survey.tile_rating import RatingModels
 from bumpytiles import Column, Grid
 
-__all__ = ["NeighbourRating"]
+__all__ = ["NeighbourRating", "SplitClosing"]
 
 Columns = dict[str, NDArray[Any]]
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
@@ -105,7 +107,7 @@ class NeighbourRating:
             {name: own[name] for name in (*_RATED, "obstacle", *self._motion)}
             | dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
-            | {"objects": objects}
+            | {"objects": objects, "passage": np.zeros_like(objects)}
         )
 
     def __call__(self, window: NeighbourWindow) -> Columns:
@@ -126,13 +128,18 @@ class NeighbourRating:
             barred = self._sweep(own, known, objects, steps)
         else:
             barred = self.calibration.cost_rule.barred(own)
+        areas = free_areas(objects, barred, self.calibration.body, self.grid.tile_size)
         states = self._inner(objects)
         obstacle = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         return (
             {name: own[name] for name in _RATED}
             | _by_side(steps)
             | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
-            | {"objects": states, "obstacle": np.where(np.isnan(own["obstacle"]), np.float32(np.nan), obstacle)}
+            | {
+                "objects": states,
+                "passage": areas,
+                "obstacle": np.where(np.isnan(own["obstacle"]), np.float32(np.nan), obstacle),
+            }
             | {name: self._felt(window.inner(name), own["c_r"]) for name in self._motion}
         )
 
@@ -175,6 +182,39 @@ class NeighbourRating:
         tiles = len(mosaic) // px
         apart = mosaic.reshape(tiles, px, tiles, px).swapaxes(1, 2)
         return apart[RING:-RING, RING:-RING]
+
+
+@dataclass(frozen=True, slots=True)
+class SplitClosing:
+    """Bars the tiles of a block that obstacles split, from the results of `NeighbourRating` around them."""
+
+    grid: Grid
+    calibration: Calibration
+    compat: Compat
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns that it reads, and returns again."""
+        return ("barred", "passable", "passage")
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns that it returns."""
+        return tuple(column for column in neighbour_columns(self.grid.pixels) if column.name in self.needs)
+
+    def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
+        """Return the columns of n tiles of a block if the vehicle fits nowhere in them; else None."""
+        return None if own["passage"].any() else {name: own[name] for name in self.needs}
+
+    def __call__(self, window: NeighbourWindow) -> Columns:
+        """Return the columns of the inner tiles."""
+        missing = ~window.present
+        areas, barred = window["passage"].copy(), window["barred"].copy()
+        areas[missing], barred[missing] = 0, Barred.UNKNOWN
+        closed, areas = close_split_tiles(areas, barred, self.calibration.body, self.grid.tile_size)
+        if self.compat != "none":
+            closed = window.inner("barred")
+        return {"barred": closed, "passable": (closed == Barred.NO).astype(np.uint8), "passage": areas}
 
 
 def _first(window: NeighbourWindow) -> BlockRating:

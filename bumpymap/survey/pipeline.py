@@ -35,7 +35,7 @@ from bumpymap.survey.engine import (
     with_memory,
 )
 from bumpymap.survey.inputs import SurveyInputs
-from bumpymap.survey.neighbour_rating import NeighbourRating
+from bumpymap.survey.neighbour_rating import NeighbourRating, SplitClosing
 from bumpymap.survey.result import MapResult, collected_warnings
 from bumpymap.survey.run_record import describe_run, earlier_result, run_manifest, versions
 from bumpymap.survey.second_pass import add_neighbours
@@ -99,6 +99,8 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
+            closing = SplitClosing(grid, models.calibration, config.compat)
+            tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, progress, "split")
         table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(recorded, inputs, run_spec, measured, models, clock.seconds, lines, warnings)

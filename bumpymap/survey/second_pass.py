@@ -79,9 +79,11 @@ class NeighbourRater(Protocol):
 
 
 def add_neighbours(
-    table: TileTable, rating: NeighbourRater, folder: Path, threads: int, progress: Progress
+    table: TileTable, rating: NeighbourRater, folder: Path, threads: int, progress: Progress, kind: str = "neighbours"
 ) -> TileTable:  # fmt: skip
     """Rate all tiles with their neighbours; return the table with the new columns, whose packs are in ``folder``.
+
+    The packs are named after ``kind``, which differs where one table is rated again.
 
     Raises
     ------
@@ -90,7 +92,7 @@ def add_neighbours(
     """
     keys = sorted(table.pack_of)
     progress.start("comparing neighbours", len(keys))
-    sink = TileSink(folder, "neighbours", rating.columns)
+    sink = TileSink(folder, kind, rating.columns)
     blocks = _Blocks(table, rating.needs)
     for rated in run_blocks(lambda group: _rate_group(blocks, rating, group), _groups(table, keys), threads):
         for key, columns in rated:

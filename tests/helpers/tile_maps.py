@@ -4,8 +4,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from pyproj import CRS
+from scipy.ndimage import distance_transform_edt
 
-from bumpymap.core import NO_TILE, OBSTACLE, CostRule, Georeference, RouteVehicle, TileField
+from bumpymap.core import NO_TILE, OBSTACLE, Barred, CostRule, Georeference, RouteVehicle, TileField
 from bumpytiles import Grid, TileWindow
 
 GRID = Grid()
@@ -85,6 +86,20 @@ class TileMap:
             if 0 <= row < out.shape[0] and 0 <= col < out.shape[1]:
                 out[row, col] = OBSTACLE
         return out
+
+    def passage(self, window):
+        """Pixels where the vehicle fits: 0.1 m and half its width from obstacles and tiles that their ground bars."""
+        pixels, reach = self.grid.pixels, (0.5 * self.vehicle.width_m + 0.1) / self.grid.pixel_size
+        ring = 2
+        wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+        by_ground = ~np.isin(self._cut(self.barred, wide, NO_TILE), (Barred.NO, Barred.OBSTACLE, Barred.SPLIT))
+        by_ground = np.repeat(np.repeat(by_ground, pixels, 0), pixels, 1)
+        free = np.ones(by_ground.shape, bool)
+        for closed, near in ((self.objects(wide) == OBSTACLE, reach), (by_ground, min(reach, 0.45 * pixels) + 0.5)):
+            if closed.any():
+                free &= distance_transform_edt(~closed) >= near
+        inner = slice(ring * pixels, -ring * pixels)
+        return free[inner, inner]
 
     def heights(self, window):
         pixel = self.grid.tile_size / self.grid.pixels

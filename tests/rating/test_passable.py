@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from bumpymap.core.types import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, Barred, VehicleBody
-from bumpymap.rating.passable import find_passable, settle_objects
+from bumpymap.rating.passable import close_split_tiles, find_passable, free_areas, settle_objects
 
 PIXELS = 15
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.0, brush_stem_m=0.25)  # with margins 1.2 m: 6 pixels
@@ -171,3 +171,66 @@ def test_random_obstacles_bar_as_distances_and_regions_tell(width):
         blocked = not (touched.sum(axis=1) >= least).any()
         reason = Barred.OBSTACLE if near[part].any() else Barred.UNKNOWN
         assert found[row, col] == (Barred.NO if passes.any() else reason if blocked else Barred.STEP)
+
+
+def random_mosaic(rng, tiles):
+    """Obstacles of all sizes on a mosaic: dots, and thin walls in any direction."""
+    side = tiles * PIXELS
+    objects = np.full((side, side), FREE, np.uint8)
+    objects[rng.random((side, side)) < 0.002] = OBSTACLE
+    for _ in range(tiles):
+        r, c, angle, length = *rng.uniform(0, side, 2), rng.uniform(0, np.pi), rng.uniform(5, 60)
+        along = np.arange(0, length, 0.4)
+        row, col = (r + along * np.sin(angle)).astype(int), (c + along * np.cos(angle)).astype(int)
+        kept = (row >= 0) & (row < side) & (col >= 0) & (col < side)
+        objects[row[kept], col[kept]] = OBSTACLE
+    return objects
+
+
+def passage(objects, by_ground):
+    """Barred and areas of the tiles of a mosaic without its two outermost."""
+    alone = by_ground[1:-1, 1:-1]
+    edges = np.ones((*alone.shape, 4), bool)
+    barred = find_passable(objects, alone, edges, BODY, 3.0)
+    return *close_split_tiles(free_areas(objects, barred, BODY, 3.0), barred, BODY, 3.0), barred
+
+
+def distances(marked):
+    """From the middle of each pixel to that of the nearest marked one, px; those of the tiles two from the rim."""
+    inner = slice(2 * PIXELS, -2 * PIXELS)
+    return ndimage.distance_transform_edt(~marked)[inner, inner]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_steps_between_passable_tiles_are_ways_on_pixels(seed):
+    rng = np.random.default_rng(seed)
+    tiles = 12
+    objects = random_mosaic(rng, tiles)
+    by_ground = np.where(rng.random((tiles, tiles)) < 0.1, Barred.FAILS, Barred.NO).astype(np.uint8)
+    barred, areas, _ = passage(objects, by_ground)
+    free = distances(objects == OBSTACLE) >= 3.0
+    ground = distances(np.repeat(np.repeat(by_ground != Barred.NO, PIXELS, 0), PIXELS, 1))
+    found = areas.swapaxes(1, 2).reshape(free.shape) > 0
+    assert not (found & ~(free & (ground >= 3.0))).any()
+    assert found[free & (ground >= 4.0)].all()
+    assert (barred == Barred.SPLIT).any()
+    # The pieces in which passable tiles hang together lie each in one piece of free pixels around them.
+    pieces, count = ndimage.label(barred == Barred.NO, np.ones((3, 3)))
+    around, _ = ndimage.label(free)
+    for piece in range(1, count + 1):
+        largest = []
+        for row, col in np.argwhere(pieces == piece):
+            tile = around[row * PIXELS : (row + 1) * PIXELS, col * PIXELS : (col + 1) * PIXELS]
+            largest.append(np.bincount(tile[tile > 0]).argmax())
+        assert len(set(largest)) == 1
+
+
+def test_areas_are_numbered_by_size_within_each_tile():
+    inner = free(5)
+    inner[:, 2 * PIXELS + 9] = OBSTACLE  # a wall through the tile in the middle, off its middle
+    by_ground = np.zeros((5, 5), np.uint8)
+    barred, areas, before = passage(inner, by_ground)
+    assert only(areas.max(axis=(2, 3))) == 2
+    assert (areas == 1).sum() > (areas == 2).sum() > 0
+    assert only(before[1:-1, 1:-1]) == Barred.NO
+    assert only(barred) == Barred.SPLIT

@@ -14,7 +14,9 @@ def made_field(rows=600, cols=40, seed=1):
     """Random tiles of every kind; more rows than are computed at once."""
     rng = np.random.default_rng(seed)
     place = bare_map(TileWindow(160_000, 712_000, cols, rows))
-    barred = rng.choice([*Barred, NO_TILE], (rows, cols), p=[0.5, 0.2, 0.05, 0.05, 0.05, 0.05, 0.1]).astype(np.uint8)
+    barred = rng.choice([*Barred, NO_TILE], (rows, cols), p=[0.5, 0.2, 0.05, 0.05, 0.05, 0.05, 0.05, 0.05]).astype(
+        np.uint8
+    )
     low, middle, high = np.sort(rng.gamma(2.0, 0.1, (3, rows, cols)).astype(np.float32), axis=0)
     p_fail = (rng.random(barred.shape) * 0.5).astype(np.float32)
     obstacle = np.where(rng.random(barred.shape) < 0.3, rng.random(barred.shape), 0.0).astype(np.float32)

@@ -114,31 +114,41 @@ def test_a_stone_on_the_line_is_passed_beside_its_tile():
     assert 1.0 < way.measured.figures.detour < 1.05
 
 
-def test_where_every_way_touches_an_obstacle_the_figures_say_so():
+def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_for():
     barred = np.full((9, 20), Barred.SLOPE)
     barred[4] = Barred.NO
     site = TileMap(np.full((9, 20), 0.1), barred)
     site.stones = [tuple(site.at(4.5, 10.5))]
-    plan = planner(site)
-    way = plan.way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)]))
-    assert way.measured.figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
+    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
+    assert planner(site).way(stops) is None
+    plan = planner(site, through_obstacles=True)
+    figures = plan.way(stops).measured.figures
+    assert figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
+    assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard) * 0.5**figures.obstacle_m)
 
 
-def test_a_way_of_no_length_beside_an_obstacle_stays_there():
+def test_a_wall_between_passable_tiles_is_not_crossed_and_its_gap_is_found():
+    site = TileMap(np.full((20, 20), 0.1))
+    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
+    line = np.arange(south + 0.1, north, 0.2)
+    wall = site.at(0, 10)[0] + 0.1
+    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
+    site.stones = [(wall, y) for y in line]
+    assert planner(site).way(stops) is None
+    site.stones = [(wall, y) for y in line if abs(y - site.at(2.2, 10)[1]) > 1.0]
+    way = planner(site).way(stops)
+    gap = site.at(2.2, 10)[1]
+    crossing = np.interp(wall, *way.line.T)
+    assert abs(crossing - gap) < 0.4
+    site.stones = [(wall, y) for y in line if abs(y - gap) > 0.6]
+    assert planner(site).way(stops) is None
+
+
+def test_a_way_of_no_length_stays_there():
     site = TileMap(np.full((9, 20), 0.1))
-    site.stones = [tuple(site.at(4.5, 2.4))]
     figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).measured.figures
     assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
     assert str(figures.descent_m) == "0.0"
-
-
-def test_a_start_beside_an_obstacle_is_left():
-    site = TileMap(np.full((9, 20), 0.1))
-    stops = np.array([site.at(4.5, 2.5), site.at(4.5, 17.5)])
-    site.stones = [tuple(site.at(4.5, 2.4))]
-    figures = planner(site).way(stops).measured.figures
-    assert figures.detour == pytest.approx(1.0, abs=1e-6)
-    assert 0.0 < figures.obstacle_m < 3.0
 
 
 def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():

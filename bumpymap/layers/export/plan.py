@@ -37,13 +37,15 @@ class Mission:
     speed_mps: float
 
 
-def read_route_line(path: Path) -> NDArray[np.float64]:
+def read_route_line(path: Path, *, through_obstacles: bool = False) -> NDArray[np.float64]:
     """Read the first line of a route file.
 
     Parameters
     ----------
     path : Path
         GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``.
+    through_obstacles : bool
+        Read a route that touches obstacles (its property ``obstacle_m``) too.
 
     Returns
     -------
@@ -53,36 +55,44 @@ def read_route_line(path: Path) -> NDArray[np.float64]:
     Raises
     ------
     BadInputError
-        The file cannot be read, or holds no such line.
+        The file cannot be read, or holds no such line, or one that touches obstacles.
     """
     try:
         size = path.stat().st_size
         if size > _MOST_BYTES:
             raise BadInputError(f"{path} has {size:,} bytes; a route has {_MOST_BYTES:,} at most. Give a route file")
         record = parse_json(path.read_text(encoding="utf-8"))
-        corners = np.array(_first_line(record), np.float64)[:, :2]
+        line, about = _first_line(record)
+        corners = np.array(line, np.float64)[:, :2]
+        touched = float((about or {}).get("obstacle_m") or 0.0)
     except (OSError, ValueError, LookupError, TypeError) as error:
         raise BadInputError(
             f"cannot read a route from {path}: {error}. Give a GeoJSON file with a line, such as the route.geojson "
             "that `bumpymap route` writes"
         ) from error
+    if touched > 0.0 and not through_obstacles:
+        raise BadInputError(
+            f"the route in {path} touches obstacles on {touched:.1f} m. Plan one that does not, or pass "
+            "`through_obstacles=True` here too"
+        )
     longitude, latitude = corners.T
     if len(corners) < 2 or not (np.abs(longitude) <= 180.0).all() or not (np.abs(latitude) <= 90.0).all():
         raise BadInputError(f"the line in {path} is not one of two or more points in longitude and latitude (degrees)")
     return corners
 
 
-def _first_line(record: Any) -> list[Any]:
-    """Return the positions of the first line of a GeoJSON object; of a line in parts, one after the other."""
+def _first_line(record: Any) -> tuple[list[Any], Any]:
+    """Return the positions of the first line of a GeoJSON object, parts one after the other, and its properties."""
     if not isinstance(record, dict) or "type" not in record:
         raise LookupError("it is no GeoJSON")
     features = record["features"] if record["type"] == "FeatureCollection" else [record]
     for feature in features:
         geometry = feature["geometry"] if feature["type"] == "Feature" else feature
         if geometry is not None and geometry["type"] == "LineString":
-            return [position[:2] for position in geometry["coordinates"]]
+            return [position[:2] for position in geometry["coordinates"]], feature.get("properties")
         if geometry is not None and geometry["type"] == "MultiLineString":
-            return [position[:2] for part in geometry["coordinates"] for position in part]
+            line = [position[:2] for part in geometry["coordinates"] for position in part]
+            return line, feature.get("properties")
     raise LookupError("it holds no line")
 
 

@@ -29,6 +29,7 @@ EXPORT_FILES: dict[str, tuple[str, ...]] = {
     "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
     "graph": ("graph.geojson", DATUM_NAME),
     "plan": ("route.plan", DATUM_NAME),
+    "cost": ("cost.tif", DATUM_NAME),
 }
 """Files of an export, by format."""
 

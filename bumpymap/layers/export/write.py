@@ -10,6 +10,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageError
 from bumpymap.layers.export.area import ExportArea, ExportPoint, choose_area
+from bumpymap.layers.export.cost import write_pixel_cost
 from bumpymap.layers.export.graph import make_graph, write_graph
 from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.layers.export.lattice import SQUARES
@@ -47,6 +48,8 @@ class ExportSettings:
     """graph: side of the largest squares of tiles with one node each: 1, 3, 9 or 27; else by the size of the area."""
     route: Path | None = None
     """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
+    through_obstacles: bool = False
+    """plan: take a route that touches obstacles too."""
 
     def __post_init__(self) -> None:
         for name, allowed in (("to", get_args(ExportFormat)), ("resolution", get_args(ExportResolution))):
@@ -120,7 +123,7 @@ def _point(place: tuple[float, float] | None) -> ExportPoint | None:
 
 def _split(route_map: RouteMap, settings: ExportSettings) -> int:
     by_pixels = settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"}
-    return route_map.grid.pixels if by_pixels else 1
+    return route_map.grid.pixels if by_pixels or settings.to == "cost" else 1
 
 
 def _sources(route_map: RouteMap) -> dict[str, Any]:
@@ -155,7 +158,7 @@ def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
         raise BadInputError(
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    mission = make_mission(area.route_map, read_route_line(path))
+    mission = make_mission(area.route_map, read_route_line(path, through_obstacles=settings.through_obstacles))
     return lambda folder: write_plan(folder, mission)
 
 
@@ -164,4 +167,5 @@ _MAKERS: dict[str, Callable[[ExportArea, ExportSettings], _Writer]] = {
     "gridmap": _gridmap,
     "graph": _graph,
     "plan": _plan,
+    "cost": lambda area, _: lambda folder: write_pixel_cost(folder, area),
 }

@@ -34,6 +34,7 @@ _ABOVE = (
             ProjectLayer("barred.tif", "barred"),
             ProjectLayer("reason.tif", "reason for no class", MULTIPLY, visible=True),
             ProjectLayer("obstacle.tif", "obstacles"),
+            ProjectLayer("passage.tif", "where the vehicle fits"),
         ),
         expanded=False,
     ),

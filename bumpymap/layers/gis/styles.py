@@ -6,7 +6,15 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from bumpymap.core import BANDS, BARRED_TEXT, FAIL_SHARE, OBJECT_NAMES, REASON_TEXT, Barred, Reason, speed_bands
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, COST_COLOURS, OBJECT_COLOURS, REASON_COLOURS
+from bumpymap.layers.colours import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    COST_COLOURS,
+    OBJECT_COLOURS,
+    PASSAGE_COLOURS,
+    PASSAGE_NAMES,
+    REASON_COLOURS,
+)
 from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.raster_style import NORMAL, Colour, RasterStyle, hillshade, paletted, ramp
 from bumpymap.layers.gis.vector_style import REGION_KIND, TILE_KIND, class_areas
@@ -28,6 +36,7 @@ _FILES: dict[str, tuple[str, ...]] = {
     "cost.qml": ("cost.tif", "cost.fgb", "cost.geojson"),
     "barred.qml": ("barred.tif",),
     "obstacle.qml": ("obstacle.tif",),
+    "passage.qml": ("passage.tif",),
     "heightmap.qml": ("heightmap.tif",),
     "relief.qml": ("relief.tif",),
     "speeds.qml": ("speeds.tif",),
@@ -132,6 +141,7 @@ _RASTERS: dict[str, Callable[[StyleFacts], RasterStyle]] = {
     "barred.tif": lambda _: _barred(),
     "reason.tif": lambda _: _reason(),
     "obstacle.tif": lambda _: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
+    "passage.tif": lambda _: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
     "heightmap.tif": lambda facts: hillshade(facts.z_factor),
     "relief.tif": lambda facts: hillshade(facts.z_factor),
 }

@@ -89,6 +89,7 @@ _WHY = {
     BARRED_TEXT[Barred.SLOPE]: "steeper than the vehicle may drive",
     BARRED_TEXT[Barred.FAILS]: "at least half of the simulated drives rolled over or got stuck",
     BARRED_TEXT[Barred.STEP]: "a step to or in the tile that the vehicle cannot climb",
+    BARRED_TEXT[Barred.SPLIT]: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
 }
 _ALONE = (BARRED_TEXT[Barred.NO], BARRED_TEXT[Barred.UNKNOWN], "not known")
 _REASONS = {

@@ -1,0 +1,167 @@
+"""The ground of a map as a route sees it: what a metre costs on each tile, and on each pixel where the vehicle fits."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from bumpymap.core import OBSTACLE, Barred, TileField
+from bumpymap.layers import RouteMap
+from bumpymap.route._window import BYTES_PER_TILE
+from bumpymap.route.line import is_clear
+from bumpytiles import TileWindow
+
+if TYPE_CHECKING:
+    from bumpymap.route.planner import Planner, WornTiles
+
+__all__ = ["PIXEL_MARGIN", "Ground", "stretches", "window_around"]
+
+Floats = NDArray[np.float64]
+
+PIXEL_MARGIN = 0.2
+"""Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
+_TOUCHING = 100.0
+"""Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
+_STRETCH_TILES = 48
+"""Longest stretch of a line that is looked at together, tiles."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ground:
+    """Costs of a map for one search.
+
+    Parameters
+    ----------
+    planner : Planner
+    risk : float, optional
+        Weight of the hazard, m; None: that of the settings.
+    worn : WornTiles, optional
+        Tiles that are dearer.
+    touching : bool
+        Whether obstacles may be touched, at a hundred times the cost.
+    """
+
+    planner: "Planner"
+    risk: float | None = None
+    worn: "WornTiles | None" = None
+    touching: bool = False
+
+    @property
+    def site(self) -> RouteMap:
+        """The map."""
+        return self.planner.site
+
+    @property
+    def memory_bytes(self) -> int:
+        """Memory that a search may use."""
+        return self.planner.memory_tiles * BYTES_PER_TILE
+
+    def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
+        """Return the cost per metre of each tile, (rows, cols), infinite where closed.
+
+        Unless ``through``, tiles are closed that obstacles close for what reads tiles alone.
+        """
+        return self.of_field(self.site.read(window, self.planner.bands), through=through)
+
+    def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
+        """Return the same for tiles that have been read."""
+        cost = self.planner.cost(tiles, self.risk, through=through or self.touching)
+        if self.touching and not through:
+            cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= _TOUCHING
+        if self.worn is not None:
+            cost *= self.worn.factors(tiles.window)
+        return cost
+
+    def on_pixels(self, window: TileWindow) -> NDArray[np.float32]:
+        """Return the cost per metre on each pixel, (rows * pixels, cols * pixels); inf where the vehicle cannot be."""
+        cost, pixels = self.on_tiles(window), self.site.grid.pixels
+        out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
+        free = self._free(window, np.isinf(out))
+        if self.touching:
+            out[~free] *= np.float32(_TOUCHING)
+        else:
+            out[~free] = np.inf
+        return out
+
+    def _free(self, window: TileWindow, closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return where the middle of the vehicle can be; ``closed`` are pixels of closed tiles.
+
+        passage.tif knows neither areas to avoid nor that unknown ground may be crossed: then distances are measured.
+        """
+        planner, pixel = self.planner, self.site.grid.pixel_size
+        crosses_unknown = planner.settings.unknown is not None
+        free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
+        reach = planner.reach_m / pixel
+        if crosses_unknown:
+            free &= _apart(self.site.objects(window) == OBSTACLE, reach)
+        if crosses_unknown or planner.has_areas:
+            free &= _apart(closed, min(reach, planner.margin * self.site.grid.pixels) + 0.5)
+        return free
+
+    def in_window(self, points: Floats, window: TileWindow) -> Floats:
+        """Convert easting and northing [m], (n, 2), to rows and columns of pixels from the corner of a window."""
+        pixel = points / self.site.grid.tile_size
+        return (
+            np.column_stack([window.row + window.rows - pixel[:, 1], pixel[:, 0] - window.col]) * self.site.grid.pixels
+        )
+
+    def on_grid(self, places: Floats, window: TileWindow) -> Floats:
+        """Convert rows and columns of pixels from the corner of a window to easting and northing, m, (n, 2)."""
+        tiles = places / self.site.grid.pixels
+        return (
+            np.column_stack([window.col + tiles[:, 1], window.row + window.rows - tiles[:, 0]])
+            * self.site.grid.tile_size
+        )
+
+    def is_clear(self, line: Floats) -> bool:
+        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing, m."""
+        for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
+            window = window_around(self.site, part, 1)
+            if not is_clear(self.on_pixels(window), self.in_window(part, window), PIXEL_MARGIN):
+                return False
+        return True
+
+    def clear_at(self, points: Floats) -> NDArray[np.bool_]:
+        """Say at which points, (n, 2) along a line, the vehicle fits."""
+        clear = np.empty(len(points), np.bool_)
+        first = 0
+        for part in stretches(points, _STRETCH_TILES * self.site.grid.tile_size):
+            window = window_around(self.site, part, 1)
+            place = np.floor(self.in_window(part, window)).astype(np.int64)
+            last = first + len(part)
+            clear[first:last] = np.isfinite(self.on_pixels(window)[place[:, 0], place[:, 1]])
+            first = last - 1
+        return clear
+
+
+def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
+    """Return which pixels are at least ``reach`` [px] from every marked one, between their middles."""
+    if not marked.any():
+        return np.ones(marked.shape, np.bool_)
+    return np.asarray(distance_transform_edt(~marked) >= reach)
+
+
+def window_around(site: RouteMap, line: Floats, ring: int) -> TileWindow:
+    """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
+    inner = TileWindow.around(site.grid.index(line[:, 0]), site.grid.index(line[:, 1]))
+    return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)
+
+
+def stretches(line: Floats, longest: float) -> Iterator[Floats]:
+    """Yield a line in parts, each at most ``longest`` in easting and northing; consecutive parts share a point."""
+    points = [line[:1]]
+    for start, stop in pairwise(line):
+        count = max(1, math.ceil(float(np.abs(stop - start).max()) / longest))
+        points.append(start + (stop - start) * (np.arange(1, count + 1) / count)[:, None])
+        points[-1][-1] = stop
+    whole = np.concatenate(points)
+    first = 0
+    for last in range(1, len(whole)):
+        if last + 1 == len(whole) or (np.ptp(whole[first : last + 2], axis=0) > longest).any():
+            yield whole[first : last + 1]
+            first = last

@@ -1,0 +1,233 @@
+"""Search over the areas of tiles: ways through tiles that obstacles split, which a search over tiles does not know.
+
+passage.tif numbers the areas of each tile in which the middle of the vehicle can move. They are the nodes of a graph;
+where pixels of two areas touch across the border of their tiles is an arc. So there is a path in the graph exactly
+where there is a way on pixels. Nodes that are two or three arcs apart are joined straight as well, so that a path is
+not as long as the steps of a staircase. The way is then searched on the pixels of all tiles that lie on a path which
+costs little more than the cheapest.
+"""
+
+import math
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph
+
+from bumpymap.route.ground import PIXEL_MARGIN
+from bumpymap.route.search import find_way
+from bumpytiles import TileWindow
+
+if TYPE_CHECKING:
+    from bumpymap.route.ground import Ground
+
+__all__ = ["LEAST_SAVING_M", "way_over_areas"]
+
+Floats = NDArray[np.float64]
+
+LEAST_SAVING_M = 0.003
+"""What a corner of a line on pixels saves at least, m of level ground."""
+_PAD_TILES, _PAD_SHARE = 24, 0.25
+"""Tiles around start and goal that are looked at first: at least, and as a share of their distance."""
+_DEARER = 1.06
+"""Nodes on paths that cost up to this many times the best are searched on pixels."""
+_SECTION_TILES, _AROUND_TILES = 96, 12
+"""Longest path that is searched at once, and the tiles around a section of a longer one."""
+_TINY = 1e-9
+_BYTES_PER_TILE = 7000
+"""Memory that the graph takes."""
+
+
+class AreaGraph(NamedTuple):
+    """The areas of the tiles of a window; n nodes."""
+
+    node: NDArray[np.int32]
+    """(rows, pixels, cols, pixels) the node of each pixel, -1 where closed."""
+    tile: NDArray[np.int64]
+    """(n,) the tile of a node, counted row by row."""
+    arcs: sparse.csr_array
+    """(n, n) cost from node to node, in tiles."""
+
+
+def way_over_areas(ground: "Ground", start: Floats, goal: Floats) -> Floats | None:
+    """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
+
+    Parameters
+    ----------
+    ground : Ground
+        The map, with costs.
+    start, goal : array (2,)
+        Easting and northing, m.
+
+    Returns
+    -------
+    array (m, 2) or None
+        Easting and northing of the corners, m.
+    """
+    ends = np.array([start, goal])
+    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
+    while True:
+        window = _window(ground, ends, pad)
+        if window.rows * window.cols * _BYTES_PER_TILE > ground.memory_bytes:
+            return None
+        graph = _graph(ground, window)
+        found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
+        is_all = window == ground.site.window
+        if is_all or (found is not None and not _reaches_edge(graph, found[1])):
+            break
+        pad *= 2
+    if found is None:
+        return None
+    path, near = found
+    corridor = np.zeros(window.rows * window.cols, np.bool_)
+    corridor[graph.tile[near]] = True
+    corridor = ndimage.binary_dilation(corridor.reshape(window.rows, window.cols), np.ones((3, 3), np.bool_))
+    cuts = range(_SECTION_TILES, len(path) - _SECTION_TILES // 2, _SECTION_TILES)
+    points = [start, *(_point_in(ground, graph, window, path[at]) for at in cuts), goal]
+    line = _on_pixels(ground, points, window, corridor)
+    if line is None or len(points) == 2:
+        return line
+    # The points between sections lie anywhere in their tiles: a way between the middles of sections is free of them.
+    again = _on_pixels(ground, [start, *(_middle(part) for part in _parts(line, points)), goal], window, corridor)
+    return again if again is not None else line
+
+
+def _window(ground: "Ground", points: Floats, pad: int) -> TileWindow:
+    """Return the tiles around some points, within the map."""
+    grid, whole = ground.site.grid, ground.site.window
+    inner = TileWindow.around(grid.index(points[:, 0]), grid.index(points[:, 1]))
+    west, south = max(inner.col - pad, whole.col), max(inner.row - pad, whole.row)
+    east = min(inner.col + inner.cols + pad, whole.col + whole.cols)
+    north = min(inner.row + inner.rows + pad, whole.row + whole.rows)
+    return TileWindow(west, south, east - west, north - south)
+
+
+def _graph(ground: "Ground", window: TileWindow) -> AreaGraph:
+    pixels, (rows, cols) = ground.site.grid.pixels, (window.rows, window.cols)
+    apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
+    apart[:, :-1, :, :-1] = np.isfinite(ground.on_pixels(window)).reshape(rows, pixels, cols, pixels)
+    found = np.empty((rows * (pixels + 1), cols * (pixels + 1)), np.int32)
+    count = int(ndimage.label(apart.reshape(found.shape), output=found))
+    node = np.ascontiguousarray(found.reshape(apart.shape)[:, :-1, :, :-1]) - np.int32(1)
+    size = np.maximum(np.bincount(node.ravel() + 1, minlength=count + 1)[1:], 1)
+    at = [
+        np.bincount(node.ravel() + 1, np.broadcast_to(part, node.shape).ravel(), count + 1)[1:] / size
+        for part in (
+            np.arange(rows)[:, None, None, None] + (np.arange(pixels)[:, None, None] + 0.5) / pixels,
+            np.arange(cols)[:, None] + (np.arange(pixels) + 0.5) / pixels,
+        )
+    ]
+    tile = np.floor(at[0]).astype(np.int64) * cols + np.floor(at[1]).astype(np.int64)
+    across = _contacts(node[:, :, :-1, -1], node[:, :, 1:, 0], count)
+    along = _contacts(node[:-1, -1], node[1:, 0], count)
+    two = across @ along + along @ across
+    joined = sparse.coo_array(across + along + two + across @ two + along @ two)
+    a, b = joined.coords
+    kept = a != b
+    a, b = a[kept], b[kept]
+    cost = ground.on_tiles(window).ravel()[tile].astype(np.float64)
+    weight = np.hypot(at[0][a] - at[0][b], at[1][a] - at[1][b]) * 0.5 * (cost[a] + cost[b])
+    return AreaGraph(node, tile, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
+
+
+def _contacts(first: NDArray[np.int32], other: NDArray[np.int32], count: int) -> sparse.csr_array:
+    """Return which nodes touch across the borders of tiles, (n, n), from the nodes of the pixels on both sides."""
+    both = (first >= 0) & (other >= 0)
+    pairs = np.unique(first[both].astype(np.int64) * count + other[both])
+    a, b = np.divmod(pairs, max(count, 1))
+    ones = np.ones(2 * len(pairs), np.float32)
+    return sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (count, count))
+
+
+def _node_at(ground: "Ground", graph: AreaGraph, window: TileWindow, point: Floats) -> int:
+    """Return the node in which a point lies; -1 in closed pixels."""
+    rows, pixels, cols, _ = graph.node.shape
+    row, col = (math.floor(x) for x in ground.in_window(point[None], window)[0])
+    if not (0 <= row < rows * pixels and 0 <= col < cols * pixels):
+        return -1
+    return int(graph.node[row // pixels, row % pixels, col // pixels, col % pixels])
+
+
+def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray[np.int64]] | None:
+    """Return the nodes of the cheapest path, and those on paths that cost little more; None if there is no path."""
+    if start < 0 or goal < 0:
+        return None
+    spent, before = csgraph.dijkstra(graph.arcs, indices=start, return_predecessors=True)
+    if not np.isfinite(spent[goal]):
+        return None
+    left = csgraph.dijkstra(graph.arcs, indices=goal, limit=_DEARER * spent[goal] + 1.0)
+    path = [goal]
+    while path[-1] != start:
+        path.append(int(before[path[-1]]))
+    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
+    return path[::-1], np.union1d(near, path)
+
+
+def _reaches_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
+    rows, _, cols, _ = graph.node.shape
+    row, col = graph.tile[nodes] // cols, graph.tile[nodes] % cols
+    return bool(((row == 0) | (col == 0) | (row == rows - 1) | (col == cols - 1)).any())
+
+
+def _point_in(ground: "Ground", graph: AreaGraph, window: TileWindow, node: int) -> Floats:
+    """Return the middle of the pixel of a node that is nearest to the middle of the node, easting and northing, m."""
+    _, pixels, cols, _ = graph.node.shape
+    row, col = divmod(int(graph.tile[node]), cols)
+    places = np.argwhere(graph.node[row, :, col, :] == node)
+    nearest = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()]
+    return np.asarray(ground.on_grid((nearest + 0.5 + np.array([row, col]) * pixels)[None], window)[0])
+
+
+def _on_pixels(
+    ground: "Ground", points: list[Floats], window: TileWindow, corridor: NDArray[np.bool_]
+) -> Floats | None:  # fmt: skip
+    """Return the cheapest line through points on the pixels of a corridor of tiles, piece by piece."""
+    parts = [np.array([points[0]])]
+    lone = len(points) == 2
+    for ends in pairwise(points):
+        if lone:
+            rows, cols = np.nonzero(corridor)
+            top, left = int(rows.min()), int(cols.min())
+            part = TileWindow(
+                window.col + left,
+                window.row + window.rows - 1 - int(rows.max()),
+                int(cols.max()) - left + 1,
+                int(rows.max()) - top + 1,
+            )
+        else:
+            part = _within(_window(ground, np.array(ends), _AROUND_TILES), window)
+        cost = ground.on_pixels(part)
+        top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
+        kept = corridor[top : top + part.rows, left : left + part.cols]
+        pixels = ground.site.grid.pixels
+        cost[~np.repeat(np.repeat(kept, pixels, 0), pixels, 1)] = np.inf
+        start, goal = ((float(r), float(c)) for r, c in ground.in_window(np.array(ends), part))
+        saving = LEAST_SAVING_M / ground.site.grid.pixel_size
+        found = find_way(cost, start, goal, margin=PIXEL_MARGIN, least_saving=saving)
+        if found is None:
+            return None
+        line = ground.on_grid(found.line, part)
+        line[0], line[-1] = ends
+        parts.append(line[1:])
+    return np.concatenate(parts)
+
+
+def _within(part: TileWindow, window: TileWindow) -> TileWindow:
+    west, south = max(part.col, window.col), max(part.row, window.row)
+    east = min(part.col + part.cols, window.col + window.cols)
+    north = min(part.row + part.rows, window.row + window.rows)
+    return TileWindow(west, south, east - west, north - south)
+
+
+def _parts(line: Floats, points: list[Floats]) -> list[Floats]:
+    """Cut a line at the points that it was searched between."""
+    at = [int(np.flatnonzero((line == point).all(axis=1))[0]) for point in points]
+    return [line[first : last + 1] for first, last in pairwise(at)]
+
+
+def _middle(line: Floats) -> Floats:
+    """Return the point half way along a line."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    return np.array([np.interp(0.5 * along[-1], along, line[:, axis]) for axis in (0, 1)])

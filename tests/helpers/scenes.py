@@ -1,0 +1,273 @@
+"""Made-up ground with solids whose place is known: what a survey from above sees of them, and what is true.
+
+A scene lies around its own middle. `survey_scene` turns and shifts it, drops pulses on it and returns what a LAS file
+holds; `true_pixels` says what of its pixels must be closed and what must be free.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+GROUND, PLANT, BUILDING, OTHER, BRIDGE = 2, 5, 6, 1, 17
+"""LAS classes; the first code of plants is `PLANT`, for hedges 4."""
+HEDGE = 4
+LEAN = 0.25
+"""Mean lean of pulses that see sides too: points per m2 of a side, as a share of those per m2 of ground."""
+
+
+class Solid(NamedTuple):
+    """A box that stands upright, or a cylinder; m and degrees."""
+
+    x: float
+    y: float
+    length: float
+    width: float
+    """Of a cylinder, its diameter; ``length`` is not used."""
+    top: float
+    turn: float = 0.0
+    bottom: float = 0.0
+    class_id: int = OTHER
+    stops: float = 1.0
+    """Share of the pulses on it that return from it; the others see what is beneath."""
+    soft: bool = False
+    """Pulses return from anywhere between bottom and top, as those of leaves and wires do."""
+    is_round: bool = False
+
+    def inside(self, x, y, grow=0.0):
+        """Whether places are in its footprint, grown by so many m."""
+        if self.is_round:
+            return np.hypot(x - self.x, y - self.y) <= 0.5 * self.width + grow
+        c, s = math.cos(math.radians(self.turn)), math.sin(math.radians(self.turn))
+        along, across = (x - self.x) * c + (y - self.y) * s, (y - self.y) * c - (x - self.x) * s
+        return (np.abs(along) <= 0.5 * self.length + grow) & (np.abs(across) <= 0.5 * self.width + grow)
+
+    def outline(self, count, rng):
+        """Draw places on its sides."""
+        if self.is_round:
+            turn = rng.uniform(0, 2 * np.pi, count)
+            return self.x + 0.5 * self.width * np.cos(turn), self.y + 0.5 * self.width * np.sin(turn)
+        at = rng.uniform(0, 2 * (self.length + self.width), count)
+        ends = np.cumsum([self.length, self.width, self.length])
+        side = np.searchsorted(ends, at)
+        rest = at - np.concatenate([[0], ends])[side]
+        a, b = 0.5 * self.length, 0.5 * self.width
+        along = np.select([side == 0, side == 1, side == 2], [rest - a, a, rest - a], -a)
+        across = np.select([side == 0, side == 1, side == 2], [-b, rest - b, b], rest - b)
+        c, s = math.cos(math.radians(self.turn)), math.sin(math.radians(self.turn))
+        return self.x + along * c - across * s, self.y + along * s + across * c
+
+    @property
+    def around(self):
+        """Length of its outline, m."""
+        return math.pi * self.width if self.is_round else 2 * (self.length + self.width)
+
+
+def level(x, y):
+    """Gently sloping ground."""
+    return 0.03 * x + 0.02 * y
+
+
+def nowhere(x, y):
+    return np.zeros(np.shape(x), bool)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Solids on ground, around (0, 0)."""
+
+    name: str
+    solids: tuple[Solid, ...]
+    half: float = 9.0
+    """Half the side of the square, m."""
+    ground: object = level
+    relief: object = nowhere
+    """Where the ground is not level (ditches, ramps): neither closed nor free is asked there."""
+
+
+class ScenePoints(NamedTuple):
+    """Points (n,) of a survey of a scene, m, and LAS classes."""
+
+    x: np.ndarray
+    y: np.ndarray
+    z: np.ndarray
+    classification: np.ndarray
+
+
+class Place(NamedTuple):
+    """Where a scene lies: its heading in degrees, and the place of its middle, m."""
+
+    heading: float = 0.0
+    x: float = 0.0
+    y: float = 0.0
+
+    def of_scene(self, x, y):
+        """Turn places in a scene to places on the map."""
+        c, s = math.cos(math.radians(self.heading)), math.sin(math.radians(self.heading))
+        return self.x + x * c - y * s, self.y + x * s + y * c
+
+    def in_scene(self, x, y):
+        """Turn places on the map to places in the scene."""
+        c, s = math.cos(math.radians(self.heading)), math.sin(math.radians(self.heading))
+        return (x - self.x) * c + (y - self.y) * s, (y - self.y) * c - (x - self.x) * s
+
+
+HERE = Place()
+
+
+def survey_scene(scene, density, *, noise=0.0, classified=True, sides=False, place=HERE, seed=0, margin=0.0):
+    """Survey a scene from straight above.
+
+    Parameters
+    ----------
+    scene : Scene
+    density : float
+        Pulses per m2.
+    noise : float
+        Standard deviation of points along each axis, m.
+    classified : bool
+        Otherwise all points have class 1.
+    sides : bool
+        Whether some pulses lean, so that the sides of solids return points too.
+    place : Place
+        Where on the map the scene lies.
+    seed : int
+    margin : float
+        Level ground around the scene that is surveyed too, m.
+    """
+    rng = np.random.default_rng((seed, 77))
+    half = scene.half + margin
+    x, y = rng.uniform(-half, half, (2, rng.poisson(density * 4 * half * half)))
+    z, kind = scene.ground(x, y), np.full(len(x), GROUND)
+    for solid in sorted(scene.solids, key=lambda one: one.top):
+        hit = solid.inside(x, y) & (rng.random(len(x)) < solid.stops)
+        top = rng.uniform(solid.bottom, solid.top, len(x)) if solid.soft else solid.top
+        z, kind = np.where(hit, scene.ground(x, y) + top, z), np.where(hit, solid.class_id, kind)
+    rows = [np.stack([x, y, z, kind])]
+    for solid in scene.solids if sides else ():
+        count = rng.poisson(LEAN * density * solid.around * (solid.top - solid.bottom) * solid.stops)
+        sx, sy = solid.outline(count, rng)
+        up = scene.ground(sx, sy) + rng.uniform(solid.bottom, solid.top, count)
+        rows.append(np.stack([sx, sy, up, np.full(count, solid.class_id)]))
+    x, y, z, kind = np.concatenate(rows, axis=1)
+    x, y = place.of_scene(x, y)
+    x, y, z = (axis + noise * rng.standard_normal(len(axis)) for axis in (x, y, z))
+    return ScenePoints(x, y, z, kind.astype(np.uint8) if classified else np.full(len(x), OTHER, np.uint8))
+
+
+class TruePixels(NamedTuple):
+    """Truth about the pixels of a window of tiles, (rows, cols) each, north row first."""
+
+    closed: np.ndarray
+    """(rows, cols) share of the pixel that is in the footprint of something in the vehicle's way, 0..1."""
+    free: np.ndarray
+    """Level ground, with nothing in the way within the tolerance: calling it an obstacle or unknown is wrong."""
+
+
+def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, pixel=0.2, tolerance=0.4):
+    """Return what is true of a square of pixels.
+
+    Parameters
+    ----------
+    scene : Scene
+    west, south : float
+        Its south-west corner, m.
+    pixels : int
+        Along a side.
+    place : Place
+        As surveyed.
+    low, high : float
+        Heights between which a thing is in the way, m.
+    pixel : float
+        m.
+    tolerance : float
+        What is closer to a thing than this may be called closed, m.
+    """
+    fine = 4
+    axis = (np.arange(pixels * fine) + 0.5) * pixel / fine
+    x, y = place.in_scene(*np.meshgrid(west + axis, (south + axis)[::-1]))
+    inside, near = np.zeros((2, *x.shape), bool)
+    for solid in scene.solids:
+        if solid.bottom < high and solid.top > low:
+            inside |= solid.inside(x, y)
+            near |= solid.inside(x, y, tolerance)
+    near |= scene.relief(x, y) | (np.maximum(np.abs(x), np.abs(y)) > scene.half - 1.0)
+    for solid in scene.solids:  # what is under a closed roof is not seen
+        near |= solid.inside(x, y, tolerance) & (solid.stops == 1.0)
+    blocks = (pixels, fine, pixels, fine)
+    return TruePixels(inside.reshape(blocks).mean(axis=(1, 3)), ~near.reshape(blocks).any(axis=(1, 3)))
+
+
+def ring(gap=0.0, thickness=0.3, height=2.0, side=9.0, class_id=BUILDING):
+    """Four walls around a yard, with a gap in the middle of the eastern one; m.
+
+    The yard is ``side`` m wide inside. A vehicle gets in only through the gap, if it fits.
+    """
+    a, t = 0.5 * (side + thickness), thickness
+    long = side + 2 * thickness
+    walls = [Solid(0, a, long, t, height), Solid(0, -a, long, t, height), Solid(-a, 0, long, t, height, turn=90)]
+    part = 0.5 * (long - gap)
+    east = [Solid(a, sign * 0.5 * (gap + part), part, t, height, turn=90) for sign in (1, -1)]
+    solids = tuple(wall._replace(class_id=class_id) for wall in walls + east)
+    return Scene(f"ring of wall {thickness:g} m, gap {gap:g} m", solids, half=a + 6.0)
+
+
+def wall(thickness, class_id=BUILDING, height=2.0, length=10.0):
+    """A straight wall."""
+    return Scene(f"wall {thickness:g} m", (Solid(0, 0, length, thickness, height, class_id=class_id),))
+
+
+def fence(height=1.2, mesh=0.25, spacing=2.0, length=12.0):
+    """Posts of 10 cm and wire mesh between them, of which a share of the pulses on its 4 cm returns."""
+    places = np.arange(-0.5 * length, 0.5 * length + 0.1, spacing)
+    posts = [Solid(x, 0, 0, 0.1, height, is_round=True) for x in places]
+    return Scene("fence", (*posts, Solid(0, 0, length, 0.04, height, stops=mesh, soft=True)))
+
+
+def crown(x, y, width, stops=0.7, bottom=2.5, top=6.0):
+    """A tree's crown, that lets some pulses through."""
+    return Solid(x, y, 0, width, top, bottom=bottom, class_id=PLANT, stops=stops, soft=True, is_round=True)
+
+
+def _ditch(x, y):
+    return level(x, y) - 0.6 * np.clip(1.5 - np.abs(y), 0.0, 1.0)
+
+
+def _ramp(x, y):
+    return level(x, y) + 0.25 * np.clip(x, 0.0, 4.0)
+
+
+def _bank(x, y):
+    return level(x, y) + 0.4 * (x > 0)
+
+
+POSTS = tuple(Solid(x, y, 0, 0.3, 1.0, is_round=True) for x, y in ((-4, -4), (0, 3.1), (3.3, 0.4)))
+CRATES = tuple(Solid(x, y, 0.7, 0.7, 0.7, turn=turn) for x, y, turn in ((-4, -3, 0), (0, 2, 20), (3, -1, 45)))
+BALES = tuple(Solid(x, y, 0, 1.3, 1.2, is_round=True) for x, y in ((-4, -3), (0, 2), (3, -1)))
+CROWNS = (crown(-4, 3, 4), crown(1, 2, 5), crown(3, -3, 3), crown(-3, -4, 4))
+SCENES = (
+    *(wall(thickness) for thickness in (0.1, 0.2, 0.3, 0.6)),
+    ring(),
+    ring(gap=2.0),
+    fence(),
+    Scene("low wall 0.6 m high", (Solid(0, 0, 10, 0.3, 0.6),)),
+    Scene("posts", POSTS),
+    Scene("crates", CRATES),
+    Scene("bales", BALES),
+    Scene("vans", (Solid(-2, -2, 5, 2, 2.2), Solid(2, 3, 5, 2, 2.2, turn=30))),
+    Scene("hut", (Solid(0, 0, 4, 3, 2.6, class_id=BUILDING),)),
+    Scene("hut, unassigned", (Solid(0, 0, 4, 3, 2.6),)),
+    Scene("hedge", (Solid(0, 0, 10, 1.0, 1.8, class_id=HEDGE, soft=True),)),
+    Scene("carport", (Solid(0, 0, 6, 5, 3.0, bottom=2.6),)),
+    Scene("crowns over ground", CROWNS),
+    Scene("open ground", ()),
+    Scene("ditch", (), ground=_ditch, relief=lambda x, y: np.abs(y) < 2.0),  # noqa: ARG005
+    Scene("ramp", (), ground=_ramp, relief=lambda x, y: (x > -1) & (x < 5)),  # noqa: ARG005
+    Scene("bank 0.4 m", (), ground=_bank, relief=lambda x, y: np.abs(x) < 1.0),  # noqa: ARG005
+)
+
+
+def seen_from_above(scene):
+    """Return a scene of solids whose tops alone return: hedges and crowns too."""
+    return replace(scene, solids=tuple(solid._replace(soft=False) for solid in scene.solids))
