@@ -14,7 +14,7 @@ from bumpymap.change.api import DiffSettings
 from bumpymap.check import CheckConfig
 from bumpymap.check.api import CheckSettings
 from bumpymap.cli import main
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._wording import _SPELLED, as_options
 from bumpymap.core import PolarSettings, Scan
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings
@@ -275,7 +275,7 @@ def test_every_setting_in_backquotes_is_one():
     known = set(MapConfig.__dataclass_fields__) | {"fit", "check"}
     known |= set(BatchConfig.__dataclass_fields__)
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
-    known |= set(ScanConfig.__dataclass_fields__) | set(PolarSettings.__dataclass_fields__)
+    known |= set(ScanConfig.__dataclass_fields__) | set(PolarSettings.__dataclass_fields__) | set(_SPELLED)
     known |= set(ExportSettings.__dataclass_fields__)
     known |= set(DiffConfig.__dataclass_fields__) | set(CheckConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):

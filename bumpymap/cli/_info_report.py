@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,6 +49,25 @@ __all__ = [
     "sheets_for",
 ]
 
+_CLASS_NAMES = {
+    0: "never classified",
+    1: "unassigned",
+    2: "ground",
+    3: "low plants",
+    4: "medium plants",
+    5: "high plants",
+    6: "building",
+    8: "key point",
+    9: "water",
+    10: "rail",
+    11: "road",
+    12: "overlap",
+    13: "wire guard",
+    14: "wire",
+    15: "tower",
+    16: "wire connector",
+    17: "bridge deck",
+}
 _ON_THE_GROUND = "all points will be measured, so what stands on the ground is part of its relief"
 _FAR_APART = 100_000.0
 """Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
@@ -65,6 +84,8 @@ class Report:
     """None with ``--quick``, and if no point is left."""
     dropped: dict[str, int] | None = None
     """Number of dropped points by reason; None with ``--quick``."""
+    classes: dict[int, int] = field(default_factory=dict)
+    """Number of points of each LAS class; empty with ``--quick``."""
     error: str = ""
     options: tuple[str, ...] = ()
     """Options of the command line that ``map`` needs too, such as ``--crs EPSG:32614``."""
@@ -204,6 +225,7 @@ def as_record(report: Report) -> dict[str, Any]:
         "bounds_crs_units": _sides(report.bounds, place.metres_per_unit),
         "density_per_m2": report.density,
         "has_classes": _has_classes(report),
+        "classes": {str(code): count for code, count in report.classes.items()},
         "sheets_km": report.sheets,
         "notes": list(info.notes),
         "needs": report.needs(),
@@ -254,6 +276,8 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
         rows.append(("density", _density(report, report.density)))
     if report.dropped is not None or info.has_classes is False:
         rows.append(("classified", _classified(report)))
+    if report.summary is not None and report.summary.ground_share > 0:
+        rows += _classes(report.classes, report.summary.points)
     if text := describe_pairs(report.lines):
         rows.append(("flight lines", as_options(text)))
     return rows + [("note", note) for note in info.notes]
@@ -329,6 +353,19 @@ def _has_classes(report: Report) -> bool | None:
     if report.summary is not None and report.summary.ground_share > 0:
         return True
     return report.info.has_classes if report.info else None
+
+
+def _classes(classes: dict[int, int], points: int) -> list[tuple[str, str]]:
+    """Return the classes of a classified survey by what `map` takes their points for."""
+    taken = {2: "as ground", 6: "as obstacles"}
+    rows: dict[str, list[str]] = {}
+    for code, count in classes.items():
+        named = " ".join(filter(None, (str(code), _CLASS_NAMES.get(code))))
+        rows.setdefault(taken.get(code, "by height"), []).append(f"{named} {count / points:.1%}")
+    texts = {name: ", ".join(parts) for name, parts in rows.items()}
+    if "by height" in texts:
+        texts["by height"] += ": obstacle or canopy, and if no ground is seen beneath, obstacle"
+    return list(texts.items())
 
 
 def _classified(report: Report) -> str:

@@ -127,7 +127,9 @@ def _inspect(
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         lines, _ = compare_lines(builder.lines)
-        return Report(path, grid, reader.info, summary, reader.dropped, options=given, ground=ground, lines=lines)
+        return Report(
+            path, grid, reader.info, summary, reader.dropped, reader.classes, options=given, ground=ground, lines=lines
+        )
     except BadInputError as error:
         return Report(path, grid, error=str(error))
 

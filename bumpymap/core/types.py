@@ -23,14 +23,23 @@ __all__ = [
     "CANOPY",
     "CHANGE_KINDS",
     "CLASS_NAMES",
+    "EMPTY",
     "FAIL_SHARE",
     "FREE",
+    "LONE",
     "NO_CLASS",
     "OBJECT_NAMES",
     "OBSTACLE",
+    "POINT_BUILDING",
+    "POINT_GROUND",
+    "POINT_OTHER",
+    "POINT_PLANT",
     "REASON_TEXT",
+    "SEEN",
     "SIDES",
+    "SOLID",
     "SPEED_BANDS",
+    "STEEP",
     "TEXTURES",
     "THIN_MEASURES",
     "UNDECIDED",
@@ -130,6 +139,10 @@ class Georeference:
     """Vertical: metres = file units x this."""
 
 
+POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT = range(4)
+"""Kinds of points, by their LAS class: what a reader hands over as the flag of each point."""
+
+
 @dataclass(frozen=True, slots=True)
 class PointCloud:
     """A chunk of points in metres, after withheld and noise points have been removed."""
@@ -140,8 +153,14 @@ class PointCloud:
     """(n,) m."""
     upward: NDArray[np.float64]
     """(n,) m."""
-    is_ground: NDArray[np.bool_]
-    """(n,) True for points of class 2 (ground). All False if the file has no classes."""
+    kind: NDArray[np.uint8]
+    """(n,) ``POINT_GROUND`` (class 2), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5), else ``POINT_OTHER``, also if
+    the file has no classes."""
+
+    @property
+    def is_ground(self) -> NDArray[np.bool_]:
+        """(n,) which points are ground."""
+        return np.asarray(self.kind == POINT_GROUND)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +208,10 @@ class PatchStack:
 
 FREE, OBSTACLE, CANOPY, UNDECIDED, UNSEEN = 0, 1, 2, 3, 255
 """States of a pixel in ``ObjectStack.objects``."""
+LONE, SOLID, EMPTY, STEEP, SEEN = 4, 5, 6, 7, 16
+"""Further states before the neighbours of a tile are known, see `bumpymap.patches.settle_solids`: a single point of an
+obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; and,
+added to a state, ground in the same pixel."""
 OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown")
 """Names of these states in obstacle.tif, where ``UNSEEN`` is 3."""
 
@@ -431,7 +454,8 @@ def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     a tile in which the middle of the vehicle can move, from 1, the largest; 0 where it cannot be. ``motion`` holds the
     values of `speed_bands`, of so many ``speeds``.
     """
-    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "obstacle", "edge_step")
+    objects = ("obstacle", "obstacle_height", "clearance")
+    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step")
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),

@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FeatureSettings, PatchStack, Reason
+from bumpymap.core import POINT_GROUND, FeatureSettings, PatchStack, Reason
 from bumpymap.patches import kernels
 from bumpytiles import TilePoints
 
@@ -21,11 +21,11 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     Parameters
     ----------
     points : TilePoints
-        Points by tile, in canonical order; ``flag`` marks ground.
+        Points by tile, in canonical order; ``flag`` holds their kind.
     settings : FeatureSettings
         Thresholds.
     ground_only : bool
-        Measure flagged points alone; tiles without any get reason ``NO_GROUND``.
+        Measure the points of the ground alone; tiles without any get reason ``NO_GROUND``.
 
     Returns
     -------
@@ -79,11 +79,12 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
 
 
 def points_by_tile(points: TilePoints, *, ground_only: bool) -> kernels.PointsByTile:
-    """Return the points that are measured: all, or the flagged ones alone."""
+    """Return the points that are measured: all, or those of the ground alone."""
     starts, place = points.starts, (points.easting, points.northing, points.upward)
     if ground_only:
-        starts = np.concatenate(([0], np.cumsum(points.flag)))[starts]
-        place = (place[0][points.flag], place[1][points.flag], place[2][points.flag])
+        ground = points.flag == POINT_GROUND
+        starts = np.concatenate(([0], np.cumsum(ground)))[starts]
+        place = (place[0][ground], place[1][ground], place[2][ground])
     return kernels.PointsByTile(starts, *place, points.col, points.row)
 
 

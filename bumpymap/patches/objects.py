@@ -1,51 +1,46 @@
 """What stands on the ground or hangs over it: the points that are no ground, by their height above it."""
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bumpymap.core import FeatureSettings, ObjectStack, PatchStack, VehicleBody
+from bumpymap.core import EMPTY, STEEP, ObjectStack, PatchStack, VehicleBody
 from bumpymap.patches import kernels
-from bumpytiles import TilePoints
+from bumpytiles import Grid, TilePoints
 
-__all__ = ["find_objects"]
+__all__ = ["find_objects", "find_steep", "settle_solids"]
 
 _SCALARS = 4
+_STEEP = 0.7
+"""Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
 _SHARE = 0.02
 """Share of a neighbourhood's points that makes an obstacle: at 100 points/m2 and more a bird has more than one."""
-_HOLE_POINTS = 8.0
-"""A disc with so many points on average is empty by chance once in 3,000 times."""
-_ROOF = 0.6
-"""Radius of the largest disc in which a tree crown lets no pulse through, in a dense survey, m."""
-_ROOF_POINTS, _ROOF_GROUND = 100.0, 8.0
-"""With fewer points the disc is larger: a crown that lets one pulse in twenty through leaves five ground points."""
 
 
-def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody, settings: FeatureSettings) -> ObjectStack:
+def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> ObjectStack:
     """Find obstacles and canopy in tiles whose ground is known point by point.
 
     The height of a point counts from the ground beneath it: the heightmap, continued by a plane and the nearest
     heights where no ground was seen. A pixel is an obstacle if it holds a point from the belly (or the height of the
-    plants that the vehicle brushes aside) up to the vehicle's height, and its 3 x 3 pixels hold two points from there
-    upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys of more than 278 points/m2 it takes
-    2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher points are canopy, unless they lie
-    in a disc of 0.6 m or more without any ground beneath: a roof stands on something. In tiles with less than three
-    pixels of ground everything that is seen is an obstacle.
+    plants that the vehicle brushes aside) up to the vehicle's height, or one of a building, however high, and its 3 x 3
+    pixels hold two points from there upward; so under a crown, whose leaves hide the trunk, one is enough. In surveys
+    of more than 278 points/m2 it takes 2 % of the points that 3 x 3 pixels have on average. Pixels with as many higher
+    points are canopy. In tiles with less than three pixels of ground everything that is seen is an obstacle.
 
     Parameters
     ----------
     points : TilePoints
-        All points of n tiles, in canonical order; ``flag`` marks ground.
+        All points of n tiles, in canonical order; ``flag`` holds their kind.
     patches : PatchStack
         The same tiles, measured from the ground points alone.
     body : VehicleBody
         Outline of the vehicle.
-    settings : FeatureSettings
-        ``max_hole``: farther than this from every point a pixel is unseen (in thin surveys, than a disc of 8 points).
 
     Returns
     -------
     ObjectStack
-        One row a tile. Pixels at a tile's border whose points would make an obstacle only with company from the
-        neighbour are ``UNDECIDED``; see `bumpymap.rating.settle_objects`.
+        One row a tile, before its neighbours are known. `settle_solids` decides what is overhead and what holds no
+        point; pixels at a tile's border whose points would make an obstacle only with company from the neighbour are
+        ``UNDECIDED``, see `bumpymap.rating.settle_objects`.
     """
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
@@ -57,13 +52,57 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody, set
             low=body.lowest_obstacle_m,
             high=body.height_m,
             share=_SHARE,
-            hole=settings.max_hole,
-            hole_points=_HOLE_POINTS,
-            roof=_ROOF,
-            roof_points=_ROOF_POINTS,
-            roof_ground=_ROOF_GROUND,
         ),
-        kernels.TileObjects(points.flag, patches.heights, state, scalars),
+        kernels.TileObjects(
+            np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars
+        ),
         kernels.object_scratch(pixels),
     )
     return ObjectStack(state, *scalars.T.astype(np.float32))
+
+
+def find_steep(patches: PatchStack, body: VehicleBody) -> ObjectStack:
+    """Find the pixels whose points lie far above one another, in tiles where all points count as ground.
+
+    These hold a part of a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an
+    obstacle. The other pixels with points are ``FREE``; of the tile as a whole nothing is known.
+    """
+    stack = ObjectStack.empty(*patches.heights.shape[:2])
+    stack.objects[patches.spread_count == 0] = EMPTY
+    stack.objects[patches.spread_variance > (_STEEP * body.lowest_obstacle_m) ** 2] = STEEP
+    return stack
+
+
+def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> NDArray[np.uint8]:
+    """Decide by the pixels around them what is overhead, what was not seen, and which single points are a line.
+
+    - Canopy is an obstacle if part of it lets no pulse through and no ground is seen beneath. Ground lies beneath if
+      canopy is met on all sides of it: beside a wall, and between two vans, it is not.
+    - A pixel without points belongs to the nearest with points: what is believed free was seen free.
+    - Points in a line with gaps of up to six pixels are one obstacle.
+
+    Parameters
+    ----------
+    objects : uint8 (rows, cols)
+        States from `find_objects`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
+    grid : Grid
+        Tiles and pixels.
+    max_hole : float
+        Farther than this from every point a pixel is unseen, m; in thin surveys, than the radius of a disc that holds
+        8 points on average.
+
+    Returns
+    -------
+    uint8 (rows, cols)
+        ``FREE``, ``OBSTACLE``, ``CANOPY``, ``UNSEEN``, and ``UNDECIDED``; in the outer ring of tiles as good as the
+        ring tells.
+    """
+    out = np.empty_like(objects)
+    kernels.settle_solids(
+        np.ascontiguousarray(objects),
+        grid.pixels,
+        max_hole / grid.pixel_size,
+        kernels.solid_scratch(*objects.shape),
+        out,
+    )
+    return out

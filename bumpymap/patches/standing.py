@@ -5,17 +5,18 @@ is also in the way of a vehicle whose belly is lower.
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PatchStack, VehicleBody
+from bumpymap.core import POINT_GROUND, POINT_OTHER, PatchStack, VehicleBody
 from bumpytiles import BLOCK_TILES, TilePoints
 
 __all__ = ["find_standing", "take_off_standing"]
 
 _WIDTH = 1.8
-"""What is narrower stands on the ground, m; what is wider is ground at another level."""
+"""Width of what the ground filter may have left, m; wider things are above its threshold."""
 _RAISED = 0.5
 """Height of the sides above the ground, as a share of the lowest obstacle."""
 _DROP, _REACH = 0.8, 0.3
@@ -35,7 +36,7 @@ def take_off_standing(
     Parameters
     ----------
     points : TilePoints
-        All points of one block; ``flag`` marks ground.
+        All points of one block; ``flag`` holds their kind.
     patches : PatchStack
         The same tiles, measured from the ground points.
     body : VehicleBody
@@ -44,13 +45,13 @@ def take_off_standing(
     Returns
     -------
     points : TilePoints
-        The same without the flag of points in such pixels.
+        The same with the points in such pixels as no ground.
     patches : PatchStack
         The same with NaN for their ``heights``.
     """
     standing: Marks = _by_tile(find_standing(_mosaic(points, patches.heights), body, points.grid.pixel_size), points)
     tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
-    asked = np.flatnonzero(points.flag & np.asarray(standing.any(axis=(1, 2)))[tiles])
+    asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
     tile, grid = tiles[asked], points.grid
     across = points.easting[asked] - points.col[tile] * grid.tile_size
     along = points.northing[asked] - points.row[tile] * grid.tile_size
@@ -58,17 +59,19 @@ def take_off_standing(
         np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
         for offset in (across, along)
     )
-    flag = points.flag.copy()
-    flag[asked] = ~standing[tile, grid.pixels - 1 - north, col]
+    flag = points.flag.astype(np.uint8)
+    flag[asked] = np.where(standing[tile, grid.pixels - 1 - north, col], POINT_OTHER, POINT_GROUND)
     return replace(points, flag=flag), replace(patches, heights=np.where(standing, np.float32(np.nan), patches.heights))
 
 
-def find_standing(heights: Mosaic, body: VehicleBody, pixel: float) -> Marks:
+def find_standing(
+    heights: Mosaic, body: VehicleBody, pixel: float, *, width: float = _WIDTH, least: float = 0.0
+) -> Marks:  # fmt: skip
     """Find narrow things with steep sides in a heightmap.
 
-    The surface beneath them is what a disc of 1.8 m can touch from below (a morphological opening). A group of pixels
-    that are more than half the height of the lowest obstacle above it is a thing if at least 30 % of them lie within
-    0.3 m of a place that is 80 % of that height lower.
+    The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). A group of
+    pixels that are more than half the height of the lowest obstacle above it is a thing if at least 30 % of them lie
+    within 0.3 m of a place that is 80 % of that height lower.
 
     Parameters
     ----------
@@ -78,6 +81,10 @@ def find_standing(heights: Mosaic, body: VehicleBody, pixel: float) -> Marks:
         Its ``lowest_obstacle_m``, m.
     pixel : float
         Side of a pixel, m.
+    width : float
+        What is narrower stands on the ground, m; what is wider is ground at another level.
+    least : float
+        What of a thing is lower than this is left out, m.
 
     Returns
     -------
@@ -88,14 +95,14 @@ def find_standing(heights: Mosaic, body: VehicleBody, pixel: float) -> Marks:
 
     known = ~np.isnan(heights)
     level = _level(heights, known)
-    above = level - _open(level, _disc(0.5 * _WIDTH / pixel))
+    above = level - _open(level, _disc(0.5 * width / pixel))
     raised = known & (above > _RAISED * body.lowest_obstacle_m)
     near = _disc(_REACH / pixel)
     foot = ndimage.grey_erosion(np.where(known, above, np.inf), footprint=near, mode="constant", cval=np.inf)
     steep = raised & (above - foot > _DROP * body.lowest_obstacle_m)
     things, count = ndimage.label(raised, np.ones((3, 3)))
     sizes, sides = (np.bincount(things[marks], minlength=count + 1) for marks in (raised, steep))
-    return np.asarray(raised & (sides > _STEEP * sizes)[things])
+    return np.asarray(raised & (above >= least) & (sides > _STEEP * sizes)[things])
 
 
 def _level(heights: Mosaic, known: Marks) -> Mosaic:
@@ -118,11 +125,21 @@ def _open(heights: Mosaic, disc: Marks) -> Mosaic:
     """Return the highest surface below the heights on which a disc fits everywhere."""
     from scipy import ndimage
 
-    low = ndimage.grey_erosion(
-        np.where(np.isnan(heights), np.inf, heights), footprint=disc, mode="constant", cval=np.inf
-    )
+    low = _over_disc(ndimage.minimum_filter1d, np.minimum, np.where(np.isnan(heights), np.inf, heights), disc, np.inf)
     low[np.isinf(low)] = -np.inf
-    return np.asarray(ndimage.grey_dilation(low, footprint=disc, mode="constant", cval=-np.inf))
+    return _over_disc(ndimage.maximum_filter1d, np.maximum, low, disc, -np.inf)
+
+
+def _over_disc(along: Any, of_two: Any, values: Mosaic, disc: Marks, beyond: float) -> Mosaic:
+    """Return the lowest, or highest, value within a disc around each pixel: that of its rows, one by one."""
+    reach, (rows, cols) = len(disc) // 2, values.shape
+    out = np.full((rows + 2 * reach, cols), np.float32(beyond))
+    widths = disc.sum(axis=1).tolist()
+    rowwise = {width: along(values, width, axis=1, mode="constant", cval=beyond) for width in set(widths)}
+    for down, width in enumerate(widths):
+        part = out[down : down + rows]
+        of_two(part, rowwise[width], out=part)
+    return out[reach:-reach]
 
 
 def _disc(radius: float) -> Marks:

@@ -47,7 +47,7 @@ class FilePoints(NamedTuple):
     y: Floats
     z: Floats
     class_id: Bytes
-    """LAS classes; 7 and 18 are noise, 2 is ground."""
+    """LAS classes; 7 and 18 are noise."""
     withheld: Flags
     line: Lines
     """Flight lines."""
@@ -62,6 +62,8 @@ class WatchRules(NamedTuple):
     """A row with NaN does not count; otherwise it is bad, as infinite ones are."""
     start: int
     """Number of the first point in the file."""
+    kinds: Bytes
+    """(256,) kind of the points of each class."""
 
 
 class CountedPoints(NamedTuple):
@@ -71,7 +73,7 @@ class CountedPoints(NamedTuple):
     """m, as the two that follow."""
     y: Floats
     z: Floats
-    ground: Flags
+    kind: Bytes
     line: Lines
 
 
@@ -82,6 +84,8 @@ class WatchCounts(NamedTuple):
     """(5,) lowest easting and northing, highest easting and northing, largest distance of a height from zero, m."""
     counts: Counts
     """(7,) withheld, noise, not a number, outside, not finite, first not finite: as in ``PointStats``; those kept."""
+    classes: Counts
+    """(256,) points that count, by class."""
 
 
 class RecordRules(NamedTuple):
@@ -92,6 +96,8 @@ class RecordRules(NamedTuple):
     of points where that is 0."""
     box: Counts
     """(4,) lowest and highest integer of x, then of y, that lie in the box of the file."""
+    kinds: Bytes
+    """(256,) kind of the points of each class."""
 
 
 class CountedRecords(NamedTuple):
@@ -101,7 +107,7 @@ class CountedRecords(NamedTuple):
     """Integers of the file's grid, as the two that follow."""
     y: Words
     z: Words
-    ground: Flags
+    kind: Bytes
     line: Lines
 
 
@@ -112,6 +118,8 @@ class RecordCounts(NamedTuple):
     """(6,) lowest and highest x, y and z."""
     counts: Counts
     """(4,) withheld, noise, outside, kept."""
+    classes: Counts
+    """(256,) points that count, by class."""
 
 
 @helper
@@ -155,8 +163,9 @@ def filter_points(points: FilePoints, rules: WatchRules, out: CountedPoints, wat
         if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
             counts[1] += 1
             continue
-        out.x[to], out.y[to], out.z[to], out.ground[to] = e, n, u, code == 2
+        out.x[to], out.y[to], out.z[to], out.kind[to] = e, n, u, rules.kinds[code]
         out.line[to] = points.line[i]
+        watched.classes[code] += 1
         to += 1
     counts[KEPT] = to
     extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
@@ -195,8 +204,9 @@ def filter_records(records: Records, rules: RecordRules, out: CountedRecords, se
             counts[1] += 1
             continue
         line = np.int64(records[i, layout[4]]) | np.int64(records[i, layout[4] + 1]) << 8
-        out.x[to], out.y[to], out.z[to], out.ground[to] = x, y, z, code == 2
+        out.x[to], out.y[to], out.z[to], out.kind[to] = x, y, z, rules.kinds[code]
         out.line[to] = line if line != 0 else layout[5]
+        seen.classes[code] += 1
         to += 1
     counts[2] += outside
     counts[3] = to

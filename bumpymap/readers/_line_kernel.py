@@ -9,6 +9,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.core import POINT_GROUND
 from bumpytiles import coordinates, helper, kernel, tile_index
 
 __all__ = [
@@ -46,7 +47,7 @@ _FULL = SLOTS * 3 // 4
 _SHIFT = 64 - 13
 
 Floats = Annotated[NDArray[np.float64], 1]
-Flags = Annotated[NDArray[np.bool_], 1]
+Bytes = Annotated[NDArray[np.uint8], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Rows = Annotated[NDArray[np.int64], 2]
@@ -62,7 +63,7 @@ class LinedPoints(NamedTuple):
     """m, as the two that follow."""
     y: Floats
     z: Floats
-    ground: Flags
+    kind: Bytes
     line: Lines
 
 
@@ -72,7 +73,7 @@ class ScaledLinedPoints(NamedTuple):
     x: Words
     y: Words
     z: Words
-    ground: Flags
+    kind: Bytes
     line: Lines
 
 
@@ -133,14 +134,14 @@ def _add(points: LinedPoints, table: CellTable) -> Any:
     """
     i, n = 0, len(points.x)
     while i < n and table.state[1] < _FULL:
-        line, ground = points.line[i], points.ground[i]
+        line, ground = points.line[i], points.kind[i] == POINT_GROUND
         col, row = tile_index(points.x[i], CELL), tile_index(points.y[i], CELL)
         west, south = col * CELL, row * CELL
         east, north = (col + 1.0) * CELL, (row + 1.0) * CELL
         count = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = np.int64(0)
         while i < n:
             x, y = points.x[i], points.y[i]
-            same = points.line[i] == line and points.ground[i] == ground
+            same = points.line[i] == line and (points.kind[i] == POINT_GROUND) == ground
             if count > 0 and not (same and west <= x < east and south <= y < north):
                 break
             e, u = np.int64(np.rint((x - west) * QUANTA)), np.int64(np.rint(points.z[i] * QUANTA))
@@ -167,7 +168,7 @@ def _add(points: LinedPoints, table: CellTable) -> Any:
 def add_points(points: LinedPoints, table: CellTable) -> None:
     """Add points, from the one that ``state`` names, until all are added or the table is full."""
     first = table.state[0]
-    rest = LinedPoints(points.x[first:], points.y[first:], points.z[first:], points.ground[first:], points.line[first:])
+    rest = LinedPoints(points.x[first:], points.y[first:], points.z[first:], points.kind[first:], points.line[first:])
     table.state[0] = first + _add(rest, table)
 
 
@@ -179,7 +180,7 @@ def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: StripPl
         wanted = min(STRIP, len(points.x) - first)
         last = first + wanted
         there = LinedPoints(
-            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.ground[first:last], points.line[first:last]
+            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.kind[first:last], points.line[first:last]
         )
         coordinates(points.x[first:last], scaling, 0, there.x)
         coordinates(points.y[first:last], scaling, 1, there.y)

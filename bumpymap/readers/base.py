@@ -4,6 +4,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+import numpy as np
+
 from bumpymap.core import PointCloud, UsageError
 from bumpymap.readers.line_sums import LineSums
 from bumpymap.readers.point_stats import PointStats, verify
@@ -18,6 +20,7 @@ class SurveyBase(ABC):
     def __init__(self, info: SurveyInfo) -> None:
         self._info = info
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
+        self._classes = np.zeros(256, np.int64)
 
     @property
     def info(self) -> SurveyInfo:
@@ -28,6 +31,11 @@ class SurveyBase(ABC):
     def dropped(self) -> dict[str, int]:
         """Number of points dropped so far, by reason."""
         return dict(self._dropped)
+
+    @property
+    def classes(self) -> dict[int, int]:
+        """Number of points of each LAS class so far; see ``SurveyReader.classes``."""
+        return {code: count for code, count in enumerate(self._classes.tolist()) if count}
 
     @property
     def lines(self) -> LineSums:
@@ -54,12 +62,13 @@ class SurveyBase(ABC):
         """Yield the points of the file; see ``SurveyReader.clouds``."""
         if points < 1:
             raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
-        stats, self._line_sums = PointStats(), LineSums()
+        stats, self._line_sums, self._classes = PointStats(), LineSums(), np.zeros(256, np.int64)
         for chunk in self.chunks(points):
             converted = self.convert(chunk, self.fetch(chunk))
             stats = stats.merge(converted.stats)
             self._dropped = stats.dropped
             self._line_sums = self._line_sums.merge(converted.lines)
+            self._classes += converted.classes
             if not stats.bad:
                 yield from _split(converted.cloud, points)
         self.verify(stats)
@@ -68,4 +77,4 @@ class SurveyBase(ABC):
 def _split(cloud: PointCloud, points: int) -> Iterator[PointCloud]:
     for first in range(0, cloud.easting.size, points):
         part = slice(first, first + points)
-        yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.is_ground[part])
+        yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Georeference, PointCloud
+from bumpymap.core import POINT_BUILDING, POINT_GROUND, POINT_PLANT, Georeference, PointCloud
 from bumpymap.readers._kernel import (
     KEPT,
     CountedPoints,
@@ -30,9 +30,11 @@ from bumpytiles import Bounds, ScaledPoints, Scaling
 __all__ = ["NO_POINTS", "PointChecks", "RawPoints", "RecordLayout", "convert_las_points", "convert_table_points"]
 
 
-NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.bool_))
+NO_POINTS = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint8))
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 _ANYWHERE = np.array([-np.inf, -np.inf, np.inf, np.inf])
+_KINDS = np.zeros(256, np.uint8)
+_KINDS[2], _KINDS[3:6], _KINDS[6] = POINT_GROUND, POINT_PLANT, POINT_BUILDING
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,10 +103,11 @@ def convert_las_points(
     rules = RecordRules(
         np.array([*bytes_of_fields, layout.line_byte, layout.line]),
         np.array([_integers_inside(scaling, axis, checks.file_bounds) for axis in (0, 1)]).reshape(-1),
+        _KINDS,
     )
     x, y, z = (np.empty(points, np.int32) for _ in range(3))
-    out = CountedRecords(x, y, z, np.empty(points, np.bool_), np.empty(points, np.uint16))
-    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
+    out = CountedRecords(x, y, z, np.empty(points, np.uint8), np.empty(points, np.uint16))
+    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64), np.zeros(256, np.int64))
     number = 0
     for records in pieces:
         filter_records(records, rules, out, seen)
@@ -113,17 +116,18 @@ def convert_las_points(
     if not math.isfinite(max(abs(side) for side in (stats.west, stats.south, stats.east, stats.north, stats.highest))):
         stats = replace(stats, **_not_finite(pieces, scaling, checks.first))
     kept = 0 if stats.bad else int(seen.counts[3])
-    x, y, z, ground, line = out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept], out.line[:kept]
+    x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     if lines is not None and lines.corrects:
-        scaled = ScaledPoints(x, y, z, ground, scaling)
-        in_metres = LinedPoints(*scaled.coordinates(), ground, line)
+        scaled = ScaledPoints(x, y, z, kind, scaling)
+        in_metres = LinedPoints(*scaled.coordinates(), kind, line)
         lines.correct(in_metres)
-        return ChunkPoints(PointCloud(in_metres.x, in_metres.y, in_metres.z, ground), stats, lines.sums(in_metres))
-    sums = LineSums() if lines is None else lines.sums(ScaledLinedPoints(x, y, z, ground, line), scaling)
+        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind)
+        return ChunkPoints(cloud, stats, lines.sums(in_metres), seen.classes)
+    sums = LineSums() if lines is None else lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
-        x, y, z, ground = x.copy(), y.copy(), z.copy(), ground.copy()
-    return ChunkPoints(ScaledPoints(x, y, z, ground, scaling), stats, sums)
+        x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
+    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums, seen.classes)
 
 
 def _stats_of_records(seen: RecordCounts, number: int, scaling: Scaling) -> PointStats:
@@ -177,7 +181,7 @@ def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
     axes = (raw.easting, raw.northing, raw.upward)
     size = raw.easting.size
     points = FilePoints(*axes, _codes(raw), np.zeros(size, np.bool_), np.zeros(size, np.uint16))
-    out = CountedPoints(*axes, np.empty(size, np.bool_), np.empty(size, np.uint16))
+    out = CountedPoints(*axes, np.empty(size, np.uint8), np.empty(size, np.uint16))
     seen_stats = _empty_stats()
     filter_points(points, _rules(checks), out, seen_stats)
     return _chunk_points(out, size, seen_stats)
@@ -186,11 +190,11 @@ def convert_table_points(raw: RawPoints, checks: PointChecks) -> ChunkPoints:
 def _empty_stats() -> WatchCounts:
     empty = PointStats()
     extremes = np.array([empty.west, empty.south, empty.east, empty.north, empty.highest])
-    return WatchCounts(extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0]))
+    return WatchCounts(extremes, np.array([0, 0, 0, 0, 0, empty.first_not_finite, 0]), np.zeros(256, np.int64))
 
 
 def _rules(checks: PointChecks) -> WatchRules:
-    return WatchRules(_limits(checks.file_bounds), checks.nan_is_no_return, checks.first)
+    return WatchRules(_limits(checks.file_bounds), checks.nan_is_no_return, checks.first, _KINDS)
 
 
 def _limits(bounds: Bounds | None) -> NDArray[np.float64]:
@@ -200,11 +204,12 @@ def _limits(bounds: Bounds | None) -> NDArray[np.float64]:
 
 
 def _codes(raw: RawPoints) -> NDArray[np.uint8]:
-    """Return class codes as bytes; codes other than ground (2) and noise (7, 18) become 0."""
-    codes = np.zeros(raw.easting.size, np.uint8)
-    for code in (2, 7, 18) if raw.class_id is not None else ():
-        codes[raw.class_id == code] = code
-    return codes
+    """Return class codes as bytes; what is no class becomes 0."""
+    if raw.class_id is None:
+        return np.zeros(raw.easting.size, np.uint8)
+    codes = raw.class_id
+    valid = (codes >= 0) & (codes <= 255) & (codes % 1 == 0)
+    return np.where(valid, codes, 0).astype(np.uint8)
 
 
 def _chunk_points(out: CountedPoints, seen: int, seen_stats: WatchCounts) -> ChunkPoints:
@@ -213,8 +218,8 @@ def _chunk_points(out: CountedPoints, seen: int, seen_stats: WatchCounts) -> Chu
     # Points outside their octree node are counted by `count_points_outside_node`.
     stats = PointStats(seen, withheld, noise, no_return, outside, 0, bad, first, *seen_stats.extremes.tolist())
     kept = 0 if stats.bad else int(counts[KEPT])
-    cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.ground[:kept])
+    cloud = PointCloud(out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept])
     if kept < seen // 2:
         # A view would keep the memory of the dropped points.
-        cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.is_ground.copy())
-    return ChunkPoints(cloud, stats)
+        cloud = PointCloud(cloud.easting.copy(), cloud.northing.copy(), cloud.upward.copy(), cloud.kind.copy())
+    return ChunkPoints(cloud, stats, classes=seen_stats.classes)

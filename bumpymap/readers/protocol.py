@@ -1,9 +1,12 @@
 """The interface of survey readers: options, header information, chunks of points."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import date
 from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import Georeference, GivenCrs, PieceRuns, PointCloud, ZUnit
 from bumpymap.readers.line_sums import LineCorrection, LineSums
@@ -99,6 +102,8 @@ class ChunkPoints:
     """Statistics of all points of the chunk, dropped ones included."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines, if `ReadOptions.lines` asks for them and the file names lines."""
+    classes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
+    """(256,) number of points of each LAS class."""
 
     @property
     def cloud(self) -> PointCloud:
@@ -111,7 +116,7 @@ class ChunkPoints:
         points = self.points
         if isinstance(points, ScaledPoints):
             return group_scaled_points(grid, points)
-        return group_points(grid, points.easting, points.northing, points.upward, points.is_ground)
+        return group_points(grid, points.easting, points.northing, points.upward, points.kind)
 
 
 class SurveyReader(Protocol):
@@ -124,6 +129,10 @@ class SurveyReader(Protocol):
     @property
     def dropped(self) -> dict[str, int]:
         """Number of dropped points, by reason; complete when ``clouds`` is exhausted."""
+
+    @property
+    def classes(self) -> dict[int, int]:
+        """Number of points of each LAS class, dropped ones left out; complete when ``clouds`` is exhausted."""
 
     @property
     def lines(self) -> LineSums:

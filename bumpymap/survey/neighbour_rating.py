@@ -8,20 +8,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
+    CANOPY,
     FAIL_SHARE,
     FREE,
     NO_CLASS,
     OBSTACLE,
+    SEEN,
     SIDES,
-    UNDECIDED,
+    SOLID,
     UNSEEN,
     Barred,
     Compat,
+    FeatureSettings,
     MapConfig,
     Rating,
     Reason,
     neighbour_columns,
 )
+from bumpymap.patches import find_standing, settle_solids
 from bumpymap.rating import (
     BlockRating,
     Calibration,
@@ -47,6 +51,9 @@ __all__ = ["NeighbourRating", "SplitClosing"]
 
 Columns = dict[str, NDArray[Any]]
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
+_OBJECTS = ("obstacle", "obstacle_height", "clearance")
+_WIDEST = 2.6
+"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _LEAST_PIXELS = 10
@@ -61,6 +68,8 @@ class NeighbourRating:
     calibration: Calibration
     rating: Rating
     compat: Compat
+    max_hole: float = FeatureSettings().max_hole
+    """m, see `settle_solids`."""
     speeds: tuple[float, ...] = ()
     """Speeds besides that of the map, m/s."""
 
@@ -68,12 +77,19 @@ class NeighbourRating:
     def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
         """Choose the steps that the settings ask for."""
         speeds = config.speeds or ()
-        return cls(Grid(config.tile_size, config.pixels), models.calibration, config.rating, config.compat, speeds)
+        return cls(
+            Grid(config.tile_size, config.pixels),
+            models.calibration,
+            config.rating,
+            config.compat,
+            config.features.max_hole,
+            speeds,
+        )
 
     @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
-        return (*_RATED, "slope", "coverage", "heights", "objects", "obstacle", "thin", *self._motion)
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._motion)
 
     @property
     def columns(self) -> tuple[Column, ...]:
@@ -102,9 +118,12 @@ class NeighbourRating:
             return None
         tiles = len(own["class_id"])
         nothing = np.full(tiles, np.nan, np.float32)
-        objects = np.where(own["objects"] == UNDECIDED, np.uint8(FREE), own["objects"])
+        # As in a block with known tiles: what is not in the way there is unseen.
+        states = own["objects"] % SEEN
+        overhead = np.where((states == CANOPY) | (states == SOLID), np.uint8(CANOPY), np.uint8(UNSEEN))
+        objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
-            {name: own[name] for name in (*_RATED, "obstacle", *self._motion)}
+            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._motion)}
             | dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
             | {"objects": objects, "passage": np.zeros_like(objects)}
@@ -112,13 +131,16 @@ class NeighbourRating:
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return `neighbour_columns` of the inner tiles."""
-        own = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", "obstacle")}
+        own = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}
         known = self._known(window.columns)
         if self.rates_thin:
             own |= asdict(
                 rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
             )
-        objects = settle_objects(window.mosaic("objects"), self.grid.pixels)
+        objects = window.mosaic("objects")
+        if self.compat == "none":
+            objects[self._standing(window) & (objects != UNSEEN)] = OBSTACLE
+        objects = settle_objects(settle_solids(objects, self.grid, self.max_hole), self.grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         steps = self._steps(window)
         if self.compat == "none":
@@ -130,16 +152,17 @@ class NeighbourRating:
             barred = self.calibration.cost_rule.barred(own)
         areas = free_areas(objects, barred, self.calibration.body, self.grid.tile_size)
         states = self._inner(objects)
-        obstacle = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
+        share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
+        obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
+        nothing, height = np.float32(np.nan), own["obstacle_height"]
         return (
             {name: own[name] for name in _RATED}
             | _by_side(steps)
             | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
-            | {
-                "objects": states,
-                "passage": areas,
-                "obstacle": np.where(np.isnan(own["obstacle"]), np.float32(np.nan), obstacle),
-            }
+            | {"objects": states, "passage": areas, "obstacle": obstacle}
+            # A roof is an obstacle of unknown height, and nothing that hangs over the way.
+            | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
+            | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
             | {name: self._felt(window.inner(name), own["c_r"]) for name in self._motion}
         )
 
@@ -151,6 +174,16 @@ class NeighbourRating:
         """Return which tiles have a class, or will have one."""
         known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
         return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
+
+    def _standing(self, window: NeighbourWindow) -> NDArray[np.bool_]:
+        """Return the pixels of narrow, steep things in the relief of tiles whose points all count as ground."""
+        relief = window.present & np.isnan(window["obstacle"])
+        if not relief.any():
+            return np.zeros(self._pixels(relief).shape, np.bool_)
+        body = self.calibration.body
+        size = self.grid.pixel_size
+        found = find_standing(window.mosaic("heights"), body, size, width=_WIDEST, least=body.lowest_obstacle_m)
+        return found & self._pixels(relief)
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:

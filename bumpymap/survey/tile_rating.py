@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
+    POINT_GROUND,
+    POINT_OTHER,
     Compat,
     CsfSettings,
     FeatureSettings,
@@ -17,7 +19,15 @@ from bumpymap.core import (
     PatchStack,
     TextureMap,
 )
-from bumpymap.patches import find_objects, mark_ground, measure, measure_thin, require_filter, take_off_standing
+from bumpymap.patches import (
+    find_objects,
+    find_steep,
+    mark_ground,
+    measure,
+    measure_thin,
+    require_filter,
+    take_off_standing,
+)
 from bumpymap.rating import (
     Calibration,
     RideModel,
@@ -106,7 +116,11 @@ class TileRating:
     def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
         """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`."""
         if self.csf is not None:
-            points = replace(points, flag=mark_ground(points, self.csf))
+            ground, of_file = (
+                mark_ground(points, self.csf),
+                np.where(points.flag == POINT_GROUND, POINT_OTHER, points.flag),
+            )
+            points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
         patches = measure(points, self.features, ground_only=ground_only)
         network = self.models.texture
         textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(patches, network)
@@ -116,14 +130,16 @@ class TileRating:
         else:
             rating = rate_as_paper if self.compat == "paper" else rate
             rated = rating(patches, textures, calibration, self.georeference)
-        objects = self._objects(points, patches) if ground_only else None
+        objects = self._objects(points, patches, ground_only)
         return replace(rated, objects=objects, thin=self._thin(points, patches, ground_only)).columns()
 
-    def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
-        """Find what stands on the ground; the cloth takes low things for ground."""
+    def _objects(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> ObjectStack | None:
+        """Find what stands on the ground; the cloth takes low things for ground. The paper knows none."""
         body = self.models.calibration.body
+        if not ground_only:
+            return find_steep(patches, body) if self.compat == "none" else None
         apart = (points, patches) if self.csf is None else take_off_standing(points, patches, body)
-        return find_objects(*apart, body, self.features)
+        return find_objects(*apart, body)
 
     def _thin(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> NDArray[np.float32] | None:
         """Return what the second pass needs to rate thin tiles; None if they are not rated."""

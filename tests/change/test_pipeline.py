@@ -213,7 +213,7 @@ def make_field_map():
 def test_damaged_classes_are_refused(may, tmp_path):
     other = shutil.copytree(may, tmp_path / "other")
     (other / "class.tif").write_bytes((other / "class.tif").read_bytes()[:-9])
-    with pytest.raises(BadInputError, match=r"class\.tif is damaged"):
+    with pytest.raises(BadInputError, match=r"class\.tif is cut off"):
         compare(may, other)
     (other / "class.tif").unlink()
     with pytest.raises(BadInputError, match=r"class\.tif"):

@@ -124,8 +124,8 @@ def test_wrong_usage(layers, tmp_path, words, said):
     ("words", "said"),
     [
         (["--to", "nav2", "--around", "crs:1,2"], "lies outside the map"),
-        (["--to", "plan"], "pass its route.geojson with --route"),
-        (["--to", "plan", "--route", "none.geojson"], "cannot read a route from none.geojson"),
+        (["--to", "plan"], "pass the folder that it wrote with --route"),
+        (["--to", "plan", "--route", "none.geojson"], "there is no none.geojson"),
     ],
 )
 def test_bad_input(layers, tmp_path, words, said):

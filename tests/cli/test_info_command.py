@@ -40,6 +40,18 @@ def info(monkeypatch):
     return run
 
 
+def test_the_classes_and_what_they_are_taken_for(info, tmp_path):
+    classes = np.full(900, 2, np.uint8)
+    classes[:90], classes[90:180], classes[180:270], classes[270:279] = 6, 4, 66, 7
+    path = write(tmp_path / "a.laz", dense(), "EPSG:32614", classes)
+    found = json.loads(info(path, "--json").output)["files"][0]["classes"]
+    assert found == {"2": 621, "4": 90, "6": 90, "66": 90}  # noise is left out
+    rows = {line[:18].strip(): line[18:].strip() for line in info(path).output.splitlines()}
+    assert rows["as ground"].startswith("2 ground 69.7%")
+    assert rows["as obstacles"].startswith("6 building 10.1%")
+    assert rows["by height"].startswith("4 medium plants 10.1%, 66 10.1%")
+
+
 def test_a_good_survey(info, tmp_path):
     path = write(tmp_path / "a.laz", dense(), "EPSG:32614", np.full(900, 2, np.uint8))
     result = info(path)

@@ -10,6 +10,21 @@ from typing import NamedTuple
 
 import numpy as np
 
+from bumpymap.core import (
+    CANOPY,
+    FREE,
+    OBSTACLE,
+    POINT_BUILDING,
+    POINT_GROUND,
+    POINT_OTHER,
+    POINT_PLANT,
+    UNSEEN,
+    FeatureSettings,
+)
+from bumpymap.patches import find_objects, find_standing, find_steep, measure, settle_solids
+from bumpymap.rating import settle_objects
+from bumpytiles import Grid, TileBuckets
+
 GROUND, PLANT, BUILDING, OTHER, BRIDGE = 2, 5, 6, 1, 17
 """LAS classes; the first code of plants is `PLANT`, for hedges 4."""
 HEDGE = 4
@@ -160,7 +175,7 @@ class TruePixels(NamedTuple):
     """Truth about the pixels of a window of tiles, (rows, cols) each, north row first."""
 
     closed: np.ndarray
-    """(rows, cols) share of the pixel that is in the footprint of something in the vehicle's way, 0..1."""
+    """Their middle is in the footprint of something in the vehicle's way; what is thinner is one pixel wide."""
     free: np.ndarray
     """Level ground, with nothing in the way within the tolerance: calling it an obstacle or unknown is wrong."""
 
@@ -184,19 +199,17 @@ def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, 
     tolerance : float
         What is closer to a thing than this may be called closed, m.
     """
-    fine = 4
-    axis = (np.arange(pixels * fine) + 0.5) * pixel / fine
+    axis = (np.arange(pixels) + 0.5) * pixel
     x, y = place.in_scene(*np.meshgrid(west + axis, (south + axis)[::-1]))
-    inside, near = np.zeros((2, *x.shape), bool)
+    closed, near = np.zeros((2, *x.shape), bool)
     for solid in scene.solids:
-        if solid.bottom < high and solid.top > low:
-            inside |= solid.inside(x, y)
+        in_the_way = solid.bottom < high and solid.top > low
+        if in_the_way:
+            closed |= solid.inside(x, y, max(0.0, 0.5 * (pixel - solid.width)))
+        if in_the_way or solid.stops == 1.0:  # what is under a closed roof is not seen
             near |= solid.inside(x, y, tolerance)
     near |= scene.relief(x, y) | (np.maximum(np.abs(x), np.abs(y)) > scene.half - 1.0)
-    for solid in scene.solids:  # what is under a closed roof is not seen
-        near |= solid.inside(x, y, tolerance) & (solid.stops == 1.0)
-    blocks = (pixels, fine, pixels, fine)
-    return TruePixels(inside.reshape(blocks).mean(axis=(1, 3)), ~near.reshape(blocks).any(axis=(1, 3)))
+    return TruePixels(closed, ~near)
 
 
 def ring(gap=0.0, thickness=0.3, height=2.0, side=9.0, class_id=BUILDING):
@@ -215,7 +228,8 @@ def ring(gap=0.0, thickness=0.3, height=2.0, side=9.0, class_id=BUILDING):
 
 def wall(thickness, class_id=BUILDING, height=2.0, length=10.0):
     """A straight wall."""
-    return Scene(f"wall {thickness:g} m", (Solid(0, 0, length, thickness, height, class_id=class_id),))
+    name = f"wall {thickness:g} m" + (", class 6" if class_id == BUILDING else "")
+    return Scene(name, (Solid(0, 0, length, thickness, height, class_id=class_id),))
 
 
 def fence(height=1.2, mesh=0.25, spacing=2.0, length=12.0):
@@ -247,9 +261,10 @@ CRATES = tuple(Solid(x, y, 0.7, 0.7, 0.7, turn=turn) for x, y, turn in ((-4, -3,
 BALES = tuple(Solid(x, y, 0, 1.3, 1.2, is_round=True) for x, y in ((-4, -3), (0, 2), (3, -1)))
 CROWNS = (crown(-4, 3, 4), crown(1, 2, 5), crown(3, -3, 3), crown(-3, -4, 4))
 SCENES = (
-    *(wall(thickness) for thickness in (0.1, 0.2, 0.3, 0.6)),
+    *(wall(thickness, class_id=OTHER) for thickness in (0.1, 0.2, 0.3, 0.6)),
     ring(),
     ring(gap=2.0),
+    wall(0.3),
     fence(),
     Scene("low wall 0.6 m high", (Solid(0, 0, 10, 0.3, 0.6),)),
     Scene("posts", POSTS),
@@ -261,6 +276,7 @@ SCENES = (
     Scene("hedge", (Solid(0, 0, 10, 1.0, 1.8, class_id=HEDGE, soft=True),)),
     Scene("carport", (Solid(0, 0, 6, 5, 3.0, bottom=2.6),)),
     Scene("crowns over ground", CROWNS),
+    Scene("crowns, unassigned", tuple(one._replace(class_id=OTHER) for one in CROWNS)),
     Scene("open ground", ()),
     Scene("ditch", (), ground=_ditch, relief=lambda x, y: np.abs(y) < 2.0),  # noqa: ARG005
     Scene("ramp", (), ground=_ramp, relief=lambda x, y: (x > -1) & (x < 5)),  # noqa: ARG005
@@ -271,3 +287,71 @@ SCENES = (
 def seen_from_above(scene):
     """Return a scene of solids whose tops alone return: hedges and crowns too."""
     return replace(scene, solids=tuple(solid._replace(soft=False) for solid in scene.solids))
+
+
+FAR = FeatureSettings().max_hole
+
+
+def _mapped(points, body):
+    """States of the pixels of tiles by themselves, as an image with a ring of missing tiles, and its corner [m]."""
+    settings, ground = FeatureSettings(), points.classification == GROUND
+    classified = bool(ground.any())
+    kinds = np.select(
+        [ground, points.classification == BUILDING, (points.classification >= 3) & (points.classification <= 5)],
+        [POINT_GROUND, POINT_BUILDING, POINT_PLANT],
+        POINT_OTHER,
+    )
+    buckets = TileBuckets(Grid())
+    buckets.add(points.x, points.y, points.z, kinds.astype(np.uint8))
+    blocks = [(block, measure(block, settings, ground_only=classified)) for block in buckets.blocks()]
+    stacks = [find_objects(block, alone, body) if classified else find_steep(alone, body) for block, alone in blocks]
+    col, row = (np.concatenate([getattr(block, axis) for block, _ in blocks]) for axis in ("col", "row"))
+    west, south = int(col.min()) - 1, int(row.min()) - 1
+    side = max(np.ptp(col), np.ptp(row)) + 3
+
+    def image(maps, nothing):
+        mosaic = np.full((side, 15, side, 15), nothing, maps[0].dtype)
+        mosaic[south + side - 1 - row, :, col - west] = np.concatenate(maps)
+        return mosaic.reshape(side * 15, side * 15)
+
+    states = image([stack.objects for stack in stacks], UNSEEN)
+    if not classified:
+        heights = image([alone.heights for _, alone in blocks], np.nan)
+        standing = find_standing(heights, body, 0.2, width=2.6, least=body.lowest_obstacle_m)
+        states[standing & (states != UNSEEN)] = OBSTACLE
+    return states, 3.0 * west, 3.0 * south
+
+
+def mapped_tiles(points, body):
+    """Return the states of the pixels of tiles by themselves."""
+    return _mapped(points, body)[0]
+
+
+def seen_pixels(points, body):
+    """Return what a survey of a scene says of its pixels, and the south-west corner of the image [m].
+
+    As a run does it: tiles by themselves, then with their neighbours.
+    """
+    states, west, south = _mapped(points, body)
+    return settle_objects(settle_solids(states, Grid(), FAR), 15), west, south
+
+
+def judge(scene, density, noise, body, *, classified=True, sides=False, seeds=range(2)):
+    """Return the share of the footprint that is closed (NaN: there is none), and of level ground that is barred.
+
+    Every other place has a heading of its own.
+    """
+    closed = truth = barred = free = 0
+    for seed in seeds:
+        rng = np.random.default_rng(seed)
+        place = Place(rng.uniform(0, 360) if seed % 2 else 0.0, *(1000 + rng.uniform(0, 3, 2)))
+        points = survey_scene(
+            scene, density, noise=noise, classified=classified, sides=sides, place=place, seed=seed, margin=3.0
+        )
+        image, west, south = seen_pixels(points, body)
+        tolerance = max(0.4, 2.0 / math.sqrt(density))
+        true = true_pixels(scene, west, south, len(image), place=place, high=body.height_m, tolerance=tolerance)
+        shut = (image != FREE) & (image != CANOPY)
+        closed, truth = closed + (true.closed & shut).sum(), truth + true.closed.sum()
+        barred, free = barred + (true.free & shut).sum(), free + true.free.sum()
+    return closed / truth if truth else math.nan, barred / free

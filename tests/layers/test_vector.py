@@ -263,7 +263,7 @@ def test_local_coordinates_in_feet_say_so(tmp_path, make_field):
 
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
-    with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`crs="):
+    with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
 
 

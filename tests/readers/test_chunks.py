@@ -220,7 +220,8 @@ def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, mar
     kept = ~(withheld | noise) & (not stats.bad)
     cloud = batch.cloud
     assert np.array_equal(np.column_stack([cloud.easting, cloud.northing, cloud.upward]), expected[kept])
-    assert np.array_equal(cloud.is_ground, records[kept, 16] == 2)
+    kinds = np.select([records[kept, 16] == code for code in (2, 3, 4, 5, 6)], [1, 3, 3, 3, 2])
+    assert np.array_equal(cloud.kind, kinds)
 
 
 def test_workers_open_a_file_again_without_its_notes(las, caplog):

@@ -14,7 +14,7 @@ def cloud(n=20_000, side=90.0, lines=3, seed=0, corner=(-41.0, 4_000_000.0)):
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(0, side, (2, n)).round(3) + np.array(corner)[:, None]
     z = (2_000 + rng.normal(size=n)).round(3)
-    return LinedPoints(x, y, z, rng.random(n) < 0.5, rng.integers(0, lines, n).astype(np.uint16))
+    return LinedPoints(x, y, z, rng.integers(0, 2, n).astype(np.uint8), rng.integers(0, lines, n).astype(np.uint16))
 
 
 def part(points, chosen):

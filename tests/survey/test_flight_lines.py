@@ -31,7 +31,7 @@ def strips(errors, *, overlap=0.5, density=20, length=120.0, noise=0.02, bushes=
         z += (rng.random(n) < bushes) * rng.uniform(0, 1.5, n)
         parts.append((x + CORNER[0], y + CORNER[1], z.round(3), np.full(n, number + 1)))
     x, y, z, line = (np.concatenate(axis) for axis in zip(*parts, strict=True))
-    return LinedPoints(x, y, z, np.zeros(len(x), np.bool_), line.astype(np.uint16))
+    return LinedPoints(x, y, z, np.zeros(len(x), np.uint8), line.astype(np.uint16))
 
 
 def constant(value):
@@ -123,7 +123,7 @@ def test_only_ground_is_compared_where_the_survey_is_classified():
     points = strips([constant(0.0), constant(0.04)], density=40)
     rng = np.random.default_rng(1)
     wood = rng.random(len(points.x)) < 0.5
-    higher = points._replace(z=points.z + wood * (8.0 + 0.5 * points.line), ground=~wood)
+    higher = points._replace(z=points.z + wood * (8.0 + 0.5 * points.line), kind=(~wood).astype(np.uint8))
     found, _, _ = compared(higher)
     assert abs(found.pairs[0].step - 0.04) < 0.005
 

@@ -70,11 +70,11 @@ def test_exact_duplicates_count_once_and_a_flagged_twin_wins():
     blocks = gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700])
     assert sum(len(block.easting) for block in blocks) == len(distinct)
     x = np.full(2, 1.0)
-    for flags in ([True, False], [False, True]):
+    for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
         buckets = TileBuckets(GRID)
-        buckets.add(x, x, x, np.array(flags))
+        buckets.add(x, x, x, np.array(flags, np.uint8))
         (block,) = buckets.blocks()
-        assert block.flag.tolist() == [True]
+        assert block.flag.tolist() == [kept]
 
 
 def test_zero_and_minus_zero_are_one_place():

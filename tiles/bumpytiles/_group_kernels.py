@@ -33,7 +33,6 @@ MAX_CELLS = 1 << 22
 Floats = Annotated[NDArray[np.float64], 1]
 Words = Annotated[NDArray[np.int32], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
-Flags = Annotated[NDArray[np.bool_], 1]
 Borders = Annotated[NDArray[np.int64], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Places = Annotated[NDArray[np.int32], 1]
@@ -65,7 +64,7 @@ class TiledPoints(NamedTuple):
     upward: Floats
     tile: Bytes
     """Tile inside the block, row * 16 + column."""
-    flag: Flags
+    flag: Bytes
 
 
 class ScaledTiledPoints(NamedTuple):
@@ -75,7 +74,7 @@ class ScaledTiledPoints(NamedTuple):
     northing: Words
     upward: Words
     tile: Bytes
-    flag: Flags
+    flag: Bytes
 
 
 class BlockWindow(NamedTuple):
@@ -180,7 +179,7 @@ def count_scaled_points(
 
 
 @helper
-def _scatter(points: Any, flag: Flags, found: GroupScratch, place: Indices, out: Any) -> None:
+def _scatter(points: Any, flag: Bytes, found: GroupScratch, place: Indices, out: Any) -> None:
     """Put points block by block, in their own order inside a block."""
     for i in range(len(flag)):
         c = found.cell[i]
@@ -194,14 +193,14 @@ def _scatter(points: Any, flag: Flags, found: GroupScratch, place: Indices, out:
 
 
 @kernel
-def scatter_points(points: Coordinates, flag: Flags, found: GroupScratch, place: Indices, out: TiledPoints) -> None:
+def scatter_points(points: Coordinates, flag: Bytes, found: GroupScratch, place: Indices, out: TiledPoints) -> None:
     """Put points block by block; ``place`` is where the next point of each block of the window goes, and moves on."""
     _scatter(points, flag, found, place, out)
 
 
 @kernel
 def scatter_scaled_points(
-    points: ScaledCoordinates, flag: Flags, found: GroupScratch, place: Indices, out: ScaledTiledPoints
+    points: ScaledCoordinates, flag: Bytes, found: GroupScratch, place: Indices, out: ScaledTiledPoints
 ) -> None:
     """Do the same with points of a file's own grid."""
     _scatter(points, flag, found, place, out)

@@ -33,7 +33,6 @@ _KEY_BITS = 56
 
 Floats = Annotated[NDArray[np.float64], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
-Flags = Annotated[NDArray[np.bool_], 1]
 Indices = Annotated[NDArray[np.int64], 1]
 Places = Annotated[NDArray[np.int32], 1]
 Keys = Annotated[NDArray[np.uint64], 1]
@@ -46,8 +45,8 @@ class MarkedPoints(NamedTuple):
     """m, as the two that follow."""
     northing: Floats
     upward: Floats
-    flag: Flags
-    """A mark that travels with each point."""
+    flag: Bytes
+    """A number that travels with each point; 1: flagged."""
 
 
 class SortScratch(NamedTuple):
@@ -162,7 +161,7 @@ def _comes_later(points: MarkedPoints, o: int, i: int) -> Any:
         return points.northing[o] > points.northing[i]
     if points.upward[o] != points.upward[i]:
         return points.upward[o] > points.upward[i]
-    return points.flag[i] and not points.flag[o]
+    return (int(points.flag[o]) + 255) & 255 > (int(points.flag[i]) + 255) & 255
 
 
 @helper
@@ -215,7 +214,7 @@ def sort_tiles(first: Indices, starts: Indices, points: MarkedPoints, tile: Mark
     starts : (257,) int64
         Filled: where each tile's points begin afterwards; last, the number of points that stay.
     points : MarkedPoints
-        Tile by tile; sorted in place. Of twins, a flagged one stays.
+        Tile by tile; sorted in place. Of twins, the one with the first flag of 1, 2, ... 255, 0 stays.
     tile : MarkedPoints
         Scratch for the points of a tile.
     scratch : SortScratch

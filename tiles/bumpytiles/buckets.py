@@ -90,9 +90,9 @@ class TileBuckets:
         easting: NDArray[np.float64],
         northing: NDArray[np.float64],
         upward: NDArray[np.float64],
-        flag: NDArray[np.bool_],
+        flag: NDArray[np.uint8] | NDArray[np.bool_],
     ) -> None:
-        """Add a chunk of points; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
+        """Add a chunk of points; coordinates (n,) in metres, ``flag`` (n,) belongs to them: True or 1 is flagged."""
         self.add_chunk(group_points(self.grid, easting, northing, upward, flag))
 
     def add_chunk(self, chunk: GroupedPoints, number: int = 0) -> None:
@@ -194,7 +194,7 @@ class TileBuckets:
         seen = np.zeros((2, _TILES), np.bool_)
         for part, _ in self._parts(key, ("tile", "flag")):
             seen[0, part["tile"]] = True
-            seen[1, part["tile"][part["flag"]]] = True
+            seen[1, part["tile"][part["flag"] == 1]] = True
         tiles, flagged = np.count_nonzero(seen, axis=1).tolist()
         return tiles, flagged
 

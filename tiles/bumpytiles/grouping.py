@@ -32,7 +32,7 @@ _MOST_BORDERS = 1 << 16
 """Columns or rows of tiles in a chunk whose borders are looked up."""
 _FAR = 1 << 33
 """Beyond all integers."""
-_MARKS = (Column("tile", "|u1"), Column("flag", "|b1"))
+_MARKS = (Column("tile", "|u1"), Column("flag", "|u1"))
 _AXES = ("easting", "northing", "upward")
 POINT_COLUMNS = (*(Column(axis, "<f8") for axis in _AXES), *_MARKS)
 """A waiting point with its coordinates in metres: 26 bytes."""
@@ -106,11 +106,11 @@ def group_points(
     easting: NDArray[np.float64],
     northing: NDArray[np.float64],
     upward: NDArray[np.float64],
-    flag: NDArray[np.bool_],
+    flag: NDArray[np.uint8] | NDArray[np.bool_],
 ) -> GroupedPoints:
     """Group a chunk of points by block; coordinates (n,) in metres, ``flag`` (n,) belongs to them."""
     x, y, z = (np.ascontiguousarray(column, np.float64) for column in (easting, northing, upward))
-    marks = np.ascontiguousarray(flag, np.bool_)
+    marks = np.ascontiguousarray(flag, np.uint8)
     window = _window(grid, x, y)
     if window is None:
         return _group_scattered(grid, x, y, z, marks)
@@ -135,7 +135,9 @@ def group_scaled_points(grid: Grid, points: ScaledPoints) -> GroupedPoints:
     given = ScaledCoordinates(points.easting, points.northing, points.upward)
     count_scaled_points(given, borders, window.blocks, counts, found)
     columns = _empty_columns(SCALED_COLUMNS, n)
-    scatter_scaled_points(given, points.flag, found, np.cumsum(counts), ScaledTiledPoints(**columns))
+    scatter_scaled_points(
+        given, np.ascontiguousarray(points.flag, np.uint8), found, np.cumsum(counts), ScaledTiledPoints(**columns)
+    )
     return window.grouped(counts, columns, scaling)
 
 

@@ -72,8 +72,8 @@ class ScaledPoints:
     """Integers of the file's grid, as the two that follow."""
     northing: NDArray[np.int32]
     upward: NDArray[np.int32]
-    flag: NDArray[np.bool_]
-    """A mark that travels with each point."""
+    flag: NDArray[np.uint8]
+    """A number that travels with each point."""
     scaling: Scaling
 
     def coordinates(self) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:

@@ -50,8 +50,8 @@ class TilePoints:
     """(points,) m."""
     upward: NDArray[np.float64]
     """(points,) m."""
-    flag: NDArray[np.bool_]
-    """(points,) the mark that was passed with each point."""
+    flag: NDArray[np.uint8]
+    """(points,) the number that was passed with each point; 1: flagged."""
 
 
 def join_tiles(parts: Sequence[TilePoints]) -> TilePoints:
@@ -100,4 +100,4 @@ def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoi
 
 
 def _empty_points(points: int) -> MarkedPoints:
-    return MarkedPoints(np.empty(points), np.empty(points), np.empty(points), np.empty(points, np.bool_))
+    return MarkedPoints(np.empty(points), np.empty(points), np.empty(points), np.empty(points, np.uint8))

@@ -17,3 +17,7 @@ from .pairs import (
     measure_pairs as measure_pairs,
     pair_scratch as pair_scratch,
 )
+from .solids import (
+    settle_solids as settle_solids,
+    solid_scratch as solid_scratch,
+)

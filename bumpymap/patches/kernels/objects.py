@@ -10,7 +10,20 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, FREE, OBSTACLE, UNDECIDED, UNSEEN, squared_distances
+from bumpymap.core import (
+    CANOPY,
+    EMPTY,
+    FREE,
+    LONE,
+    OBSTACLE,
+    POINT_BUILDING,
+    POINT_GROUND,
+    POINT_PLANT,
+    SEEN,
+    SOLID,
+    UNDECIDED,
+    UNSEEN,
+)
 from bumpymap.patches.kernels.measure import PointsByTile
 from bumpytiles import helper, kernel
 
@@ -19,10 +32,17 @@ __all__ = ["ObjectLimits", "ObjectScratch", "TileObjects", "find_in_tiles", "obj
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
-Flags = NDArray[np.bool_]
 
 _LEAST_GROUND = 3
 """Pixels with ground that make a surface."""
+_DENSE = 5
+"""So many more points overhead than on the ground are a thing that lets no pulse through."""
+_FEW = 4.0
+"""With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5."""
+_LEAFY, _LEAVES = 1.0, 12
+"""Plants so far above the vehicle, m, are crowns: where leaves are dense, so many points reach no ground by chance."""
+_BESIDE = 3
+"""Points of the ground count so often in a square, which may hold much of what is beside the thing."""
 _RIDGE = 1.0
 """Pixels^2 added to the spread of the known pixels: a few close together say little about the slope."""
 
@@ -38,25 +58,17 @@ class ObjectLimits(NamedTuple):
     """Height above which it hangs over the vehicle, m."""
     share: float
     """Points that make an obstacle, as a share of those that the tile has on 3 x 3 pixels on average; two at least."""
-    hole: float
-    """Distance from all points beyond which a pixel is unseen, m; more where the tile has few points."""
-    hole_points: float
-    """Points that a disc of that radius holds on average, at least."""
-    roof: float
-    """Radius of a disc without ground under which a thing overhead stands on the ground, m; more with few points."""
-    roof_points: float
-    """Points that such a disc holds on average, at least."""
-    roof_ground: float
-    """Ground points that such a disc would hold on average, at least, if the tile's were spread evenly."""
 
 
 class TileObjects(NamedTuple):
     """What is read and filled."""
 
-    ground: Annotated[Flags, 1]
-    """(points,) which points are ground."""
+    kind: Annotated[Bytes, 1]
+    """(points,) kind of each point."""
     heights: Annotated[NDArray[np.float32], 3]
     """(tiles, pixels, pixels) mean height of the ground, m; NaN where none is known."""
+    seen: Annotated[Integers, 3]
+    """The same shape: points of the ground."""
     state: Annotated[Bytes, 3]
     """The same shape, filled: states of `bumpymap.core.ObjectStack`."""
     scalars: Annotated[Floats, 2]
@@ -85,16 +97,13 @@ class ObjectScratch(NamedTuple):
     """The same shape: highest point of an obstacle above the ground, m."""
     least: Annotated[Floats, 2]
     """The same shape: lowest point overhead, m above the ground."""
-    far: Annotated[Floats, 2]
-    """The same shape: squared distances, px^2; ``near`` those along a column."""
-    near: Annotated[Floats, 2]
     body: Annotated[Integers, 2]
     """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, and a mask."""
+    above, those above, those under, and those of leaves above."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
-    mask: Annotated[Bytes, 2]
+    leaves: Annotated[Integers, 2]
     places: Annotated[Integers, 1]
     """(pixels^2,) pixels with ground, row by row, and the height of each above the plane, m."""
     rests: Annotated[Floats, 1]
@@ -102,19 +111,17 @@ class ObjectScratch(NamedTuple):
 
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
-    floats = [np.empty((pixels, pixels)) for _ in range(5)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(4)]
+    floats = [np.empty((pixels, pixels)) for _ in range(3)]
+    whole = [np.empty((pixels, pixels), np.int32) for _ in range(5)]
     return ObjectScratch(
         surface=floats[0],
         top=floats[1],
         least=floats[2],
-        far=floats[3],
-        near=floats[4],
         body=whole[0],
         company=whole[1],
         above=whole[2],
         under=whole[3],
-        mask=np.empty((pixels, pixels), np.uint8),
+        leaves=whole[4],
         places=np.empty(pixels * pixels, np.int32),
         rests=np.empty(pixels * pixels),
     )
@@ -170,23 +177,31 @@ def _continue_ground(plane: TilePlane, r: int, c: int, scratch: ObjectScratch) -
 
 @helper
 def _count_points(
-    t: int, plane: TilePlane, points: PointsByTile, limits: ObjectLimits, ground: Flags, scratch: ObjectScratch
+    t: int,
+    plane: TilePlane,
+    points: PointsByTile,
+    limits: ObjectLimits,
+    kind: NDArray[np.uint8],
+    scratch: ObjectScratch,
 ) -> None:
     """Count the points of each pixel that are no ground by their height above it."""
     size, side = scratch.surface.shape[0], limits.tile_size
     west, south = points.col[t] * side, points.row[t] * side
     for i in range(points.starts[t], points.starts[t + 1]):
-        if ground[i]:
+        if kind[i] == POINT_GROUND:
             continue
         c = min(size - 1, int(size * (points.easting[i] - west) / side))
         r = size - 1 - min(size - 1, int(size * (points.northing[i] - south) / side))
         if math.isnan(scratch.surface[r, c]) and plane.known >= _LEAST_GROUND:
             scratch.surface[r, c] = _continue_ground(plane, r, c, scratch)
         h = points.upward[i] - scratch.surface[r, c]
+        if kind[i] == POINT_BUILDING:
+            h = min(h, limits.high)
         if h > limits.high:
             scratch.above[r, c] += 1
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
+            scratch.leaves[r, c] += kind[i] == POINT_PLANT and h > limits.high + _LEAFY
         elif h >= limits.low:
             scratch.body[r, c] += 1
             scratch.company[r, c] += 1
@@ -200,7 +215,8 @@ def _clear(scratch: ObjectScratch) -> None:
     """Forget the points of the tile before."""
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
-            scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = scratch.under[r, c] = 0
+            scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
+            scratch.under[r, c] = scratch.leaves[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -215,77 +231,63 @@ def _around(counts: Integers, r: int, c: int) -> int:
 
 
 @helper
-def _first_states(need: int, state: Bytes, scratch: ObjectScratch) -> int:
-    """States from the points of the 3 x 3 pixels around each; returns the number of pixels with canopy alone."""
-    size, canopy = state.shape[0], 0
+def _line_sum(counts: Integers, r: int, c: int, down: int, right: int) -> int:
+    """Sum of five pixels in a row around one."""
+    total, size = 0, counts.shape[0]
+    for k in range(-2, 3):
+        row, column = r + k * down, c + k * right
+        if 0 <= row < size and 0 <= column < size:
+            total += counts[row, column]
+    return total
+
+
+@helper
+def _box_sum(counts: Integers, r: int, c: int, half: int) -> int:
+    """Sum of a square around one pixel."""
+    total = 0
+    for row in range(max(0, r - half), min(counts.shape[0], r + half + 1)):
+        for column in range(max(0, c - half), min(counts.shape[1], c + half + 1)):
+            total += counts[row, column]
+    return total
+
+
+@helper
+def _is_dense(seen: Integers, company: Integers, r: int, c: int, least: int) -> bool:
+    """Whether points overhead outnumber those of the ground on a row of five pixels, or in a square, around one.
+
+    On a wall from 0.3 m on they do. On a wire or a twig the ground beside it outnumbers them.
+    """
+    for direction in range(4):
+        down, right = (direction > 0) * 1, (1 if direction == 0 else direction - 2)
+        for shift in range(-2, 3, 2):
+            row, column = r + shift * down, c + shift * right
+            if _line_sum(company, row, column, down, right) - _line_sum(seen, row, column, down, right) >= least:
+                return True
+    most = -1
+    for half in range(1, 4):
+        most = max(most, _box_sum(company, r, c, half) - _BESIDE * _box_sum(seen, r, c, half))
+    return most >= least
+
+
+@helper
+def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: ObjectScratch) -> None:
+    """States from the points of the 3 x 3 pixels around each; for canopy from those within ``reach``."""
+    size = state.shape[0]
     for r in range(size):
         for c in range(size):
-            state[r, c] = FREE
+            state[r, c] = FREE if seen[r, c] > 0 or scratch.under[r, c] > 0 else EMPTY
             if scratch.body[r, c] > 0:
                 if _around(scratch.company, r, c) >= need:
                     state[r, c] = OBSTACLE
                 elif r == 0 or c == 0 or r == size - 1 or c == size - 1:
                     state[r, c] = UNDECIDED
-            if state[r, c] == FREE and scratch.above[r, c] > 0 and _around(scratch.above, r, c) >= need:
-                state[r, c] = CANOPY
-                canopy += 1
-    return canopy
-
-
-@helper
-def _close_roofs(heights: NDArray[np.float32], radius: float, state: Bytes, scratch: ObjectScratch) -> None:
-    """Make canopy an obstacle that lies in a disc of ``radius`` [px] without any ground."""
-    size = state.shape[0]
-    for r in range(size):
-        for c in range(size):
-            scratch.mask[r, c] = not math.isnan(heights[r, c])
-    squared_distances(scratch.mask, min(size, math.ceil(radius)), scratch.near, scratch.far)
-    cores = 0
-    for r in range(size):
-        for c in range(size):
-            core = scratch.far[r, c] > radius * radius
-            scratch.mask[r, c] = core
-            cores += core
-    if cores == 0:
-        return
-    squared_distances(scratch.mask, min(size, math.ceil(radius)), scratch.near, scratch.far)
-    for r in range(size):
-        for c in range(size):
-            if state[r, c] == CANOPY and scratch.far[r, c] <= radius * radius:
-                state[r, c] = OBSTACLE
-
-
-@helper
-def _all_near(side: int, mask: Bytes) -> bool:
-    """Whether every square of ``side`` pixels, the last of a row or column less, holds one that is marked."""
-    size = mask.shape[0]
-    count = (size + side - 1) // side
-    for square in range(count * count):
-        top, left, found = square // count * side, square % count * side, False
-        for r in range(top, min(size, top + side)):
-            for c in range(left, min(size, left + side)):
-                found = found or mask[r, c] != 0
-        if not found:
-            return False
-    return True
-
-
-@helper
-def _mark_unseen(heights: NDArray[np.float32], radius: float, state: Bytes, scratch: ObjectScratch) -> None:
-    """Mark the free pixels that are farther than ``radius`` [px] from every point."""
-    size = state.shape[0]
-    for r in range(size):
-        for c in range(size):
-            others = scratch.body[r, c] + scratch.above[r, c] + scratch.under[r, c]
-            scratch.mask[r, c] = others > 0 or not math.isnan(heights[r, c])
-    # The corners of such a square are not farther from each other than the radius.
-    if _all_near(1 + int(radius / math.sqrt(2.0)), scratch.mask):
-        return
-    squared_distances(scratch.mask, min(size, math.ceil(radius)), scratch.near, scratch.far)
-    for r in range(size):
-        for c in range(size):
-            if scratch.far[r, c] > radius * radius and state[r, c] == FREE:
-                state[r, c] = UNSEEN
+                else:
+                    state[r, c] = LONE
+            elif scratch.above[r, c] > 0 and _box_sum(scratch.above, r, c, reach) >= need:
+                least = _LEAVES if scratch.leaves[r, c] > 0 else _DENSE
+                state[r, c] = SOLID if _is_dense(seen, scratch.company, r, c, least) else CANOPY
+            if seen[r, c] > 0:
+                state[r, c] += SEEN
 
 
 @helper
@@ -306,19 +308,18 @@ def _without_ground(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> No
 def _summarise(state: Bytes, scalars: Floats, scratch: ObjectScratch) -> None:
     """Fill the scalars of a tile with ground."""
     size, obstacles, canopy = state.shape[0], 0, 0
-    top, least, known = 0.0, np.inf, True
+    top, least = 0.0, np.inf
     for r in range(size):
         for c in range(size):
-            if state[r, c] == OBSTACLE:
+            if state[r, c] % SEEN == OBSTACLE:
                 obstacles += 1
-                known = known and scratch.body[r, c] > 0
                 top = max(top, scratch.top[r, c])
-            over = state[r, c] == CANOPY or (state[r, c] == OBSTACLE and scratch.above[r, c] > 0)
-            canopy += over
-            if state[r, c] == CANOPY:
+            overhead = state[r, c] % SEEN == CANOPY or state[r, c] % SEEN == SOLID
+            canopy += overhead or (state[r, c] % SEEN == OBSTACLE and scratch.above[r, c] > 0)
+            if overhead:
                 least = min(least, scratch.least[r, c])
     scalars[0], scalars[3] = obstacles / (size * size), canopy / (size * size)
-    scalars[1] = top if top > 0.0 or known else np.nan
+    scalars[1] = top
     scalars[2] = least if least < np.inf else np.nan
 
 
@@ -332,21 +333,16 @@ def find_in_tiles(points: PointsByTile, limits: ObjectLimits, tiles: TileObjects
         begin, end = points.starts[t], points.starts[t + 1]
         ground = 0
         for i in range(begin, end):
-            ground += tiles.ground[i]
+            ground += tiles.kind[i] == POINT_GROUND
         _clear(scratch)
         plane = _fit_plane(heights, scratch)
         if ground < end - begin:
-            _count_points(t, plane, points, limits, tiles.ground, scratch)
+            _count_points(t, plane, points, limits, tiles.kind, scratch)
         if plane.known < _LEAST_GROUND:
             _without_ground(state, scalars, scratch)
             continue
         density = (end - begin) / area
         need = max(2, math.ceil(limits.share * 9.0 * pixel * pixel * density))
-        canopy = _first_states(need, state, scratch)
-        if canopy > 0:
-            least = max(limits.roof_points / density, limits.roof_ground * area / ground)
-            _close_roofs(heights, max(limits.roof, math.sqrt(least / math.pi)) / pixel, state, scratch)
-        if plane.known < size * size:
-            hole = max(limits.hole, math.sqrt(limits.hole_points / (math.pi * density)))
-            _mark_unseen(heights, hole / pixel, state, scratch)
+        reach = 1 if 9.0 * pixel * pixel * density >= _FEW else 2
+        _first_states(need, reach, tiles.seen[t], state, scratch)
         _summarise(state, scalars, scratch)

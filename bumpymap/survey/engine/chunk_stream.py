@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import BadInputError
+from bumpymap.core import POINT_GROUND, BadInputError
 from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.plan import ChunkRange
@@ -134,7 +134,9 @@ class ChunkStream:
     def _grouped(self, source: OpenRange, chunk: Chunk, fetched: Any) -> ReadChunk:
         batch = source.reader.convert(chunk, fetched)
         points = batch.grouped(self._grid)
-        return ReadChunk(source, chunk, points, batch.stats, bool(points.points["flag"].any()), batch.lines)
+        return ReadChunk(
+            source, chunk, points, batch.stats, bool((points.points["flag"] == POINT_GROUND).any()), batch.lines
+        )
 
     def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:
         """Yield grouped chunks in order until at most ``most`` are pending."""

@@ -89,7 +89,7 @@ def test_no_batch_is_too_small_to_normalise(batch):
 
 
 def test_a_batch_of_one_patch_is_refused():
-    with pytest.raises(UsageError, match="batch is 1; it must be at least 2"):
+    with pytest.raises(UsageError, match="`batch` is 1; it must be at least 2"):
         replace(SMALL, batch=1)
 
 
@@ -196,7 +196,7 @@ def test_the_same_command_gives_the_same_bytes(tmp_path):
         (["--out", "m.pt"], 2, ".onnx"),
         (["--out", "m.onnx", "--epochs", "0"], 2, "epochs is 0"),
         (["--out", "m.onnx", "--pixels", "5"], 2, "at least 9"),
-        (["--out", "m.onnx", "--tile-size", "nan"], 2, "tile_size"),
+        (["--out", "m.onnx", "--tile-size", "nan"], 2, "--tile-size is nan"),
         (["--out", "m.onnx", "--seed", "-1"], 2, "seed is -1"),
         (["--out", "nowhere/m.onnx"], 3, "nowhere"),
         ([], 2, "--out"),

@@ -61,8 +61,8 @@ def test_a_map_without_ways_is_refused(made_up, warthog, tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"total_pairs": 0}, "^pairs is 0; it must be 1 or more"),  # as the option is called
-        ({"repeats": 0}, "^repeats is 0"),
+        ({"total_pairs": 0}, "^`pairs` is 0; it must be 1 or more"),  # as the option is called
+        ({"repeats": 0}, "^`repeats` is 0"),
         ({"least_m": 30.0, "most_m": 20.0}, "distances are 30"),
         ({"offset_m": 2.0}, "offset_m is 2"),
     ],

@@ -10,7 +10,7 @@ from bumpymap.lab.worlds.woods.survey import GROUND, survey_wood
 from bumpymap.lab.worlds.woods.sweep import swept_tiles, true_pixels
 from bumpymap.lab.worlds.woods.wood import plant_wood
 from bumpymap.patches.features import measure
-from bumpymap.patches.objects import find_objects
+from bumpymap.patches.objects import find_objects, settle_solids
 from bumpymap.rating.passable import find_passable, settle_objects
 from bumpytiles import Grid, TileBuckets
 
@@ -53,12 +53,12 @@ def surveyed():
     buckets.add(points.easting, points.northing, points.upward, points.classification == GROUND)
     (block,) = buckets.blocks()
     settings = FeatureSettings()
-    stack = find_objects(block, measure(block, settings, ground_only=True), BODY, settings)
+    stack = find_objects(block, measure(block, settings, ground_only=True), BODY)
     mosaic = np.full(((TILES + 2) * 15, (TILES + 2) * 15), 255, np.uint8)
     for col, row, pixels in zip(block.col, block.row, stack.objects, strict=True):
         top, left = (TILES - row) * 15, (col + 1) * 15
         mosaic[top : top + 15, left : left + 15] = pixels
-    return wood, settle_objects(mosaic, 15)
+    return wood, settle_objects(settle_solids(mosaic, Grid(), settings.max_hole), 15)
 
 
 def test_obstacles_are_found_within_a_pixel(surveyed):

@@ -1,0 +1,112 @@
+"""What stands on made-up ground and is seen only from above is closed; level ground and what is under crowns is not."""
+
+import numpy as np
+import pytest
+from scenes import (
+    BUILDING,
+    FAR,
+    OTHER,
+    SCENES,
+    fence,
+    judge,
+    mapped_tiles,
+    ring,
+    seen_from_above,
+    seen_pixels,
+    survey_scene,
+    wall,
+)
+
+from bumpymap.core import CANOPY, FREE, OBSTACLE, VehicleBody
+from bumpymap.patches import settle_solids
+from bumpytiles import Grid
+
+BODY = VehicleBody(clearance_m=0.25, height_m=1.38, width_m=1.37, brush_stem_m=0.25)
+BY_NAME = {scene.name: seen_from_above(scene) for scene in SCENES}
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize(
+    ("name", "density", "least"),
+    [
+        ("wall 0.3 m", 200, 0.95),
+        ("wall 0.6 m", 50, 0.93),
+        ("crates", 50, 0.9),
+        *((name, 50, 0.93) for name in ("bales", "vans", "hut", "hut, unassigned", "hedge")),
+        *((name, 8, least) for name, least in (("bales", 0.85), ("vans", 0.75), ("hut", 0.85), ("crates", 0.7))),
+    ],
+)
+def test_a_solid_seen_only_from_above_is_closed(name, density, least, noise):
+    closed, barred = judge(BY_NAME[name], density, noise, BODY)
+    assert closed >= least
+    assert barred == 0
+
+
+@pytest.mark.parametrize("density", [200, 50, 20, 8, 4])
+@pytest.mark.parametrize("name", ["open ground", "ditch", "ramp", "bank 0.4 m"])
+@pytest.mark.parametrize("classified", [True, False])
+def test_level_ground_is_free_at_any_density_and_noise(name, density, classified):
+    for noise in (0.0, 0.03):
+        assert judge(BY_NAME[name], density, noise, BODY, classified=classified)[1] == 0
+
+
+@pytest.mark.parametrize("name", ["crowns over ground", "crowns, unassigned"])
+def test_ground_under_crowns_is_free_where_it_is_seen(name):
+    for density, most in ((200, 0), (50, 0), (20, 0.002), (8, 0.01)):
+        assert judge(BY_NAME[name], density, 0.03, BODY)[1] <= most
+
+
+@pytest.mark.parametrize(
+    "scene", [wall(0.3, OTHER), wall(0.3, OTHER, height=0.6), fence()], ids=lambda scene: scene.name
+)
+@pytest.mark.parametrize("classified", [True, False])
+def test_more_points_see_no_less(scene, classified):
+    scene = seen_from_above(scene)
+    shares = [judge(scene, density, 0.0, BODY, classified=classified)[0] for density in (8, 20, 50, 200)]
+    assert np.all(np.diff(shares) > -0.03)
+
+
+def test_in_a_survey_without_classes_narrow_things_are_told_from_relief():
+    for name in ("wall 0.3 m", "crates", "vans", "hedge", "posts"):
+        assert judge(BY_NAME[name], 200, 0.03, BODY, classified=False)[0] > 0.95, name
+
+
+def test_points_of_buildings_are_obstacles_however_high_and_thin():
+    high = wall(0.1, BUILDING, height=9.0)
+    assert judge(high, 200, 0.0, BODY)[0] > 0.95
+    assert judge(wall(0.1, OTHER, height=9.0), 200, 0.0, BODY)[0] < 0.7  # as a branch is seen
+
+
+def test_a_fence_seen_here_and_there_is_one_line():
+    scene = fence(mesh=0.1)
+    points = survey_scene(scene, 100, sides=True, seed=3)
+    image, west, south = seen_pixels(points, BODY)
+    row, cols = len(image) - 1 - int(-south / 0.2), slice(int((-5.5 - west) / 0.2), int((5.5 - west) / 0.2))
+    line = image[row - 1 : row + 2, cols] == OBSTACLE
+    assert np.all(line.any(axis=0))
+
+
+@pytest.mark.parametrize("gap", [0.0, 2.0])
+def test_a_ring_of_wall_is_open_only_where_its_gap_is(gap):
+    from scipy import ndimage
+
+    for seed in range(3):
+        image, west, south = seen_pixels(survey_scene(ring(gap), 50, seed=seed, margin=3.0, noise=0.03), BODY)
+        ways, _ = ndimage.label((image == FREE) | (image == CANOPY))
+        middle = ways[len(image) - 1 - int(-south / 0.2), int(-west / 0.2)]
+        outside = ways[len(image) - 1 - int((-8 - south) / 0.2), int((-8 - west) / 0.2)]
+        assert (middle == outside) == (gap > 0)
+
+
+def test_a_pixel_is_the_same_wherever_a_block_is_cut_out():
+    rng = np.random.default_rng(5)
+    scenes = (BY_NAME["crowns, unassigned"], BY_NAME["vans"], BY_NAME["hut, unassigned"], fence())
+    for scene in scenes:
+        for density in (8, 50):
+            raw = mapped_tiles(survey_scene(scene, density, seed=int(rng.integers(99)), sides=True), BODY)
+            whole = settle_solids(raw, Grid(), FAR)
+            tiles = len(raw) // 15
+            for row, col in rng.integers(0, tiles - 2, (4, 2)):
+                part = np.s_[row * 15 : (row + 3) * 15, col * 15 : (col + 3) * 15]
+                cut = settle_solids(np.ascontiguousarray(raw[part]), Grid(), FAR)
+                np.testing.assert_array_equal(cut[15:30, 15:30], whole[part][15:30, 15:30])
