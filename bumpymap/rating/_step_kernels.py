@@ -19,7 +19,7 @@ __all__ = [
     "RowScratch",
     "StepMosaic",
     "find_gradients",
-    "find_highest",
+    "find_peaks",
     "find_quantiles",
     "find_raw_steps",
     "row_scratch",
@@ -257,8 +257,8 @@ def find_raw_steps(mosaic: StepMosaic, out: RawSteps, scratch: RowScratch) -> No
 
 
 @helper
-def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
-    """Raise the highest steps to those of a row that are the highest of three and stand out from noise."""
+def _keep_peaks(least: Floats, limit: Floats, felt: Floats) -> None:
+    """Keep the steps of a row that are the highest of three and stand out from noise; 0 elsewhere."""
     n = len(least)
     for c in range(n):
         step = least[c]
@@ -266,9 +266,7 @@ def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
         behind = least[c + 1] if c < n - 1 else -1.0
         share = (step / limit[c] - 1.0) / _RAMP if limit[c] > 0.0 else 1.0
         share = min(max(share, 0.0), 1.0)
-        felt = 0.0 if (step < before) | (step < behind) else step * share
-        if felt > highest[c] or (math.isnan(highest[c]) and not math.isnan(step)):
-            highest[c] = felt
+        felt[c] = 0.0 if (step < before) | (step < behind) else step * share
 
 
 @helper
@@ -281,24 +279,23 @@ def _limit_of_sides(before: float, behind: float) -> float:
 
 
 @kernel
-def find_highest(
+def find_peaks(
     least: Annotated[Floats, 2],
     limit: Annotated[Floats, 2],
     pixels: int,
-    highest: Annotated[Floats, 2],
+    felt: Annotated[Floats, 2],
     scratch: Annotated[Floats, 1],
 ) -> None:
-    """Fill the highest step of each column of pixels in each row of tiles, (tiles, cols) m; NaN if none is known.
+    """Fill, for each pixel, the step that is the highest of three in its row and stands out, m; NaN if it is unknown.
 
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
     pixels before and behind it. ``scratch`` takes a row of pixels.
     """
-    for row in range(highest.shape[0]):
-        mine, cols = highest[row], highest.shape[1]
+    cols = least.shape[1]
+    for row in range(limit.shape[0]):
         for c in range(cols):
             before = limit[row, (c - SIDE) // pixels] if c >= SIDE else np.nan
             behind = limit[row, (c + SIDE) // pixels] if c + SIDE < cols else np.nan
             scratch[c] = _limit_of_sides(before, behind)
-            mine[c] = np.nan
         for r in range(row * pixels, (row + 1) * pixels):
-            _take_highest(least[r], scratch, mine)
+            _keep_peaks(least[r], scratch, felt[r])

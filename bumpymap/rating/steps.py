@@ -28,7 +28,7 @@ from bumpymap.rating._step_kernels import (
     RawSteps,
     StepMosaic,
     find_gradients,
-    find_highest,
+    find_peaks,
     find_quantiles,
     find_raw_steps,
     row_scratch,
@@ -60,6 +60,9 @@ class TileSteps:
     rim: NDArray[np.float32]
     """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
     show. The rating of a tile sees steps farther inside in full."""
+    pixels: NDArray[np.float32]
+    """(n * pixels, m * pixels) height of the step at each pixel of the tiles; 0 where none stands out, NaN where the
+    ground on both sides is unknown. ``inner`` is the highest of a tile."""
 
     @property
     def edge_step(self) -> NDArray[np.float32]:
@@ -102,14 +105,16 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
     along = _raw(turned, south, east.T, pixels)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
-    west_east = _highest(across.least, limit, pixels)
-    north_south = _highest(along.least, np.ascontiguousarray(limit.T), pixels)
-    inner = np.fmax(_inner(west_east), _inner(north_south).T)
-    rim = np.fmax(_rim(west_east), _rim(north_south).T)
-    west, east = _borders(west_east)
-    north, south = (side.T for side in _borders(north_south))
+    west_east = _peaks(across.least, limit, pixels)
+    north_south = _peaks(along.least, np.ascontiguousarray(limit.T), pixels)
+    found = np.fmax(west_east[pixels:-pixels, pixels:-pixels], north_south[pixels:-pixels, pixels:-pixels].T)
+    inner = np.fmax.reduce(_tiles(found, pixels), axis=(1, 3))
+    columns, rows = _highest(west_east, pixels), _highest(north_south, pixels)
+    rim = np.fmax(_rim(columns), _rim(rows).T)
+    west, east = _borders(columns)
+    north, south = (side.T for side in _borders(rows))
     border = np.stack([north, east, south, west], axis=-1)
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim, found)))
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:
@@ -150,17 +155,22 @@ def _usual(across: RawSteps, along: RawSteps) -> Floats:
     return found
 
 
-def _highest(least: Floats, limit: Floats, pixels: int) -> Floats:
-    """Return the highest step of each column of pixels of each tile that stands out, (tiles, tiles, pixels)."""
-    cols = least.shape[1]
-    found = np.empty((len(limit), cols))
-    find_highest(least, limit, pixels, found, np.empty(cols))
-    return found.reshape(*limit.shape, pixels)
+def _peaks(least: Floats, limit: Floats, pixels: int) -> Floats:
+    """Return the steps that stand out, at each pixel."""
+    found = np.empty_like(least)
+    find_peaks(least, limit, pixels, found, np.empty(least.shape[1]))
+    return found
 
 
-def _inner(highest: Floats) -> Floats:
-    """Return the highest step of each inner tile."""
-    return np.asarray(np.fmax.reduce(highest[1:-1, 1:-1], axis=2))
+def _tiles(found: Floats, pixels: int) -> Floats:
+    """Return a mosaic as (tiles, pixels, tiles, pixels)."""
+    rows, cols = found.shape
+    return found.reshape(rows // pixels, pixels, cols // pixels, pixels)
+
+
+def _highest(found: Floats, pixels: int) -> Floats:
+    """Return the highest step of each column of pixels of each tile, (tiles, tiles, pixels)."""
+    return np.asarray(np.fmax.reduce(_tiles(found, pixels), axis=1))
 
 
 def _rim(highest: Floats) -> Floats:

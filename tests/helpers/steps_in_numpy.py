@@ -34,12 +34,14 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> dict[str, NDArray[
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along, pixels), noise)
     west_east = across.felt(limit, pixels)
     north_south = along.felt(limit.T, pixels).T
-    inner = np.fmax.reduce(_tiles(np.fmax(west_east, north_south), pixels)[1:-1, 1:-1], axis=(2, 3))
+    found = np.fmax(west_east, north_south)
+    inner = np.fmax.reduce(_tiles(found, pixels)[1:-1, 1:-1], axis=(2, 3))
     rim = np.fmax(_rim(west_east, pixels), _rim(north_south.T, pixels).T)
     west, east_of = _borders(west_east, pixels)
     north, south_of = (side.T for side in _borders(north_south.T, pixels))
     border = np.stack([north, east_of, south_of, west], axis=-1)
-    return {"border": border.astype(np.float32), "inner": inner.astype(np.float32), "rim": rim.astype(np.float32)}
+    fields = {"border": border, "inner": inner, "rim": rim, "pixels": found[pixels:-pixels, pixels:-pixels]}
+    return {name: values.astype(np.float32) for name, values in fields.items()}
 
 
 @dataclass(frozen=True, slots=True)

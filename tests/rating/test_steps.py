@@ -111,6 +111,8 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
         np.testing.assert_array_equal(part.border, whole.border[:, columns])
         np.testing.assert_array_equal(part.inner, whole.inner[:, columns])
         np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
+        pixels = slice(columns.start * PIXELS, columns.stop * PIXELS)
+        np.testing.assert_array_equal(part.pixels, whole.pixels[:, pixels])
     np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
     np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
 
