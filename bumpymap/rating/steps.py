@@ -31,6 +31,7 @@ from bumpymap.rating._step_kernels import (
     find_peaks,
     find_quantiles,
     find_raw_steps,
+    peak_scratch,
     row_scratch,
 )
 
@@ -44,6 +45,8 @@ _QUANTILE, _QUANTILE_LIMIT = 0.3, 9.5
 _PIXEL_LIMIT = 2.5
 _MEDIAN_DIFFERENCE = 0.9539
 """Median size of the difference of two numbers from a standard normal distribution."""
+import os
+_LEVEL_W = float(os.environ.get("LW","1.5"))
 _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
 
@@ -75,7 +78,7 @@ class TileSteps:
         return np.fmax(self.rim, self.edge_step)
 
 
-def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
+def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
     Parameters
@@ -85,6 +88,9 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
         in tiles that do not exist.
     pixels : int
         Pixels along the side of a tile, at least 10.
+    wheel : float
+        Diameter of a wheel, px. The levels on both sides of a step are as wide, to the nearest of 2, 3 or 4 pixels: a
+        wheel rolls over what is narrower.
 
     Returns
     -------
@@ -99,14 +105,16 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
     sides = heights.shape
     if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
         raise ValueError(f"heights of shape {sides} are not those of tiles with {pixels} pixels and a ring of them")
+    side = int(np.clip(round(wheel), 2, REACH))
     z, turned = _with_margin(heights), _with_margin(heights.T)
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
-    across = _raw(z, east, south.T, pixels)  # walls that run north to south
-    along = _raw(turned, south, east.T, pixels)
+    level, upright = _mosaic(z, east, south.T, pixels, wheel), _mosaic(turned, south, east.T, pixels, wheel)
+    across = _raw(level, side)  # walls that run north to south
+    along = _raw(upright, side)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
-    west_east = _peaks(across.least, limit, pixels)
-    north_south = _peaks(along.least, np.ascontiguousarray(limit.T), pixels)
+    west_east = _peaks(level, across.least, limit)
+    north_south = _peaks(upright, along.least, np.ascontiguousarray(limit.T))
     found = np.fmax(west_east[pixels:-pixels, pixels:-pixels], north_south[pixels:-pixels, pixels:-pixels].T)
     inner = np.fmax.reduce(_tiles(found, pixels), axis=(1, 3))
     columns, rows = _highest(west_east, pixels), _highest(north_south, pixels)
@@ -137,13 +145,18 @@ def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
     return middle, spread
 
 
-def _raw(z: Floats, east: Floats, south: Floats, pixels: int) -> RawSteps:
-    """Return the steps from west to east; ``east`` and ``south`` are the gradients of the tiles, m per pixel."""
-    mosaic = StepMosaic(z, pixels, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
+def _mosaic(z: Floats, east: Floats, south: Floats, pixels: int, wheel: float) -> StepMosaic:
+    """Join heights and the gradients of tiles, m per pixel."""
+    return StepMosaic(z, pixels, _LEVEL_W * wheel, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
+
+
+def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
+    """Return the steps from west to east."""
+    tiles, cols = mosaic.east.shape
+    pixels = mosaic.pixels
     inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
-    rows, cols = z.shape
-    found = RawSteps(np.empty((rows - 2 * RUN, cols)), np.empty((*east.shape, inside)))
-    find_raw_steps(mosaic, found, row_scratch(cols))
+    found = RawSteps(np.empty((tiles * pixels, cols)), np.empty((tiles, cols // pixels, inside)))
+    find_raw_steps(mosaic, side, found, row_scratch(cols))
     return found
 
 
@@ -155,10 +168,10 @@ def _usual(across: RawSteps, along: RawSteps) -> Floats:
     return found
 
 
-def _peaks(least: Floats, limit: Floats, pixels: int) -> Floats:
+def _peaks(mosaic: StepMosaic, least: Floats, limit: Floats) -> Floats:
     """Return the steps that stand out, at each pixel."""
     found = np.empty_like(least)
-    find_peaks(least, limit, pixels, found, np.empty(least.shape[1]))
+    find_peaks(mosaic, least, limit, found, peak_scratch(least.shape[1]))
     return found
 
 
