@@ -37,12 +37,12 @@ SIDE = 2
 UNKNOWN_NOISE = 0.15
 """Steps below this do not count where the noise of both sides is unknown, m."""
 _RAMP = 0.4
-_LEVEL = (0.7, 0.85)
-_ASTRAY = 0.2
-_SURE = 2.5
-"""Standard errors of a median between it and the height that a side has at least."""
-_BELIEVED, _CERTAIN = 0.6, 0.8
+_BELIEVED, _CERTAIN = 0.7, 0.85
 """Shares of a step that must lie between its sides: below the first it does not count, from the second in full."""
+_SURE = 3.0
+"""Standard errors of a median between it and the height that counts as that of a side."""
+_ASTRAY = 0.2
+"""Share of the points of a side that may lie beyond that height."""
 _LEAST_POINTS = 3
 """Known pixels on each side of a step."""
 _RUN_LENGTH = 2 * RUN + 1
@@ -87,9 +87,9 @@ class RowScratch(NamedTuple):
     """(cols,) steps in the middle of pixels."""
 
 
-def peak_scratch(cols: int) -> Floats:
-    """Make scratch for `find_peaks` over rows of so many pixels."""
-    return np.empty(cols + 2 * _RUN_LENGTH * 10)
+def peak_scratch(cols: int, pixels: int) -> Floats:
+    """Make scratch for `find_peaks` over rows of so many pixels, in tiles of ``pixels`` along a side."""
+    return np.empty(cols + 2 * _RUN_LENGTH * pixels)
 
 
 def row_scratch(cols: int) -> RowScratch:
@@ -255,6 +255,13 @@ def _lowest(a: float, b: float, c: float, d: float) -> float:
 
 
 @helper
+def _share(surely: float, step: float) -> float:
+    """Return how far to believe a step of which so much is sure, 0 to 1."""
+    share = (surely - _BELIEVED * step) / ((_CERTAIN - _BELIEVED) * step) if step > 0.0 else 1.0
+    return min(max(share, 0.0), 1.0)
+
+
+@helper
 def _compare_sides(runs: Floats, slope: Floats, third: float, fourth: float, plain: Floats, least: Floats) -> None:
     """Fill the steps of a row: in the middle of pixels, and the least ones.
 
@@ -274,12 +281,11 @@ def _compare_sides(runs: Floats, slope: Floats, third: float, fourth: float, pla
         left, left_low = _mean(a, b), _lowest(a, b, e + third, f + fourth)
         left_high = -_lowest(-a, -b, third - e, fourth - f)
         plain[c] = abs(right - left)
-        # The slope on the left is counted away from the pixel, too.
         surely = max(right_low - left_high, left_low - right_high)
         usual = 0.5 * abs(right_low + right_high - left_low - left_high)
-        share = min(max((surely - _LEVEL[0] * usual) / ((_LEVEL[1] - _LEVEL[0]) * usual), 0.0), 1.0) if usual > 0.0 else 1.0
-        reduced = max(surely * share - 0.5 * abs(bend_right + bend_left), 0.0)
-        least[c] = np.nan if surely == np.inf else reduced
+        # The slope on the left is counted away from the pixel, too.
+        reduced = surely * _share(surely, usual) - 0.5 * abs(bend_right + bend_left)
+        least[c] = np.nan if surely == np.inf else max(reduced, 0.0)
 
 
 @kernel
@@ -315,8 +321,9 @@ def _keep_peaks(least: Floats, limit: Floats, felt: Floats) -> None:
 def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> float:
     """Height between the points of both sides of a pixel, as it surely is at least, m; negative if they mix.
 
-    A side is a parallelogram of 9 rows and ``side`` columns along a wall that moves ``shear`` pixels to the east with
-    every row. Of its n known pixels the one counts that is ``_SURE`` standard errors of the median from it.
+    A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves ``shear`` pixels to the east with
+    every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the median
+    from the middle, or has ``_ASTRAY`` of them beyond it, whichever is farther out.
     """
     row, half = r // mosaic.pixels, len(values) // 2
     wide = mosaic.level * math.sqrt(1.0 + shear * shear)
@@ -349,11 +356,10 @@ def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> fl
 @helper
 def _believed(mosaic: StepMosaic, r: int, c: int, step: float, values: Floats) -> float:
     """Share of a step that the points on both of its sides bear out, 0 to 1, at the angle that suits them best."""
-    least, best = _BELIEVED * step, 0.0
+    best = 0.0
     for turn in range(5):
         shear = 0.5 * ((turn + 1) // 2) * (1.0 if turn % 2 else -1.0)
-        share = (_gap(mosaic, r, c, shear, values) - least) / ((_CERTAIN - _BELIEVED) * step)
-        best = max(best, share)
+        best = max(best, _share(_gap(mosaic, r, c, shear, values), step))
         if best >= 1.0:
             return 1.0
     return best

@@ -147,7 +147,7 @@ class NeighbourRating:
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:
-            return find_steps(window.mosaic("heights"), self.grid.pixels)
+            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels)
         rows, cols = window.inner("class_id").shape
         px = self.grid.pixels
         shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols), (rows * px, cols * px))

@@ -238,7 +238,9 @@ def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift
     back = quiet + half + spare * (0.25 + 0.25 * before)
     start = Start(-back * math.cos(angle), along * ground.spacing - back * math.sin(angle), angle)
     passed = (2 * half + spare * 0.75 + between) / total
-    return drive_from(profile, ground, start, 0, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed))
+    return drive_from(
+        profile, ground, start, 0, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed)
+    )
 
 
 def _rounded(value: float) -> float:
