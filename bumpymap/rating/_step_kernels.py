@@ -43,6 +43,8 @@ _SURE = 3.0
 """Standard errors of a median between it and the height that counts as that of a side."""
 _ASTRAY = 0.2
 """Share of the points of a side that may lie beyond that height."""
+_BESIDE = 0.9
+"""Pixels from the middle of a wall to those beside it."""
 _LEAST_POINTS = 3
 """Known pixels on each side of a step."""
 _RUN_LENGTH = 2 * RUN + 1
@@ -249,6 +251,12 @@ def _mean(near: float, far: float) -> float:
 
 
 @helper
+def _unknown(near: float, far: float) -> float:
+    """Return how many of the pixels of a side come before the first known one, 2 at most."""
+    return (2.0 if math.isnan(far) else 1.0) if math.isnan(near) else 0.0
+
+
+@helper
 def _lowest(a: float, b: float, c: float, d: float) -> float:
     """Return the least of the known ones of four heights; infinite if none is."""
     return min(np.inf, a, b, c, d)
@@ -273,16 +281,19 @@ def _compare_sides(runs: Floats, slope: Floats, third: float, fourth: float, pla
         a, b, e, f = runs[c + 5] - s, runs[c + 6] - 2.0 * s, runs[c + 7] - 3.0 * s, runs[c + 8] - 4.0 * s
         bend_right = _bend(a, b, e, f)
         a, b, e, f = a - bend_right, b - 2.0 * bend_right, e - 3.0 * bend_right, f - 4.0 * bend_right
+        apart = 2.0 + _unknown(a, b)
         right, right_low = _mean(a, b), _lowest(a, b, e + third, f + fourth)
         right_high = -_lowest(-a, -b, third - e, fourth - f)
         a, b, e, f = runs[c + 3] + s, runs[c + 2] + 2.0 * s, runs[c + 1] + 3.0 * s, runs[c] + 4.0 * s
         bend_left = _bend(a, b, e, f)
         a, b, e, f = a - bend_left, b - 2.0 * bend_left, e - 3.0 * bend_left, f - 4.0 * bend_left
+        apart += _unknown(a, b)
         left, left_low = _mean(a, b), _lowest(a, b, e + third, f + fourth)
         left_high = -_lowest(-a, -b, third - e, fourth - f)
         plain[c] = abs(right - left)
-        surely = max(right_low - left_high, left_low - right_high)
-        usual = 0.5 * abs(right_low + right_high - left_low - left_high)
+        # Over unknown pixels, a rise may be a slope.
+        surely = max(right_low - left_high, left_low - right_high) * (2.0 / apart)
+        usual = 0.5 * abs(right_low + right_high - left_low - left_high) * (2.0 / apart)
         # The slope on the left is counted away from the pixel, too.
         reduced = surely * _share(surely, usual) - 0.5 * abs(bend_right + bend_left)
         least[c] = np.nan if surely == np.inf else max(reduced, 0.0)
@@ -325,32 +336,30 @@ def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> fl
     every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the median
     from the middle, or has ``_ASTRAY`` of them beyond it, whichever is farther out.
     """
-    row, half = r // mosaic.pixels, len(values) // 2
+    row, half, cols = r // mosaic.pixels, len(values) // 2, mosaic.heights.shape[1]
     wide = mosaic.level * math.sqrt(1.0 + shear * shear)
     east, south = mosaic.east[row, c], mosaic.south[row, c]
     left = right = 0
+    lower = upper = 0.0
     for down in range(-RUN, RUN + 1):
-        middle = shear * down
-        for across in range(math.ceil(middle - wide), math.floor(middle + wide) + 1):
-            away = across - middle
-            if abs(away) < 0.9 or c + across < 0 or c + across >= mosaic.heights.shape[1]:
-                continue
-            height = mosaic.heights[r + RUN + down, c + across] - east * across - south * down
-            if math.isnan(height):
-                continue
-            if away > 0.0:
-                values[half + right] = height
-                right += 1
-            else:
-                values[left] = height
-                left += 1
+        line, middle = mosaic.heights[r + RUN + down], c + shear * down
+        for at in range(max(0, math.ceil(middle - wide)), min(cols, math.floor(middle - _BESIDE) + 1)):
+            values[left] = line[at] - east * (at - c) - south * down
+            known = values[left] == values[left]  # false for NaN
+            lower += values[left] if known else 0.0
+            left += known
+        for at in range(max(0, math.ceil(middle + _BESIDE)), min(cols, math.floor(middle + wide) + 1)):
+            values[half + right] = line[at] - east * (at - c) - south * down
+            known = values[half + right] == values[half + right]
+            upper += values[half + right] if known else 0.0
+            right += known
     if min(left, right) < _LEAST_POINTS:
         return -np.inf
-    west, beyond = values[:left], values[half : half + right]
     first = max(0, math.floor(min(0.5 * (left - _SURE * math.sqrt(left)), _ASTRAY * left)))
     other = max(0, math.floor(min(0.5 * (right - _SURE * math.sqrt(right)), _ASTRAY * right)))
-    up = _smallest(beyond, other) - _smallest(west, left - 1 - first)
-    return max(up, _smallest(west, first) - _smallest(beyond, right - 1 - other))
+    if upper * left < lower * right:
+        return _smallest(values[:left], first) - _smallest(values[half : half + right], right - 1 - other)
+    return _smallest(values[half : half + right], other) - _smallest(values[:left], left - 1 - first)
 
 
 @helper
