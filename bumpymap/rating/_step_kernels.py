@@ -45,7 +45,7 @@ _ASTRAY = 0.2
 """Share of the points of a side that may lie beyond that height."""
 _BESIDE = 0.9
 """Pixels from the middle of a wall to those beside it."""
-_LEAST_POINTS = 3
+_LEAST_POINTS = 5
 """Known pixels on each side of a step."""
 _RUN_LENGTH = 2 * RUN + 1
 

@@ -8,7 +8,8 @@ ground on both sides of a pixel is continued to that pixel, whichever tiles they
 2. *Sides.* Each side is as many pixels as a wheel is wide in diameter (2 to 4), continued with the slope on which the
    nearest four agree (the smallest difference, none if they differ in sign). The step is from the highest of the lower
    side to the lowest of the higher one; unless that is most of the usual difference, there is a bank or a narrow ditch.
-   The pixel itself is left out: a wall that crosses it gives it the mean of both levels.
+   The pixel itself is left out: a wall that crosses it gives it the mean of both levels. Where the nearest pixels are
+   unknown, the step is less in the same proportion as the sides are farther apart: it may be a slope.
 3. *Slopes.* Where the slopes of both sides differ, the step is the least that fits anywhere in the pixel: the foot of a
    bank of 27 degrees reads as 4 cm at most.
 4. *Rough ground and noise.* Steps count where they stand out from what is everywhere in the tile: none up to a limit,

@@ -35,7 +35,7 @@ DEPTHS_M = (0.2, 0.3, 0.4, 0.5, 1.0)
 RAMPS_DEG = (0, 10, 20, 24, 28)
 DENSITIES = (200, 50, 20, 8, 4)
 NOISES_M = (0.0, 0.03)
-PLACES = 6
+PLACES = 12
 DRIVES = 8
 FINE_PIXELS = 60
 """Along a side of a driven tile: 5 cm."""
@@ -112,8 +112,8 @@ def mapped(config, models, points):
 
 
 def found_of(config, models, shape, near, seed):
-    """Return the share of barred tiles and the median C_r of the tiles near a shape, each (densities,)."""
-    barred, ride = [], []
+    """Return shares of tiles that a step bars, and that anything bars, and the median C_r near a shape, by density."""
+    steps, barred, ride = [], [], []
     for density in DENSITIES:
         states, c_r = [], []
         for number in range(PLACES):
@@ -125,36 +125,39 @@ def found_of(config, models, shape, near, seed):
             c_r.append(found["c_r"][here])
         states, c_r = np.concatenate(states), np.concatenate(c_r)
         known = states != Barred.UNKNOWN
+        steps.append(np.mean(states[known] == Barred.STEP))
         barred.append(np.mean(states[known] != Barred.NO))
         ride.append(np.nanmedian(c_r))
-    return barred, ride
+    return steps, barred, ride
 
 
 def show_ditches(config, models, drives, seed):
     """Print a line of a table for each ditch."""
-    print("| depth, width (m) | crossings that fail | barred tiles, by density | C_r driven | C_r of the map |")
-    print("|---|---|---|---|---|")
+    print("| depth, width (m) | crossings that fail | barred by a step | barred | C_r driven | C_r of the map |")
+    print("|---|---|---|---|---|---|")
     for depth in DEPTHS_M[1:]:
         for width in WIDTHS_M:
             crossings, tiles = (drives[Job(kind, width, depth).key] for kind in ("crossing", "tile"))
-            barred, ride = found_of(
+            found = found_of(
                 config,
                 models,
                 lambda away, d=depth, w=width: np.where(np.abs(away) < w / 2, -d, 0.0),
                 lambda away: np.abs(away) <= 1.0,
                 [seed, round(100 * depth), round(100 * width)],
             )
-            driven = "-" if tiles.failed > DRIVES // 4 else f"{tiles.mean_c_r:.3f}"
-            shares, rides = (" / ".join(f"{value:.{n}f}" for value in part) for part, n in ((barred, 2), (ride, 3)))
-            print(
-                f"| {depth:g}, {width:g} | {crossings.failed / DRIVES:.2f} | {shares} | {driven} | {rides} |",
-                flush=True,
-            )
+            cells = [
+                f"{depth:g}, {width:g}",
+                f"{crossings.failed / DRIVES:.2f}",
+                *(" / ".join(f"{value:.2f}" for value in part) for part in found[:2]),
+                "-" if tiles.failed > DRIVES // 4 else f"{tiles.mean_c_r:.3f}",
+                " / ".join(f"{value:.3f}" for value in found[2]),
+            ]
+            print("| " + " | ".join(cells) + " |", flush=True)
 
 
 def show_ramps(config, models, seed):
     """Print a line of a table for each ramp: of 1 to 6 m from one level to another."""
-    print("| ramp (degrees) | barred tiles, by density |\n|---|---|")
+    print("| ramp (degrees) | tiles barred by a step |\n|---|---|")
     for degrees in RAMPS_DEG:
         shares = [
             found_of(

@@ -23,7 +23,7 @@ _LEAST_STEPS = 12
 _UNKNOWN_NOISE = 0.15
 """Steps below this do not count where the noise of both sides is unknown, m."""
 _SHEARS = (0.0, 0.5, -0.5, 1.0, -1.0)
-_LEAST_POINTS, _SURE, _ASTRAY = 3, 3.0, 0.2
+_LEAST_POINTS, _SURE, _ASTRAY = 5, 3.0, 0.2
 _LEVEL_WIDTH = 1.85
 
 
@@ -67,8 +67,9 @@ class _Steps:
         left, left_side, bend_left = _side(runs, slope, -1, side)
         up = np.fmin.reduce(right_side) - np.fmax.reduce(left_side)
         down = np.fmin.reduce(left_side) - np.fmax.reduce(right_side)
-        surely = np.maximum(up, down)
-        share = _share(surely, 0.5 * np.abs(up - down))
+        nearer = 2.0 / (2.0 + _unknown(right_side) + _unknown(left_side))  # over unknown pixels, it may be a slope
+        surely = nearer * np.maximum(up, down)
+        share = _share(surely, 0.5 * nearer * np.abs(up - down))
         # The slope on the left is counted away from the pixel, too.
         return cls(right - left, np.maximum(surely * share - 0.5 * np.abs(bend_right + bend_left), 0.0))
 
@@ -139,6 +140,11 @@ def _side(runs: Floats, slope: Floats, way: int, side: int) -> tuple[Floats, Flo
     continued = ground - bend * np.arange(1, _REACH + 1)[:, None, None]
     a, b = continued[:2]
     return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b))), continued[:side], bend
+
+
+def _unknown(side: Floats) -> NDArray[np.int64]:
+    """Return how many pixels of sides come before the first known one, 2 at most."""
+    return np.isnan(side[0]) * (1 + np.isnan(side[1]).astype(np.int64))
 
 
 def _share(surely: Floats, step: Floats) -> Floats:
