@@ -24,7 +24,7 @@ from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.lab.simulate.pool import drive_jobs
 from bumpymap.lab.simulate.steps import WallGround, cross
-from bumpymap.rating import Vehicle
+from bumpymap.rating import Vehicle, crossing_fails
 from bumpymap.survey.neighbour_rating import NeighbourRating
 from bumpymap.survey.second_pass import add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating
@@ -131,28 +131,44 @@ def found_of(config, models, shape, near, seed):
     return steps, barred, ride
 
 
+def show_row(config, models, name, failed, driven_c_r, shape, seed):
+    """Print a line of a table: what the drives say of a shape, and the map."""
+    steps, barred, ride = found_of(config, models, shape, lambda away: np.abs(away) <= 1.0, seed)
+    cells = [
+        name,
+        f"{failed:.2f}",
+        *(" / ".join(f"{value:.2f}" for value in part) for part in (steps, barred)),
+        driven_c_r,
+        " / ".join(f"{value:.3f}" for value in ride),
+    ]
+    print("| " + " | ".join(cells) + " |", flush=True)
+
+
 def show_ditches(config, models, drives, seed):
-    """Print a line of a table for each ditch."""
+    """Print a line of a table for each ditch, and for walls."""
     print("| depth, width (m) | crossings that fail | barred by a step | barred | C_r driven | C_r of the map |")
     print("|---|---|---|---|---|---|")
     for depth in DEPTHS_M[1:]:
         for width in WIDTHS_M:
             crossings, tiles = (drives[Job(kind, width, depth).key] for kind in ("crossing", "tile"))
-            found = found_of(
+            show_row(
                 config,
                 models,
+                f"{depth:g}, {width:g}",
+                crossings.failed / DRIVES,
+                "-" if tiles.failed > DRIVES // 4 else f"{tiles.mean_c_r:.3f}",
                 lambda away, d=depth, w=width: np.where(np.abs(away) < w / 2, -d, 0.0),
-                lambda away: np.abs(away) <= 1.0,
                 [seed, round(100 * depth), round(100 * width)],
             )
-            cells = [
-                f"{depth:g}, {width:g}",
-                f"{crossings.failed / DRIVES:.2f}",
-                *(" / ".join(f"{value:.2f}" for value in part) for part in found[:2]),
-                "-" if tiles.failed > DRIVES // 4 else f"{tiles.mean_c_r:.3f}",
-                " / ".join(f"{value:.3f}" for value in found[2]),
-            ]
-            print("| " + " | ".join(cells) + " |", flush=True)
+        show_row(
+            config,
+            models,
+            f"{depth:g}, wall",
+            float(crossing_fails(np.array(depth), models.calibration)),
+            "-",
+            lambda away, d=depth: np.where(away > 0.0, d, 0.0),
+            [seed, round(100 * depth), 0],
+        )
 
 
 def show_ramps(config, models, seed):
