@@ -392,7 +392,7 @@ class CostMap:
         """Return the columns of `tile_columns`, each tile judged without its neighbours: no step is known."""
         columns = self.columns()
         unknown = np.full(len(self.class_id), np.nan, np.float32)
-        columns |= dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), unknown)
+        columns |= dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), unknown)
         columns["barred"] = self.rule.barred(columns)
         columns["passable"] = (columns["barred"] == Barred.NO).astype(np.uint8)
         columns["passage"] = np.where(
@@ -450,12 +450,13 @@ def neighbour_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     """Return the columns that depend on the neighbours of a tile; rating and objects are among them: they may change.
 
     ``edge_step`` [m] is the highest of the steps at the four sides, ``step_north`` to ``step_west`` [m]; NaN where
-    nothing is known beyond the side. ``barred`` is a `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of
-    a tile in which the middle of the vehicle can move, from 1, the largest; 0 where it cannot be. ``motion`` holds the
-    values of `speed_bands`, of so many ``speeds``.
+    nothing is known beyond the side. ``inner_step`` [m] is the highest at the pixels of the tile. ``barred`` is a
+    `Barred`; ``passable`` is 1 or 0. ``passage`` numbers the areas of a tile in which the middle of the vehicle can
+    move, from 1, the largest; 0 where it cannot be. ``motion`` holds the values of `speed_bands`, of so many
+    ``speeds``.
     """
     objects = ("obstacle", "obstacle_height", "clearance")
-    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step")
+    singles = ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", *objects, "edge_step", "inner_step")
     return (
         *(Column(name, "|u1") for name in ("reason", "class_id", "barred", "passable")),
         *(Column(name, "<f4") for name in (*singles, *(f"step_{side}" for side in SIDES))),
@@ -500,6 +501,7 @@ BANDS: tuple[Band, ...] = (
     Band("clearance", "m", "lowest thing above the vehicle's height, above the ground"),
     Band("canopy", "", "share of the pixels under something higher than the vehicle"),
     Band("edge_step", "m", "highest step between the tile's ground and its neighbours'"),
+    Band("inner_step", "m", "highest step inside the tile"),
 )
 """The bands of roughness.tif, in order."""
 SPEED_BANDS: tuple[Band, ...] = (

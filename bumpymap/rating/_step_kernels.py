@@ -19,9 +19,10 @@ __all__ = [
     "RowScratch",
     "StepMosaic",
     "find_gradients",
-    "find_highest",
+    "find_peaks",
     "find_quantiles",
     "find_raw_steps",
+    "peak_scratch",
     "row_scratch",
 ]
 
@@ -36,6 +37,16 @@ SIDE = 2
 UNKNOWN_NOISE = 0.15
 """Steps below this do not count where the noise of both sides is unknown, m."""
 _RAMP = 0.4
+_BELIEVED, _CERTAIN = 0.7, 0.85
+"""Shares of a step that must lie between its sides: below the first it does not count, from the second in full."""
+_SURE = 3.0
+"""Standard errors of a median between it and the height that counts as that of a side."""
+_ASTRAY = 0.2
+"""Share of the points of a side that may lie beyond that height."""
+_BESIDE = 0.9
+"""Pixels from the middle of a wall to those beside it."""
+_LEAST_POINTS = 5
+"""Known pixels on each side of a step."""
 _RUN_LENGTH = 2 * RUN + 1
 
 
@@ -47,6 +58,8 @@ class StepMosaic(NamedTuple):
     one."""
     pixels: int
     """Along a side of a tile."""
+    level: float
+    """Width of the levels on both sides of a step, px."""
     east: Annotated[Floats, 2]
     """(tiles, cols) gradient of the tile from one pixel to its eastern neighbour, m."""
     south: Annotated[Floats, 2]
@@ -74,6 +87,11 @@ class RowScratch(NamedTuple):
     """(cols + 2 * REACH,) medians of runs; NaN at both ends."""
     plain: Annotated[Floats, 1]
     """(cols,) steps in the middle of pixels."""
+
+
+def peak_scratch(cols: int, pixels: int) -> Floats:
+    """Make scratch for `find_peaks` over rows of so many pixels, in tiles of ``pixels`` along a side."""
+    return np.empty(cols + 2 * _RUN_LENGTH * pixels)
 
 
 def row_scratch(cols: int) -> RowScratch:
@@ -213,43 +231,84 @@ def _medians(heights: Floats, slope: Floats, scratch: RowScratch) -> None:
 
 
 @helper
-def _side(a: float, b: float, c: float, d: float) -> tuple[float, float]:
-    """Continue four heights, the nearest first, by one pixel; returns the height there and the slope [m per pixel]."""
+def _bend(a: float, b: float, c: float, d: float) -> float:
+    """Slope on which four heights agree, the nearest first, m per pixel; 0 if they do not."""
     one, two, three = b - a, c - b, d - c
     agree = ((one > 0.0) & (two > 0.0) & (three > 0.0)) | ((one < 0.0) & (two < 0.0) & (three < 0.0))
     size = min(abs(one), abs(two), abs(three))
     bend = 0.0
     if agree:
         bend = size if one > 0.0 else -size
-    near, far = a - bend, b - 2.0 * bend
-    height = 0.5 * (near + far)
-    height = near if math.isnan(far) else height
-    return far if math.isnan(near) else height, bend
+    return bend
 
 
 @helper
-def _compare_sides(runs: Floats, slope: Floats, plain: Floats, least: Floats) -> None:
-    """Fill the steps of a row: in the middle of pixels, and the least ones."""
+def _mean(near: float, far: float) -> float:
+    """Return the mean of two heights; of the known one, if one is."""
+    height = 0.5 * (near + far)
+    height = near if math.isnan(far) else height
+    return far if math.isnan(near) else height
+
+
+@helper
+def _unknown(near: float, far: float) -> float:
+    """Return how many of the pixels of a side come before the first known one, 2 at most."""
+    return (2.0 if math.isnan(far) else 1.0) if math.isnan(near) else 0.0
+
+
+@helper
+def _lowest(a: float, b: float, c: float, d: float) -> float:
+    """Return the least of the known ones of four heights; infinite if none is."""
+    return min(np.inf, a, b, c, d)
+
+
+@helper
+def _share(surely: float, step: float) -> float:
+    """Return how far to believe a step of which so much is sure, 0 to 1."""
+    share = (surely - _BELIEVED * step) / ((_CERTAIN - _BELIEVED) * step) if step > 0.0 else 1.0
+    return min(max(share, 0.0), 1.0)
+
+
+@helper
+def _compare_sides(runs: Floats, slope: Floats, third: float, fourth: float, plain: Floats, least: Floats) -> None:
+    """Fill the steps of a row: in the middle of pixels, and the least ones.
+
+    ``third`` and ``fourth`` are 0 if so many pixels of a side must be above, or below, those of the other side, else
+    infinite.
+    """
     for c in range(len(plain)):
         s = slope[c]
-        right, bend_right = _side(runs[c + 5] - s, runs[c + 6] - 2.0 * s, runs[c + 7] - 3.0 * s, runs[c + 8] - 4.0 * s)
-        left, bend_left = _side(runs[c + 3] + s, runs[c + 2] + 2.0 * s, runs[c + 1] + 3.0 * s, runs[c] + 4.0 * s)
-        step = abs(right - left)
+        a, b, e, f = runs[c + 5] - s, runs[c + 6] - 2.0 * s, runs[c + 7] - 3.0 * s, runs[c + 8] - 4.0 * s
+        bend_right = _bend(a, b, e, f)
+        a, b, e, f = a - bend_right, b - 2.0 * bend_right, e - 3.0 * bend_right, f - 4.0 * bend_right
+        apart = 2.0 + _unknown(a, b)
+        right, right_low = _mean(a, b), _lowest(a, b, e + third, f + fourth)
+        right_high = -_lowest(-a, -b, third - e, fourth - f)
+        a, b, e, f = runs[c + 3] + s, runs[c + 2] + 2.0 * s, runs[c + 1] + 3.0 * s, runs[c] + 4.0 * s
+        bend_left = _bend(a, b, e, f)
+        a, b, e, f = a - bend_left, b - 2.0 * bend_left, e - 3.0 * bend_left, f - 4.0 * bend_left
+        apart += _unknown(a, b)
+        left, left_low = _mean(a, b), _lowest(a, b, e + third, f + fourth)
+        left_high = -_lowest(-a, -b, third - e, fourth - f)
+        plain[c] = abs(right - left)
+        # Over unknown pixels, a rise may be a slope.
+        surely = max(right_low - left_high, left_low - right_high) * (2.0 / apart)
+        usual = 0.5 * abs(right_low + right_high - left_low - left_high) * (2.0 / apart)
         # The slope on the left is counted away from the pixel, too.
-        reduced = step - 0.5 * abs(bend_right + bend_left)
-        plain[c] = step
-        least[c] = 0.0 if reduced < 0.0 else reduced  # noqa: FURB136 - NaN stays NaN
+        reduced = surely * _share(surely, usual) - 0.5 * abs(bend_right + bend_left)
+        least[c] = np.nan if surely == np.inf else max(reduced, 0.0)
 
 
 @kernel
-def find_raw_steps(mosaic: StepMosaic, out: RawSteps, scratch: RowScratch) -> None:
-    """Fill the steps from west to east at every pixel."""
+def find_raw_steps(mosaic: StepMosaic, side: int, out: RawSteps, scratch: RowScratch) -> None:
+    """Fill the steps from west to east at every pixel; ``side`` pixels, 2 to 4, are one side of a step."""
     pixels, width = mosaic.pixels, mosaic.pixels - 2 * REACH
+    third, fourth = 0.0 if side >= 3 else np.inf, 0.0 if side >= 4 else np.inf
     for row in range(mosaic.east.shape[0]):
         for line in range(pixels):
             r = row * pixels + line
             _medians(mosaic.heights[r : r + _RUN_LENGTH], mosaic.south[row], scratch)
-            _compare_sides(scratch.runs, mosaic.east[row], scratch.plain, out.least[r])
+            _compare_sides(scratch.runs, mosaic.east[row], third, fourth, scratch.plain, out.least[r])
             if RUN <= line < pixels - RUN:
                 for col in range(out.inside.shape[1]):
                     for c in range(width):
@@ -257,8 +316,8 @@ def find_raw_steps(mosaic: StepMosaic, out: RawSteps, scratch: RowScratch) -> No
 
 
 @helper
-def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
-    """Raise the highest steps to those of a row that are the highest of three and stand out from noise."""
+def _keep_peaks(least: Floats, limit: Floats, felt: Floats) -> None:
+    """Keep the steps of a row that are the highest of three and stand out from noise; 0 elsewhere."""
     n = len(least)
     for c in range(n):
         step = least[c]
@@ -266,9 +325,53 @@ def _take_highest(least: Floats, limit: Floats, highest: Floats) -> None:
         behind = least[c + 1] if c < n - 1 else -1.0
         share = (step / limit[c] - 1.0) / _RAMP if limit[c] > 0.0 else 1.0
         share = min(max(share, 0.0), 1.0)
-        felt = 0.0 if (step < before) | (step < behind) else step * share
-        if felt > highest[c] or (math.isnan(highest[c]) and not math.isnan(step)):
-            highest[c] = felt
+        felt[c] = 0.0 if (step < before) | (step < behind) else step * share
+
+
+@helper
+def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> float:
+    """Height between the points of both sides of a pixel, as it surely is at least, m; negative if they mix.
+
+    A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves ``shear`` pixels to the east with
+    every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the median
+    from the middle, or has ``_ASTRAY`` of them beyond it, whichever is farther out.
+    """
+    row, half, cols = r // mosaic.pixels, len(values) // 2, mosaic.heights.shape[1]
+    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
+    east, south = mosaic.east[row, c], mosaic.south[row, c]
+    left = right = 0
+    lower = upper = 0.0
+    for down in range(-RUN, RUN + 1):
+        line, middle = mosaic.heights[r + RUN + down], c + shear * down
+        for at in range(max(0, math.ceil(middle - wide)), min(cols, math.floor(middle - _BESIDE) + 1)):
+            values[left] = line[at] - east * (at - c) - south * down
+            known = values[left] == values[left]  # false for NaN
+            lower += values[left] if known else 0.0
+            left += known
+        for at in range(max(0, math.ceil(middle + _BESIDE)), min(cols, math.floor(middle + wide) + 1)):
+            values[half + right] = line[at] - east * (at - c) - south * down
+            known = values[half + right] == values[half + right]
+            upper += values[half + right] if known else 0.0
+            right += known
+    if min(left, right) < _LEAST_POINTS:
+        return -np.inf
+    first = max(0, math.floor(min(0.5 * (left - _SURE * math.sqrt(left)), _ASTRAY * left)))
+    other = max(0, math.floor(min(0.5 * (right - _SURE * math.sqrt(right)), _ASTRAY * right)))
+    if upper * left < lower * right:
+        return _smallest(values[:left], first) - _smallest(values[half : half + right], right - 1 - other)
+    return _smallest(values[half : half + right], other) - _smallest(values[:left], left - 1 - first)
+
+
+@helper
+def _believed(mosaic: StepMosaic, r: int, c: int, step: float, values: Floats) -> float:
+    """Share of a step that the points on both of its sides bear out, 0 to 1, at the angle that suits them best."""
+    best = 0.0
+    for turn in range(5):
+        shear = 0.5 * ((turn + 1) // 2) * (1.0 if turn % 2 else -1.0)
+        best = max(best, _share(_gap(mosaic, r, c, shear, values), step))
+        if best >= 1.0:
+            return 1.0
+    return best
 
 
 @helper
@@ -281,24 +384,27 @@ def _limit_of_sides(before: float, behind: float) -> float:
 
 
 @kernel
-def find_highest(
+def find_peaks(
+    mosaic: StepMosaic,
     least: Annotated[Floats, 2],
     limit: Annotated[Floats, 2],
-    pixels: int,
-    highest: Annotated[Floats, 2],
+    felt: Annotated[Floats, 2],
     scratch: Annotated[Floats, 1],
 ) -> None:
-    """Fill the highest step of each column of pixels in each row of tiles, (tiles, cols) m; NaN if none is known.
+    """Fill, for each pixel, the step that is the highest of three in its row and stands out, m; NaN if it is unknown.
 
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
-    pixels before and behind it. ``scratch`` takes a row of pixels.
+    pixels before and behind it. ``scratch`` takes a row of pixels and two sides of a wall, see `peak_scratch`.
     """
-    for row in range(highest.shape[0]):
-        mine, cols = highest[row], highest.shape[1]
+    cols, pixels = least.shape[1], mosaic.pixels
+    values = scratch[cols:]
+    for row in range(limit.shape[0]):
         for c in range(cols):
             before = limit[row, (c - SIDE) // pixels] if c >= SIDE else np.nan
             behind = limit[row, (c + SIDE) // pixels] if c + SIDE < cols else np.nan
             scratch[c] = _limit_of_sides(before, behind)
-            mine[c] = np.nan
         for r in range(row * pixels, (row + 1) * pixels):
-            _take_highest(least[r], scratch, mine)
+            _keep_peaks(least[r], scratch, felt[r])
+            for c in range(cols):
+                if felt[r, c] > 0.0:
+                    felt[r, c] *= _believed(mosaic, r, c, felt[r, c], values)

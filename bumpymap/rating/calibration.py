@@ -159,6 +159,11 @@ class Calibration:
         )
 
     @property
+    def wheel_pixels(self) -> float:
+        """Diameter of a wheel, px."""
+        return 2.0 * float(self.vehicle["wheel"]["radius_m"]) * self.pixels / self.tile_size
+
+    @property
     def body(self) -> VehicleBody:
         """Outline of the vehicle; defaults where the profile has none."""
         return body_of(self.vehicle)

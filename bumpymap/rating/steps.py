@@ -5,18 +5,24 @@ ground on both sides of a pixel is continued to that pixel, whichever tiles they
 
 1. *Runs.* The median of nine pixels side by side (1.8 m) along the possible wall. A wall that is not parallel to the
    pixels stays sharp; stones and bushes of less than a metre, which show in the relief of their tile, are left out.
-2. *Sides.* Each side is the mean of the two pixels next to the pixel in question, continued with the slope on which
-   the three nearest agree (the smaller of both differences, none if they differ in sign). The pixel itself is left
-   out: a wall that crosses it gives it the mean of both levels.
+2. *Sides.* Each side is as many pixels as a wheel is wide in diameter (2 to 4), continued with the slope on which the
+   nearest four agree (the smallest difference, none if they differ in sign). The step is from the highest of the lower
+   side to the lowest of the higher one; unless that is most of the usual difference, there is a bank or a narrow ditch.
+   The pixel itself is left out: a wall that crosses it gives it the mean of both levels. Where the nearest pixels are
+   unknown, the step is less in the same proportion as the sides are farther apart: it may be a slope.
 3. *Slopes.* Where the slopes of both sides differ, the step is the least that fits anywhere in the pixel: the foot of a
    bank of 27 degrees reads as 4 cm at most.
 4. *Rough ground and noise.* Steps count where they stand out from what is everywhere in the tile: none up to a limit,
-   in full from 1.4 times that, smoothly in between. The limit is 9.5 times the 30 % quantile of all steps in the tile,
+   in full from 1.4 times that, smoothly in between. The limit is 12 times the 20 % quantile of all steps in the tile,
    or, if that is more, 2.5 times the noise of a pixel (from the median difference between neighbouring pixels).
+5. *Points.* The single pixels of both sides, in 1.8 m along the wall and 1.85 wheels across it, must bear the step out
+   at one of five angles: with few pixels all of them, with many all but a fifth. So a survey with few points finds no
+   step in rough ground where one with many finds none.
 
 A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,9 +34,10 @@ from bumpymap.rating._step_kernels import (
     RawSteps,
     StepMosaic,
     find_gradients,
-    find_highest,
+    find_peaks,
     find_quantiles,
     find_raw_steps,
+    peak_scratch,
     row_scratch,
 )
 
@@ -40,10 +47,13 @@ Floats = NDArray[np.float64]
 
 _RIM = 2
 """Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
-_QUANTILE, _QUANTILE_LIMIT = 0.3, 9.5
+_QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
 _PIXEL_LIMIT = 2.5
 _MEDIAN_DIFFERENCE = 0.9539
 """Median size of the difference of two numbers from a standard normal distribution."""
+_LEVEL_WIDTH = 1.85
+"""Width of the levels on both sides of a step, in diameters of a wheel. A fifth of their points may be astray, so a
+ditch of less than 1.4 diameters is none; in drives over ditches, half get stuck at 1.4."""
 _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
 
@@ -60,6 +70,9 @@ class TileSteps:
     rim: NDArray[np.float32]
     """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
     show. The rating of a tile sees steps farther inside in full."""
+    pixels: NDArray[np.float32]
+    """(n * pixels, m * pixels) height of the step at each pixel of the tiles; 0 where none stands out, NaN where the
+    ground on both sides is unknown. ``inner`` is the highest of a tile."""
 
     @property
     def edge_step(self) -> NDArray[np.float32]:
@@ -72,7 +85,7 @@ class TileSteps:
         return np.fmax(self.rim, self.edge_step)
 
 
-def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
+def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> TileSteps:
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
     Parameters
@@ -82,6 +95,8 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
         in tiles that do not exist.
     pixels : int
         Pixels along the side of a tile, at least 10.
+    wheel : float
+        Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
 
     Returns
     -------
@@ -96,20 +111,28 @@ def find_steps(heights: NDArray[np.floating], pixels: int) -> TileSteps:
     sides = heights.shape
     if pixels < 2 * REACH + 2 or len(sides) != 2 or min(sides) < 3 * pixels or any(n % pixels for n in sides):
         raise ValueError(f"heights of shape {sides} are not those of tiles with {pixels} pixels and a ring of them")
+    side = int(np.clip(round(wheel), 2, REACH))
+    # Nothing beyond the ring of tiles may count, or two blocks would differ on the border that they share.
+    level = min(_LEVEL_WIDTH * wheel, (pixels - RUN - 1) / math.sqrt(2.0))
     z, turned = _with_margin(heights), _with_margin(heights.T)
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), _gradient(turned, pixels)
-    across = _raw(z, east, south.T, pixels)  # walls that run north to south
-    along = _raw(turned, south, east.T, pixels)
+    upright, lying = (
+        StepMosaic(part, pixels, level, np.repeat(right, pixels, axis=1), np.repeat(down, pixels, axis=1))
+        for part, right, down in ((z, east, south.T), (turned, south, east.T))
+    )
+    across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
-    west_east = _highest(across.least, limit, pixels)
-    north_south = _highest(along.least, np.ascontiguousarray(limit.T), pixels)
-    inner = np.fmax(_inner(west_east), _inner(north_south).T)
-    rim = np.fmax(_rim(west_east), _rim(north_south).T)
-    west, east = _borders(west_east)
-    north, south = (side.T for side in _borders(north_south))
+    west_east = _peaks(upright, across.least, limit)
+    north_south = _peaks(lying, along.least, np.ascontiguousarray(limit.T))
+    found = np.fmax(west_east[pixels:-pixels, pixels:-pixels], north_south[pixels:-pixels, pixels:-pixels].T)
+    inner = np.fmax.reduce(_tiles(found, pixels), axis=(1, 3))
+    columns, rows = _highest(west_east, pixels), _highest(north_south, pixels)
+    rim = np.fmax(_rim(columns), _rim(rows).T)
+    west, east = _borders(columns)
+    north, south = (side.T for side in _borders(rows))
     border = np.stack([north, east, south, west], axis=-1)
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim, found)))
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:
@@ -132,13 +155,13 @@ def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
     return middle, spread
 
 
-def _raw(z: Floats, east: Floats, south: Floats, pixels: int) -> RawSteps:
-    """Return the steps from west to east; ``east`` and ``south`` are the gradients of the tiles, m per pixel."""
-    mosaic = StepMosaic(z, pixels, np.repeat(east, pixels, axis=1), np.repeat(south, pixels, axis=1))
+def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
+    """Return the steps from west to east."""
+    tiles, cols = mosaic.east.shape
+    pixels = mosaic.pixels
     inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
-    rows, cols = z.shape
-    found = RawSteps(np.empty((rows - 2 * RUN, cols)), np.empty((*east.shape, inside)))
-    find_raw_steps(mosaic, found, row_scratch(cols))
+    found = RawSteps(np.empty((tiles * pixels, cols)), np.empty((tiles, cols // pixels, inside)))
+    find_raw_steps(mosaic, side, found, row_scratch(cols))
     return found
 
 
@@ -150,17 +173,22 @@ def _usual(across: RawSteps, along: RawSteps) -> Floats:
     return found
 
 
-def _highest(least: Floats, limit: Floats, pixels: int) -> Floats:
-    """Return the highest step of each column of pixels of each tile that stands out, (tiles, tiles, pixels)."""
-    cols = least.shape[1]
-    found = np.empty((len(limit), cols))
-    find_highest(least, limit, pixels, found, np.empty(cols))
-    return found.reshape(*limit.shape, pixels)
+def _peaks(mosaic: StepMosaic, least: Floats, limit: Floats) -> Floats:
+    """Return the steps that stand out, at each pixel."""
+    found = np.empty_like(least)
+    find_peaks(mosaic, least, limit, found, peak_scratch(least.shape[1], mosaic.pixels))
+    return found
 
 
-def _inner(highest: Floats) -> Floats:
-    """Return the highest step of each inner tile."""
-    return np.asarray(np.fmax.reduce(highest[1:-1, 1:-1], axis=2))
+def _tiles(found: Floats, pixels: int) -> Floats:
+    """Return a mosaic as (tiles, pixels, tiles, pixels)."""
+    rows, cols = found.shape
+    return found.reshape(rows // pixels, pixels, cols // pixels, pixels)
+
+
+def _highest(found: Floats, pixels: int) -> Floats:
+    """Return the highest step of each column of pixels of each tile, (tiles, tiles, pixels)."""
+    return np.asarray(np.fmax.reduce(_tiles(found, pixels), axis=1))
 
 
 def _rim(highest: Floats) -> Floats:

@@ -135,7 +135,7 @@ class SectorRater:
         heights = self._lay(patches.heights, patches)[ring]
         pixels = self._calibration.pixels
         mosaic = heights.swapaxes(1, 2).reshape(len(heights) * pixels, -1)
-        step = find_steps(mosaic, pixels).unseen * share[1:-1, 1:-1][inner]
+        step = find_steps(mosaic, pixels, self._calibration.wheel_pixels).unseen * share[1:-1, 1:-1][inner]
         columns = asdict(own)
         near = {name: values[inner] for name, values in columns.items()} | {"coverage": coverage[inner]}
         for name, values in apply_steps(near, step, self._calibration).items():

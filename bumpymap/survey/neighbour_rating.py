@@ -124,7 +124,7 @@ class NeighbourRating:
         objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._motion)}
-            | dict.fromkeys(("edge_step", *(f"step_{side}" for side in SIDES)), nothing)
+            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), nothing)
             | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
             | {"objects": objects, "passage": np.zeros_like(objects)}
         )
@@ -187,10 +187,11 @@ class NeighbourRating:
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:
-            return find_steps(window.mosaic("heights"), self.grid.pixels)
-        shape = window.inner("class_id").shape
-        unknown = np.full(shape, np.nan, np.float32)
-        return TileSteps(np.full((*shape, len(SIDES)), np.nan, np.float32), unknown, unknown)
+            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels)
+        rows, cols = window.inner("class_id").shape
+        px = self.grid.pixels
+        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols), (rows * px, cols * px))
+        return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
 
     def _sweep(
         self, own: Mapping[str, NDArray[Any]], known: NDArray[np.bool_], objects: NDArray[np.uint8], steps: TileSteps
@@ -277,4 +278,4 @@ def _crossed(
 
 def _by_side(steps: TileSteps) -> Columns:
     by_side = {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
-    return by_side | {"edge_step": steps.edge_step}
+    return by_side | {"edge_step": steps.edge_step, "inner_step": steps.inner}

@@ -13,7 +13,7 @@ _REACH = 4
 """Pixels on each side of a step that are looked at."""
 _RIM = 2
 """Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
-_QUANTILE, _QUANTILE_LIMIT = 0.3, 9.5
+_QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
 _PIXEL_LIMIT = 2.5
 _RAMP = 0.4
 _MEDIAN_DIFFERENCE = 0.9539
@@ -22,24 +22,31 @@ _LEAST_STEPS = 12
 """With fewer known steps in a tile, its noise is unknown."""
 _UNKNOWN_NOISE = 0.15
 """Steps below this do not count where the noise of both sides is unknown, m."""
+_SHEARS = (0.0, 0.5, -0.5, 1.0, -1.0)
+_LEAST_POINTS, _SURE, _ASTRAY = 5, 3.0, 0.2
+_LEVEL_WIDTH = 1.85
 
 
-def find_steps(heights: NDArray[np.floating], pixels: int) -> dict[str, NDArray[np.float32]]:
+def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> dict[str, NDArray[np.float32]]:
     """Return the fields of `bumpymap.rating.TileSteps`."""
     z = np.asarray(heights, np.float64)
     (east, noise_east), (south, noise_south) = _gradient(z, pixels), (part.T for part in _gradient(z.T, pixels))
-    across = _Steps.find(z, east, south, pixels)  # walls that run north to south
-    along = _Steps.find(z.T, south.T, east.T, pixels)
+    side = int(np.clip(round(wheel), 2, _REACH))
+    level = min(_LEVEL_WIDTH * wheel, (pixels - _RUN - 1) / np.sqrt(2))
+    across = _Steps.find(z, east, south, pixels, side)  # walls that run north to south
+    along = _Steps.find(z.T, south.T, east.T, pixels, side)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along, pixels), noise)
-    west_east = across.felt(limit, pixels)
-    north_south = along.felt(limit.T, pixels).T
-    inner = np.fmax.reduce(_tiles(np.fmax(west_east, north_south), pixels)[1:-1, 1:-1], axis=(2, 3))
+    west_east = _borne_out(across.felt(limit, pixels), z, east, south, level)
+    north_south = _borne_out(along.felt(limit.T, pixels), z.T, south.T, east.T, level).T
+    found = np.fmax(west_east, north_south)
+    inner = np.fmax.reduce(_tiles(found, pixels)[1:-1, 1:-1], axis=(2, 3))
     rim = np.fmax(_rim(west_east, pixels), _rim(north_south.T, pixels).T)
     west, east_of = _borders(west_east, pixels)
     north, south_of = (side.T for side in _borders(north_south.T, pixels))
     border = np.stack([north, east_of, south_of, west], axis=-1)
-    return {"border": border.astype(np.float32), "inner": inner.astype(np.float32), "rim": rim.astype(np.float32)}
+    fields = {"border": border, "inner": inner, "rim": rim, "pixels": found[pixels:-pixels, pixels:-pixels]}
+    return {name: values.astype(np.float32) for name, values in fields.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,15 +59,19 @@ class _Steps:
     """The least step anywhere in the pixel; not negative."""
 
     @classmethod
-    def find(cls, z: Floats, east: Floats, south: Floats, pixels: int) -> "_Steps":
+    def find(cls, z: Floats, east: Floats, south: Floats, pixels: int, side: int) -> "_Steps":
         """Find steps; ``east`` and ``south`` are the gradients of the tiles (tiles, tiles), m per pixel."""
         runs = _medians(z, _each(south, pixels))
         slope = _each(east, pixels)
-        right, bend_right = _side(runs, slope, 1)
-        left, bend_left = _side(runs, slope, -1)
-        plain = right - left
+        right, right_side, bend_right = _side(runs, slope, 1, side)
+        left, left_side, bend_left = _side(runs, slope, -1, side)
+        up = np.fmin.reduce(right_side) - np.fmax.reduce(left_side)
+        down = np.fmin.reduce(left_side) - np.fmax.reduce(right_side)
+        nearer = 2.0 / (2.0 + _unknown(right_side) + _unknown(left_side))  # over unknown pixels, it may be a slope
+        surely = nearer * np.maximum(up, down)
+        share = _share(surely, 0.5 * nearer * np.abs(up - down))
         # The slope on the left is counted away from the pixel, too.
-        return cls(plain, np.maximum(np.abs(plain) - 0.5 * np.abs(bend_right + bend_left), 0.0))
+        return cls(right - left, np.maximum(surely * share - 0.5 * np.abs(bend_right + bend_left), 0.0))
 
     def felt(self, limit: Floats, pixels: int) -> Floats:
         """Return the steps that are the highest of three pixels in a row and stand out from noise and rough ground."""
@@ -116,17 +127,57 @@ def _medians(z: Floats, south: Floats) -> Floats:
     return np.asarray(0.5 * (pair[0] + pair[1]))
 
 
-def _side(runs: Floats, slope: Floats, way: int) -> tuple[Floats, Floats]:
+def _side(runs: Floats, slope: Floats, way: int, side: int) -> tuple[Floats, Floats, Floats]:
     """Continue the ground east (1) or west (-1) of every pixel to its middle.
 
-    Returns its height there, m, and its slope about the tile's, m per pixel away from the pixel.
+    Returns its height there, m, that from each pixel of the side, and its slope about the tile's, m per pixel away from
+    the pixel.
     """
-    ground = [_shifted(runs, -way * k, np.nan) - way * k * slope for k in range(1, _REACH + 1)]
-    rises = np.diff(np.stack(ground), axis=0)
+    ground = np.stack([_shifted(runs, -way * k, np.nan) - way * k * slope for k in range(1, _REACH + 1)])
+    rises = np.diff(ground, axis=0)
     agree = (rises > 0).all(axis=0) | (rises < 0).all(axis=0)  # False for NaN
     bend = np.where(agree, np.sign(rises[0]) * np.abs(rises).min(axis=0), 0.0)
-    a, b = ground[0] - bend, ground[1] - 2 * bend
-    return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b))), bend
+    continued = ground - bend * np.arange(1, _REACH + 1)[:, None, None]
+    a, b = continued[:2]
+    return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b))), continued[:side], bend
+
+
+def _unknown(side: Floats) -> NDArray[np.int64]:
+    """Return how many pixels of sides come before the first known one, 2 at most."""
+    return np.isnan(side[0]) * (1 + np.isnan(side[1]).astype(np.int64))
+
+
+def _share(surely: Floats, step: Floats) -> Floats:
+    """Return how far to believe steps of which so much is sure, 0 to 1."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(step > 0, np.clip((surely / step - 0.7) / 0.15, 0.0, 1.0), 1.0)
+
+
+def _borne_out(felt: Floats, z: Floats, east: Floats, south: Floats, level: float) -> Floats:
+    """Reduce steps from west to east to what the points on both sides bear out."""
+    found = felt.copy()
+    tiles = len(felt) // len(east)
+    for r, c in np.argwhere(felt > 0):
+        row, col = r // tiles, c // tiles
+        gaps = [_gap(z, r, c, east[row, col], south[row, col], level, shear) for shear in _SHEARS]
+        found[r, c] *= _share(np.max(gaps), felt[r, c])
+    return found
+
+
+def _gap(z: Floats, r: int, c: int, east: float, south: float, level: float, shear: float) -> float:
+    """Height between the sides of a wall through a pixel that moves ``shear`` pixels east with every row."""
+    down, across = np.meshgrid(np.arange(-_RUN, _RUN + 1), np.arange(-z.shape[1], z.shape[1] + 1), indexing="ij")
+    away = across - shear * down
+    rows, cols = r + down, c + across
+    near = (np.abs(away) >= 0.9) & (np.abs(away) <= level * np.sqrt(1 + shear**2))
+    near &= (rows >= 0) & (rows < z.shape[0]) & (cols >= 0) & (cols < z.shape[1])
+    heights = z[rows[near], cols[near]] - east * across[near] - south * down[near]
+    sides = [np.sort(heights[np.isfinite(heights) & (np.sign(away[near]) == sign)]) for sign in (-1, 1)]
+    if min(len(side) for side in sides) < _LEAST_POINTS:
+        return -np.inf
+    ranks = [max(0, int(min(0.5 * (n - _SURE * np.sqrt(n)), _ASTRAY * n))) for n in map(len, sides)]
+    low, high = ([side[rank], side[len(side) - 1 - rank]] for side, rank in zip(sides, ranks, strict=True))
+    return max(high[0] - low[1], low[0] - high[1])
 
 
 def _shifted(values: Floats, by: int, fill: float) -> Floats:

@@ -116,7 +116,7 @@ def test_statistics_are_those_of_the_tiles(rasters, cost_map):
         values = values[np.isfinite(values)]
         assert found["long_name"] == band.description
         if not len(values):  # nothing was separated from the ground
-            assert band.name in {"obstacle", "obstacle_height", "clearance", "canopy", "edge_step"}
+            assert band.name in {"obstacle", "obstacle_height", "clearance", "canopy", "edge_step", "inner_step"}
             continue
         for key, expected in {"MINIMUM": values.min(), "MAXIMUM": values.max(), "MEAN": values.mean()}.items():
             assert float(found[f"STATISTICS_{key}"]) == pytest.approx(expected, rel=1e-6)

@@ -48,11 +48,6 @@ def test_a_step_down_is_as_high_as_a_step_up():
     np.testing.assert_array_equal(up.inner, down.inner)
 
 
-@pytest.mark.parametrize("slope", [(0.1, 0.0), (0.5, -0.3), (1.2, 1.0)])
-def test_planes_have_no_steps(slope):
-    assert highest(find_steps(mosaic(Wall(0, 0, 0, 0, slope), 4), PIXELS)).max() < 1e-3
-
-
 def test_a_wall_on_a_slope_is_measured_in_full():
     steps = find_steps(mosaic(Wall(0.3, 6.05, 6, 12, (0.3, -0.2)), 4), PIXELS)
     np.testing.assert_allclose(steps.border[:, 0, EAST], 0.3, rtol=0.05)
@@ -111,16 +106,81 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
         np.testing.assert_array_equal(part.border, whole.border[:, columns])
         np.testing.assert_array_equal(part.inner, whole.inner[:, columns])
         np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
+        pixels = slice(columns.start * PIXELS, columns.stop * PIXELS)
+        np.testing.assert_array_equal(part.pixels, whole.pixels[:, pixels])
     np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
     np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
 
 
-def test_holes_do_not_hide_a_wall():
-    rng = np.random.default_rng(6)
-    heights = mosaic(Wall(0.3, 6.0, 6, 0), 4)
-    heights[rng.random(heights.shape) < 0.6] = np.nan
-    found = find_steps(heights, PIXELS)
-    np.testing.assert_allclose(found.border[:, 0, EAST], 0.3, rtol=1e-3)
+def surveyed(ground, density, noise, seed):
+    """Return 8 x 8 tiles of ground, a function of x and y, from points at random places; NaN in empty pixels."""
+    rng = np.random.default_rng(seed)
+    n = 8 * PIXELS
+    x, y = rng.uniform(0, 8 * TILE_SIZE, (2, int(density * (8 * TILE_SIZE) ** 2)))
+    at = (n - 1 - (y / TILE_SIZE * PIXELS).astype(int)) * n + (x / TILE_SIZE * PIXELS).astype(int)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(at, ground(x, y) + rng.normal(0, noise, len(x)), n * n) / np.bincount(at, minlength=n * n)
+    return mean.reshape(n, n)
+
+
+def near(wall):
+    """Tiles of the inner 6 x 6 whose middle is within 1 m of a wall."""
+    axis = (np.arange(1, 7) + 0.5) * TILE_SIZE
+    return np.abs(wall.distance(*np.meshgrid(axis, axis[::-1]))) < 1
+
+
+@pytest.mark.parametrize("density", [200, 20, 6])
+@pytest.mark.parametrize(("width", "expected"), [(0.3, 0.0), (0.5, 0.0), (1.5, 1.0)])
+def test_a_ditch_is_a_step_where_a_wheel_drops_into_it(density, width, expected):
+    """A wheel of 0.6 m rolls over one of 0.5 m, however deep."""
+    share = []
+    for number, place in enumerate(PLACES[:12]):
+        wall = Wall(-1.0, 6 + place[0], 6 + place[1], place[2])
+        heights = surveyed(lambda x, y, w=wall: -1.0 * (np.abs(w.distance(x, y)) < width / 2), density, 0.01, number)
+        share.extend(highest(find_steps(heights, PIXELS))[near(wall)] > 0.5)
+    assert np.mean(share) == pytest.approx(expected, abs=0.1)
+
+
+@pytest.mark.parametrize("density", [200, 20, 4])
+@pytest.mark.parametrize("length", [1, 6, 99])
+def test_a_ramp_has_no_step(density, length):
+    """Of 28 degrees, from one level to another: a vehicle climbs it, and few points must not make a wall of it."""
+    found = []
+    for number, place in enumerate(PLACES[:6]):
+        wall = Wall(0.0, 6 + place[0], 6 + place[1], place[2])
+        heights = surveyed(lambda x, y, w=wall: 0.53 * np.clip(w.distance(x, y), 0, length), density, 0.02, number)
+        found.append(highest(find_steps(heights, PIXELS)))
+    assert np.mean(np.nan_to_num(found) > 0.35) < 0.02
+
+
+def test_few_points_make_no_steps_of_rough_ground():
+    """Lumps of half a metre: a copy with a tenth of the points has hardly a step more than the dense survey."""
+    rng = np.random.default_rng(8)
+    waves = rng.uniform(-4, 4, (2, 60)), rng.uniform(0, 2 * np.pi, 60)
+
+    def lumps(x, y):
+        return 0.07 * np.cos(x[:, None] * waves[0][0] + y[:, None] * waves[0][1] + waves[1]).sum(axis=1)
+
+    dense, thin = (highest(find_steps(surveyed(lumps, density, 0.01, 1), PIXELS)) > 0.35 for density in (100, 10))
+    assert thin[~dense].mean() < 0.1
+
+
+def test_the_pixels_of_a_wall_hold_its_height():
+    wall = Wall(0.5, 12.3, 11.8, 25)
+    steps = find_steps(surveyed(wall.ground, 50, 0.01, 2), PIXELS)
+    axis = (np.arange(PIXELS, 7 * PIXELS) + 0.5) * TILE_SIZE / PIXELS
+    away = np.abs(wall.distance(*np.meshgrid(axis, axis[::-1])))
+    found = steps.pixels > 0.4
+    assert away[found].max() < 0.4
+    along = (
+        wall.easting - np.sin(np.radians(25)) * np.arange(-8, 8, 0.2),
+        wall.northing + np.cos(np.radians(25)) * np.arange(-8, 8, 0.2),
+    )
+    cols, rows = ((along[0] / 0.2).astype(int) - PIXELS, 7 * PIXELS - 1 - (along[1] / 0.2).astype(int))
+    inside = (cols > 1) & (cols < 6 * PIXELS - 2) & (rows > 1) & (rows < 6 * PIXELS - 2)
+    near_by = [found[r - 2 : r + 3, c - 2 : c + 3].any() for r, c in zip(rows[inside], cols[inside], strict=True)]
+    assert np.mean(near_by) > 0.95
+    np.testing.assert_array_equal(steps.inner[0, 0], np.nanmax(steps.pixels[:PIXELS, :PIXELS]))
 
 
 def test_without_a_neighbour_the_step_is_unknown():

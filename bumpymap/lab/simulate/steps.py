@@ -25,7 +25,16 @@ from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
-__all__ = ["CrossingJob", "WallGround", "add_steps", "crossing_jobs", "rate_steps", "run_crossing", "step_tile"]
+__all__ = [
+    "CrossingJob",
+    "WallGround",
+    "add_steps",
+    "cross",
+    "crossing_jobs",
+    "rate_steps",
+    "run_crossing",
+    "step_tile",
+]
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 """Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""
@@ -48,18 +57,23 @@ _SUPERSAMPLE = 8
 
 @dataclass(frozen=True, slots=True)
 class WallGround:
-    """Two levels with a wall along the line easting = 0: the eastern level is higher by ``rise``."""
+    """Two levels with a wall along the line easting = 0: the eastern level is higher by ``rise``.
+
+    With a ``width``, a second wall leads back: a ditch or a ridge.
+    """
 
     rise: float
     """m; negative if the eastern level is lower."""
     spacing: float
     """The wall is a ramp of this width, m."""
+    width: float = math.inf
+    """Between both walls, from the middle of the one to that of the other, m."""
     extent: float = 1.0
     gradient: tuple[float, float] = (0.0, 0.0)
 
     def height(self, easting: NDArray[np.float64], northing: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights of points, m."""
-        share = np.clip(easting / self.spacing, 0.0, 1.0)
+        share = np.clip(easting / self.spacing, 0.0, 1.0) - np.clip((easting - self.width) / self.spacing, 0.0, 1.0)
         return np.broadcast_to(self.rise * share, np.broadcast_shapes(easting.shape, northing.shape)).copy()
 
 
@@ -95,7 +109,8 @@ def run_crossing(settings: CalibrationSettings, job: CrossingJob) -> PatchDrives
     number = _heights(settings.profile, _HEIGHTS).index(job.height)
     stream = (_STREAM, number, job.angle, int(job.up))
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-    made = _cross(settings, job, *rng.random(2).tolist())
+    ground = WallGround(job.height if job.up else -job.height, settings.profile.wheel.radius_m / 6)
+    made = cross(settings, ground, math.radians(_ANGLES_DEG[job.angle]), rng.random(2))
     return PatchDrives((made.outcome,), (made.c_r if made.outcome == "completed" else None,))
 
 
@@ -197,24 +212,35 @@ def _heights(profile: Vehicle, heights: tuple[float, ...]) -> tuple[float, ...]:
     return tuple(float(f"{height * scale:.3g}") for height in heights)
 
 
-def _cross(settings: CalibrationSettings, job: CrossingJob, before: float, along: float) -> Drive:
-    """Drive once over a wall; ``before`` and ``along`` (0 to 1) shift the start.
+def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift: NDArray[np.float64]) -> Drive:
+    """Drive once over a wall, or over two of them.
 
-    The measured way begins with the nose in front of the wall. A vehicle whose rear wheels have not passed the wall at
-    its end is stuck.
+    The measured way begins with the nose in front of the wall. A vehicle whose rear wheels have not passed the last
+    wall at its end is stuck.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    ground : WallGround
+    angle : float
+        Between the way and the normal of the wall, rad.
+    shift : array (2,)
+        0 to 1: moves the start along the way and along the wall.
     """
     profile, drive = settings.profile, settings.drive
-    angle = math.radians(_ANGLES_DEG[job.angle])
+    before, along = shift.tolist()
     # Along the way, from the first part of the vehicle that meets the wall to the last that leaves it.
     half = profile.length_m / 2 + profile.width_m / 2 * math.tan(angle)
     spare = profile.length_m / math.cos(angle)
-    total = 2 * half + 2 * spare
+    between = 0.0 if math.isinf(ground.width) else ground.width / math.cos(angle)
+    total = 2 * half + 2 * spare + between
     quiet = profile.speed_mps * (drive.ramp_s / 2 + drive.cruise_s)
     back = quiet + half + spare * (0.25 + 0.25 * before)
-    ground = WallGround(job.height if job.up else -job.height, profile.wheel.radius_m / 6)
     start = Start(-back * math.cos(angle), along * ground.spacing - back * math.sin(angle), angle)
-    chosen = replace(drive, measure_s=total / profile.speed_mps, stuck_share=(2 * half + spare * 0.75) / total)
-    return drive_from(profile, ground, start, 0, chosen)
+    passed = (2 * half + spare * 0.75 + between) / total
+    return drive_from(
+        profile, ground, start, 0, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed)
+    )
 
 
 def _rounded(value: float) -> float:
