@@ -151,7 +151,7 @@ def test_the_robot_is_what_it_is_said_to_be(tmp_path):
 
 @pytest.mark.parametrize("wrong", [{"radius_m": -1.0}, {"radius_m": NAN}, {"box_m": (1.0, 0.0, 0.0, 1.0)}])
 def test_a_robot_that_is_none_is_refused(wrong):
-    with pytest.raises(UsageError, match="radius"):
+    with pytest.raises(UsageError, match=next(iter(wrong))):
         Robot(**wrong)
 
 
