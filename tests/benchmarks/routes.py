@@ -16,8 +16,9 @@ import numpy as np
 import rasterio
 from _measure import run_timed
 from rasterio.windows import Window
+from scipy import ndimage
 
-from bumpymap.core import BANDS
+from bumpymap.core import BANDS, CLASS_NAMES
 from bumpymap.layers import describe_file
 
 TILE_M, PIXELS = 3.0, 3
@@ -45,23 +46,37 @@ def make_layers(folder: Path, side: int) -> None:
         "roughness.tif": (len(BANDS), "float32", np.nan, 1),
         "heightmap.tif": (1, "float32", np.nan, PIXELS),
         "obstacle.tif": (1, "uint8", 255, PIXELS),
+        "passage.tif": (1, "uint8", 255, PIXELS),
     }
     files = {name: _create(folder / name, side, *profile) for name, profile in profiles.items()}
     files["roughness.tif"].descriptions = [band.name for band in BANDS]
     rng = np.random.default_rng(2)
+    closed = np.concatenate([rng.random((min(_STRIP, side - top), side)) < 0.1 for top in range(0, side, _STRIP)])
     for top in range(0, side, _STRIP):
         rows = np.arange(top, min(top + _STRIP, side))
         c_r = relief(rows, np.arange(side)).astype(np.float32)
-        barred = np.where(rng.random(c_r.shape) < 0.1, 3, 0).astype(np.uint8)
+        barred = np.where(closed[rows], 3, 0).astype(np.uint8)
         window = Window(0, top, side, len(rows))
         values = {band.name: np.full_like(c_r, 0.01) for band in BANDS} | {"c_r": c_r, "obstacle": 0 * c_r}
         cost = 1 + 5.0 * c_r - 300.0 * np.log1p(np.float32(-0.01)) / 10.0
         files["barred.tif"].write(barred[None], window=window)
         files["cost.tif"].write(np.where(barred == 0, cost, np.nan)[None].astype(np.float32), window=window)
+        files["passage.tif"].write(
+            _passage(closed, rows)[None], window=Window(0, top * PIXELS, side * PIXELS, len(rows) * PIXELS)
+        )
         files["roughness.tif"].write(np.stack([values[band.name] for band in BANDS]), window=window)
     for file in files.values():
         file.close()
     _write_manifest(folder, list(profiles))
+
+
+def _passage(closed: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Return where the vehicle fits in some rows of tiles: all pixels that touch no closed tile."""
+    first, last = max(rows[0] - 1, 0), rows[-1] + 2
+    pixels = np.repeat(np.repeat(closed[first:last], PIXELS, 0), PIXELS, 1)
+    free = ~ndimage.binary_dilation(pixels, np.ones((3, 3), bool))
+    top = (rows[0] - first) * PIXELS
+    return free[top : top + len(rows) * PIXELS].astype(np.uint8)
 
 
 def _create(path: Path, side: int, bands: int, dtype: str, nodata: float, pixels: int) -> rasterio.io.DatasetWriter:
@@ -86,6 +101,8 @@ def _write_manifest(folder: Path, names: list[str]) -> None:
         "vehicle": vehicle,
         "calibration": {"id": "made-up", "vehicle": "warthog"},
         "settings": {"rating": "ride", "compat": "none"},
+        "counts": dict.fromkeys(("tiles", "points", "passable", "unknown"), 0)
+        | {"by_class": dict.fromkeys(CLASS_NAMES, 0), "by_reason": {}, "barred": {}},
         "files": [describe_file(folder / name) | {"path": name} for name in names],
     }
     (folder / "run.json").write_text(json.dumps(manifest), encoding="utf-8")
