@@ -100,7 +100,7 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
             closing = SplitClosing(grid, models.calibration, config.compat)
-            tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, progress, "split")
+            tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, SilentProgress(), "split")
         table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(recorded, inputs, run_spec, measured, models, clock.seconds, lines, warnings)

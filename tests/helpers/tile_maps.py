@@ -15,6 +15,21 @@ WARTHOG = RouteVehicle("warthog", 1.38, 2.0)
 RULE = CostRule(ride_weight=5.0, fail_weight=300.0, drive_m=10.0, slope_limit_deg=30.0)
 
 
+def where_it_fits(site, window):
+    """Pixels 0.1 m and half the vehicle's width from obstacles and from tiles that their ground bars."""
+    pixels, reach = site.grid.pixels, (0.5 * site.vehicle.width_m + 0.1) / site.grid.pixel_size
+    ring = 2
+    wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+    by_ground = ~np.isin(site.read(wide).barred, (Barred.NO, Barred.OBSTACLE, Barred.SPLIT))
+    by_ground = np.repeat(np.repeat(by_ground, pixels, 0), pixels, 1)
+    free = np.ones(by_ground.shape, bool)
+    for closed, near in ((site.objects(wide) == OBSTACLE, reach), (by_ground, min(reach, 0.45 * pixels) + 0.5)):
+        if closed.any():
+            free &= distance_transform_edt(~closed) >= near
+    inner = slice(ring * pixels, -ring * pixels)
+    return free[inner, inner]
+
+
 @dataclass
 class TileMap:
     """A map in memory; arrays are (rows, cols), north row first."""
@@ -88,18 +103,7 @@ class TileMap:
         return out
 
     def passage(self, window):
-        """Pixels where the vehicle fits: 0.1 m and half its width from obstacles and tiles that their ground bars."""
-        pixels, reach = self.grid.pixels, (0.5 * self.vehicle.width_m + 0.1) / self.grid.pixel_size
-        ring = 2
-        wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
-        by_ground = ~np.isin(self._cut(self.barred, wide, NO_TILE), (Barred.NO, Barred.OBSTACLE, Barred.SPLIT))
-        by_ground = np.repeat(np.repeat(by_ground, pixels, 0), pixels, 1)
-        free = np.ones(by_ground.shape, bool)
-        for closed, near in ((self.objects(wide) == OBSTACLE, reach), (by_ground, min(reach, 0.45 * pixels) + 0.5)):
-            if closed.any():
-                free &= distance_transform_edt(~closed) >= near
-        inner = slice(ring * pixels, -ring * pixels)
-        return free[inner, inner]
+        return where_it_fits(self, window)
 
     def heights(self, window):
         pixel = self.grid.tile_size / self.grid.pixels

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from tile_maps import where_it_fits
 
 from bumpymap.core import NO_TILE, CostRule, Georeference, RouteVehicle, TileField
 from bumpymap.rating import Calibration
@@ -60,6 +61,9 @@ class MadeUpMap:
     def objects(self, window):
         out = np.full((window.rows * PIXELS, window.cols * PIXELS), 255, np.uint8)
         return self._placed(out, np.zeros((ROWS * PIXELS, COLS * PIXELS), np.uint8), window)
+
+    def passage(self, window):
+        return where_it_fits(self, window)
 
     def _placed(self, out, whole, window, pixels=PIXELS):
         """Copy what lies in the window; north rows first."""
