@@ -1,4 +1,4 @@
-"""Write the versions of the environment that runs this to constraints.txt, and the sha256 of their wheels to hashes.txt.
+"""Write the versions of the environment that runs this to constraints.txt, the sha256 of their wheels to hashes.txt.
 
     .venv/bin/python .ci/refresh_constraints.py
 
@@ -9,9 +9,7 @@ written too.
 import json
 import subprocess
 import sys
-from collections.abc import Iterable
 from hashlib import sha256
-from itertools import product
 from optparse import Values
 from pathlib import Path
 
@@ -27,10 +25,12 @@ PLATFORMS = [
     for machine in ("x86_64", "aarch64")
     for kind in (*(f"manylinux_2_{minor}" for minor in range(5, 40)), "manylinux1", "manylinux2010", "manylinux2014")
 ]
-VERSIONS_HEAD = "# Versions that the suite passes with. Made by .ci/refresh_constraints.py from a working environment.\n"
+VERSIONS_HEAD = (
+    "# Versions that the suite passes with. Made by .ci/refresh_constraints.py from a working environment.\n"
+)
 HASHES_HEAD = """\
-# sha256 of the wheels of the versions in constraints.txt, for CPython 3.11 to 3.14 on Linux (glibc; x86-64 and ARM64), where
-# there are any. A version with a local build (torch's for the CPU alone) has the sha256 of that too. Made by
+# sha256 of the wheels of the versions in constraints.txt, for CPython 3.11 to 3.14 on Linux (glibc; x86-64 and ARM64),
+# where there are any. A version with a local build (torch's for the CPU alone) has the sha256 of that too. Made by
 # .ci/refresh_constraints.py.
 """
 
