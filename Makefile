@@ -1,6 +1,7 @@
 # make demo    map the sample survey and say where the layers are
 # make test    install what the suite needs and run it; TESTS=FILE for a part of it
 # make test-fast  without the tests that are marked slow: every room, in about a minute
+# make HASHES=no demo  for a Python or platform that .ci/hashes.txt has no files of: the same versions, unchecked
 # A checkout that cannot be written: make VENV=/some/where/venv DEMO_OUT=/some/where/demo_out demo
 PYTHON ?= python3
 VENV ?= .venv
@@ -8,24 +9,30 @@ DEMO_OUT ?= demo_out
 TESTS ?=
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check
-CONSTRAINTS := .ci/constraints.txt
+PINS := .ci/constraints.txt .ci/hashes.txt .ci/install
+HASHES ?= yes
+HELD := $(if $(filter no,$(HASHES)),--constraint .ci/constraints.txt,--require-hashes --constraint .ci/hashes.txt)
+EDITABLE := install --quiet --no-deps --no-build-isolation --editable .
+export HASHES
 
 .PHONY: demo test test-fast lint types docs wheel check clean
 .DEFAULT_GOAL := demo
 
-$(VENV)/.installed: pyproject.toml $(CONSTRAINTS)
+$(VENV)/.installed: pyproject.toml $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 		{ echo "bumpymap needs Python 3.11 or newer, and '$(PYTHON)' is not. Name another one: make PYTHON=/path/to/python3"; exit 2; }
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || \
 		{ echo "'$(PYTHON)' cannot make environments: its venv module is missing. Debian and Ubuntu: sudo apt-get install python3-venv"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --upgrade pip
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable .
+	.ci/install $(VENV) $(VENV) $(VENV)
+	$(PIP) $(EDITABLE)
 	-$(BIN)/bumpymap compile
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	$(PIP) install --quiet --constraint $(CONSTRAINTS) --editable '.[sim,learn,o3d,dask,remote,csf]' --group dev
+	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,o3d,dask,remote,csf
+	$(PIP) install --quiet $(HELD) --group dev
+	$(PIP) $(EDITABLE)
 	@touch $@
 
 demo: $(VENV)/.installed
@@ -50,9 +57,8 @@ docs: $(VENV)/.installed-dev
 # The built wheel, alone in a new environment, must map what it generates.
 wheel: $(VENV)/.installed
 	rm -rf dist && mkdir dist
-	$(PIP) wheel --quiet --no-deps --wheel-dir dist .
-	$(PYTHON) -m venv dist/venv
-	dist/venv/bin/python -m pip --disable-pip-version-check install --quiet --constraint $(CONSTRAINTS) dist/*.whl
+	$(PYTHON) -m venv --without-pip dist/venv
+	.ci/install $(VENV) dist/venv dist
 	cd dist && venv/bin/bumpymap --version && venv/bin/bumpymap demo --out demo
 
 check: lint types docs test

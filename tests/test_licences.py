@@ -46,7 +46,7 @@ def test_the_page_lists_every_package_with_a_licence_that_it_has():
 def test_the_page_lists_nothing_else():
     text = (ROOT / ".ci" / "constraints.txt").read_text(encoding="utf-8")
     names = {licences.canonicalize_name(line.split("==")[0]) for line in text.splitlines() if "==" in line}
-    assert set(listed()) <= names | {"setuptools"}  # which is left out there, since it is part of every environment
+    assert set(listed()) <= names
 
 
 def test_every_requirement_of_the_project_is_walked():

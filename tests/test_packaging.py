@@ -55,7 +55,7 @@ def test_the_container_copies_what_the_wheel_is_built_from(project, containerfil
     assert all((ROOT / name).exists() for name in copied)
     own = project["project"]
     packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
-    assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/constraints.txt"} <= set(copied)
+    assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/hashes.txt", ".ci/install"} <= set(copied)
     assert {package.split("/")[0] for package in packages} <= set(copied)
 
 
