@@ -12,10 +12,12 @@ import pytest
 import rasterio
 import shapely
 from cost_maps import make_field
+from made_drives import MadeDrive, log_of, write_table
 from route_maps import bare_map, write_folder
 from sheet_maps import SMALL, write_in_sheets
 
 from bumpymap.change import diff_surveys
+from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
 from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, read_areas, read_points, write_reports
 
@@ -81,6 +83,15 @@ def relief(folder, _):
     site.relief(site.window, (5, 6))
 
 
+def check(folder, out):
+    for path in folder.rglob("run.json"):
+        record = json.loads(path.read_text())
+        record["calibration"] |= {"class_limits": [0.05, 0.1, 0.2]}
+        path.write_text(json.dumps(record))
+    log = log_of(MadeDrive(seconds=60.0, noise=0.01))[0]
+    check_drives(folder, write_table(out / "drive.csv", log, (330_005.0, 2_040_012.0)))
+
+
 def dataset(folder, _):
     layers = open_layers(folder)
     repr(layers)
@@ -104,7 +115,7 @@ def beside(path, aim):
 
 
 @pytest.mark.parametrize("plant", [virtual, tagged, beside])
-@pytest.mark.parametrize("read", [report, export, diff, relief, dataset])
+@pytest.mark.parametrize("read", [report, export, diff, relief, dataset, check])
 @pytest.mark.parametrize("in_sheets", [False, True])
 def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, plant, read, in_sheets):
     url, asked = server
@@ -117,6 +128,28 @@ def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, pl
     with nullcontext() if ignored else pytest.raises(BadInputError, match=str(folder)):
         read(folder, tmp_path)
     assert not asked
+
+
+def test_the_dataset_is_read_from_its_files_alone(one, server, tmp_path):
+    """Not from what lies beside them, for GDAL to find."""
+    folder = copytree(one, tmp_path / "map")
+    text = "<PAMDataset><SRS>EPSG:4326</SRS><GeoTransform>1,2,0,3,0,-2</GeoTransform>"
+    text += '<PAMRasterBand band="1"><NoDataValue>7</NoDataValue><Scale>2</Scale></PAMRasterBand></PAMDataset>'
+    (folder / "heightmap.tif.aux.xml").write_text(text)
+    (folder / "heightmap.tif.msk").write_text(VRT.format(f"/vsicurl/{server[0]}/{tmp_path.name}.tif"))
+    (found, own) = (open_layers(place).heights().load() for place in (folder, one))
+    assert found.identical(own)
+    assert not server[1]
+
+
+@pytest.mark.parametrize(("name", "read"), [("cost.fgb", "regions"), ("tiles.parquet", "tiles")])
+def test_a_table_of_a_map_leads_nowhere_else(one, server, tmp_path, name, read):
+    folder = copytree(one, tmp_path / "map")
+    (folder / name).write_text(OGR_VRT.format(f"{server[0]}/{tmp_path.name}"))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=name):
+        getattr(open_layers(folder), read)()
+    assert not server[1]
 
 
 @pytest.mark.parametrize(
@@ -141,10 +174,10 @@ def test_a_virtual_raster_is_one_over_the_sheets_of_the_map(sheets, server, tmp_
 
 
 @pytest.mark.parametrize("name", ["class.tif", "heightmap.tif", "tiles.parquet"])
-@pytest.mark.parametrize("read", [report, dataset, diff])
+@pytest.mark.parametrize("read", [report, dataset, diff, check])
 @pytest.mark.parametrize("in_sheets", [False, True])
 def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, sheets, tmp_path, name, read, in_sheets):
-    if name == "tiles.parquet" and read is not report:
+    if (name != "heightmap.tif" and read is check) or (name == "tiles.parquet" and read is not report):
         pytest.skip("not read")
     folder = copytree(sheets if in_sheets else one, tmp_path / "map")
     path = (min((folder / "sheets").iterdir()) if in_sheets else folder) / name
