@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import threading
 from contextlib import nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -13,6 +14,7 @@ import rasterio
 import shapely
 from cost_maps import make_field
 from made_drives import MadeDrive, log_of, write_table
+from pyproj import CRS
 from route_maps import bare_map, write_folder
 from sheet_maps import SMALL, write_in_sheets
 
@@ -140,6 +142,21 @@ def test_the_dataset_is_read_from_its_files_alone(one, server, tmp_path):
     (found, own) = (open_layers(place).heights().load() for place in (folder, one))
     assert found.identical(own)
     assert not server[1]
+
+
+@pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
+def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
+    folder = copytree(one, tmp_path / "map")
+    named = f"+proj=utm +zone=14 +ellps=clrk66 +nadgrids=@{tmp_path}/pipe +type=crs"
+    os.mkfifo(tmp_path / "pipe")
+    record = json.loads((folder / "run.json").read_text())
+    record["crs"]["wkt"] = CRS(named).to_wkt()
+    (folder / "run.json").write_text(json.dumps(record))
+    areas = {"type": "Feature", "geometry": shapely.geometry.mapping(shapely.box(0, 0, 9, 9)), "properties": {}}
+    areas |= {"crs": {"type": "name", "properties": {"name": named}}}
+    (folder / "a.json").write_text(json.dumps(areas))
+    with nullcontext() if read is report else pytest.raises(BadInputError, match="names a file by its path"):
+        read(folder, tmp_path)
 
 
 @pytest.mark.parametrize(("name", "read"), [("cost.fgb", "regions"), ("tiles.parquet", "tiles")])
