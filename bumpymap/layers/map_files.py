@@ -71,7 +71,7 @@ def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterato
     rasterio.errors.RasterioError
         It is missing, damaged or of another format.
     BadInputError
-        It leads to other files.
+        It leads to other files, or the names in it are no text.
     """
     import rasterio
 
@@ -79,10 +79,13 @@ def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterato
     if virtual:
         _require_virtual(Path(path))
     driver = "VRT" if virtual else "GTiff"
-    with closed_gdal(**options), rasterio.open(path, driver=driver, opener=opener) as file:
-        if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
-            raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
-        yield file
+    try:
+        with closed_gdal(**options), rasterio.open(path, driver=driver, opener=opener) as file:
+            if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
+                raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
+            yield file
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
 
 
 def _require_virtual(path: Path) -> None:

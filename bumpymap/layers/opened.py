@@ -135,6 +135,9 @@ class Layers:
             *self._variables("cost.tif", (_COST,)),
             *self._variables("barred.tif", (_BARRED,)),
         ]
+        for other in found[1:]:
+            if not all(other[side].equals(found[0][side]) for side in "xy"):
+                raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
         vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
         dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}

@@ -116,6 +116,7 @@ def _read_by_gdal(path: Path) -> VectorLayer:
         shapely.errors.GEOSException,
         CRSError,
         ValueError,
+        UnboundLocalError,  # of pyogrio, where the CRS is no text
     )
     try:
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
@@ -128,7 +129,8 @@ def _read_by_gdal(path: Path) -> VectorLayer:
         geometry = shapely.from_wkb(wkb)
     except errors as error:
         # GDAL's text on a file that it cannot open gives advice on GDAL.
-        said = "it is damaged" if isinstance(error, pyogrio.errors.DataSourceError) else error
+        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
+        said = "it is damaged" if damaged else error
         raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
     return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
 

@@ -14,6 +14,7 @@ import rasterio
 import shapely
 from cost_maps import make_field
 from made_drives import MadeDrive, log_of, write_table
+from pyogrio.raw import write
 from pyproj import CRS
 from route_maps import bare_map, write_folder
 from sheet_maps import SMALL, write_in_sheets
@@ -157,6 +158,36 @@ def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
     (folder / "a.json").write_text(json.dumps(areas))
     with nullcontext() if read is report else pytest.raises(BadInputError, match="names a file by its path"):
         read(folder, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "read"), [("class.tif", dataset), ("roughness.tif", export)])
+def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
+    """It lies elsewhere than the others, or the names of its bands are no text."""
+    folder = copytree(one, tmp_path / "map")
+    if read is dataset:
+        with rasterio.open(folder / name, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+            file.transform *= file.transform.translation(1, 0)
+    else:
+        (folder / name).write_bytes((folder / name).read_bytes().replace(b">c_r<", b">\xbf_r<"))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=str(folder)):
+        read(folder, tmp_path)
+
+
+def test_areas_whose_crs_is_no_text_are_refused(tmp_path):
+    wkb = shapely.to_wkb(np.array([shapely.box(0, 0, 9, 9)], object))
+    write(
+        tmp_path / "a.shp",
+        wkb,
+        [np.array(["x"], object)],
+        np.array(["name"]),
+        geometry_type="Polygon",
+        crs="EPSG:32614",
+    )
+    path = tmp_path / "a.prj"
+    path.write_bytes(path.read_bytes().replace(b"WGS", b"\xf4GS"))
+    with pytest.raises(BadInputError, match="it is damaged"):
+        read_areas(tmp_path / "a.shp", bare_map())
 
 
 @pytest.mark.parametrize(("name", "read"), [("cost.fgb", "regions"), ("tiles.parquet", "tiles")])
