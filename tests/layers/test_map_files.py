@@ -174,6 +174,19 @@ def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
         read(folder, tmp_path)
 
 
+@pytest.mark.parametrize(("band", "value"), [("c_r", -1000.0), ("c_r_high", -1.0), ("p_fail", 1.5), ("p_fail", -0.1)])
+def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
+    """A way would be led over them: they would make it cheaper."""
+    folder = copytree(one, tmp_path / "map")
+    with rasterio.open(folder / "roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        number = file.descriptions.index(band) + 1
+        file.write(np.full(file.shape, value, np.float32), number)
+    list_anew(folder)
+    site = open_map([folder])
+    with pytest.raises(BadInputError, match=rf"roughness\.tif.*damaged: {band}"):
+        site.read(site.window)
+
+
 def test_areas_whose_crs_is_no_text_are_refused(tmp_path):
     wkb = shapely.to_wkb(np.array([shapely.box(0, 0, 9, 9)], object))
     write(
