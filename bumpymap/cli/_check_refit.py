@@ -7,7 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, DrivenStretches, OutputError, UsageError, atomic, locked, parse_json
+from bumpymap.core import (
+    BadInputError,
+    DrivenStretches,
+    OutputError,
+    UsageError,
+    atomic,
+    locked,
+    parse_json,
+    read_regular,
+)
 
 if TYPE_CHECKING:
     from bumpymap.layers import RouteMap
@@ -16,7 +25,6 @@ if TYPE_CHECKING:
 __all__ = ["Refit", "prepare_refit"]
 
 _LEAST_WIDENING = 1.05
-_MOST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +130,7 @@ def _refuse_replacing(out: Path, overwrite: bool) -> None:
 def _is_calibration(path: Path) -> bool:
     """Return whether a file is one, of any version: no other file is replaced by one."""
     try:
-        found = parse_json(path.read_text(encoding="utf-8")) if path.stat().st_size <= _MOST_BYTES else None
+        found = parse_json(read_regular(path).decode())
     except (OSError, ValueError):
         return False
     return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"

@@ -34,6 +34,7 @@ from .crs.settle import (
     parse_crs as parse_crs,
     same_crs as same_crs,
     scale_note as scale_note,
+    stated_crs as stated_crs,
     statement_from_wkt as statement_from_wkt,
     unit_name as unit_name,
 )
@@ -79,6 +80,8 @@ from .files import (
     STAGED as STAGED,
     atomic as atomic,
     move_together as move_together,
+    open_regular as open_regular,
+    read_regular as read_regular,
     remove_empty_on_error as remove_empty_on_error,
     remove_path as remove_path,
     utf8_path as utf8_path,

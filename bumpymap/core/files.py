@@ -1,5 +1,6 @@
 """Atomic file writing: files are written under a temporary name in the target folder, synced and renamed."""
 
+import errno
 import os
 import shutil
 import stat
@@ -7,16 +8,57 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from os.path import lexists
 from pathlib import Path
+from typing import BinaryIO
 from uuid import uuid4
 
 from bumpymap.core.errors import OutputError
 
-__all__ = ["STAGED", "atomic", "move_together", "remove_empty_on_error", "remove_path", "utf8_path", "write_together"]
+__all__ = [
+    "STAGED",
+    "atomic",
+    "move_together",
+    "open_regular",
+    "read_regular",
+    "remove_empty_on_error",
+    "remove_path",
+    "utf8_path",
+    "write_together",
+]
 
 STAGED = ".bumpymap-layers-"
 """Name prefix of staging folders, from which files are moved together; one left by a killed process can be deleted."""
 _SIDECAR = ".aux.xml"
 """Suffix of GDAL's sidecar file: category names, and a CRS that GeoTIFF keys cannot express."""
+
+
+_MOST_READ = 1 << 28
+"""Bytes; the manifest of the largest map in sheets has a tenth of them."""
+
+
+def open_regular(path: Path, flags: int = 0) -> BinaryIO:
+    """Open a file that a user names, to read it; ``flags`` are those of `os.open`.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, or is a pipe or a device: that might never end. ``strerror`` says so.
+    """
+    more = flags | getattr(os, "O_NONBLOCK", 0)
+    file = open(path, "rb", opener=lambda name, own: os.open(name, own | more))  # noqa: SIM115
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is a pipe or a device; write what it holds to a file", str(path))
+    return file
+
+
+def read_regular(path: Path, most: int = _MOST_READ) -> bytes:
+    """Return the content of a file that a user names, of so many bytes at most; for errors see `open_regular`."""
+    with open_regular(path) as file:
+        content = file.read(most + 1)
+    if len(content) > most:
+        size = f"{most >> 20} MB" if most >= 1 << 20 else f"{most >> 10} kB"
+        raise OSError(errno.EFBIG, f"it has more than {size}, the most that is read", str(path))
+    return content
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core.errors import BadInputError
+from bumpymap.core.files import read_regular
 from bumpymap.core.onnx_check import read_graph
 
 __all__ = ["check_network", "metadata_of", "onnx_runtime", "read_network", "session", "shipped_network"]
@@ -67,16 +68,9 @@ def read_network(path: Path, kind: str, remedy: str) -> bytes:
         The file cannot be read, or is too large.
     """
     try:
-        with path.open("rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            content = file.read(_MOST_BYTES + 1) if size <= _MOST_BYTES else b""
+        return read_regular(path, _MOST_BYTES)
     except OSError as error:
-        raise BadInputError(f"cannot read the {kind} {path}: {error}. {remedy}") from error
-    if max(size, len(content)) > _MOST_BYTES:
-        raise BadInputError(
-            f"{path} has more than {_MOST_BYTES >> 20} MB, and is not an ONNX model that bumpymap runs. {remedy}"
-        )
-    return content
+        raise BadInputError(f"cannot read the {kind} {path}: {error.strerror}. {remedy}") from error
 
 
 def metadata_of(content: bytes, format_name: str, origin: str, kind: str, remedy: str) -> dict[str, str]:

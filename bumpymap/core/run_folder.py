@@ -17,7 +17,7 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.files import STAGED, atomic, remove_path
+from bumpymap.core.files import STAGED, atomic, read_regular, remove_path
 from bumpymap.core.json_text import Each, Number, parse_json, shape_fault
 from bumpymap.core.run_spec import differences
 
@@ -184,7 +184,7 @@ def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -
 def read_record(path: Path) -> dict[str, Any] | None:
     """Read a JSON object from a file; return None if the file is missing or damaged."""
     try:
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = parse_json(read_regular(path).decode())
     except (OSError, ValueError):
         return None
     return record if isinstance(record, dict) else None

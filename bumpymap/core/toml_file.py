@@ -13,6 +13,7 @@ from reprlib import Repr
 from typing import Any
 
 from bumpymap.core.errors import BumpymapError
+from bumpymap.core.files import read_regular
 
 __all__ = ["brief_repr", "read_toml", "short_names", "short_repr"]
 
@@ -86,12 +87,8 @@ def _text(path: Path) -> str:
         raise ValueError(
             "there is no such file" if not path.exists() else "it is not a file; write the TOML to a file of its own"
         )
-    with path.open("rb") as file:
-        content = file.read(_MOST_BYTES + 1)
-    if len(content) > _MOST_BYTES:
-        raise ValueError(f"it has more than {_MOST_BYTES // 1024} kB; is it a TOML file?")
     try:
-        return content.decode("utf-8-sig")
+        return read_regular(path, _MOST_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as caught:
         raise ValueError(f"not UTF-8 text at byte {caught.start}; save it as UTF-8") from caught
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, get_args
 
-from bumpymap.core import OutputError, escape_controls, parse_json, utf8_path, write_csv, write_together
+from bumpymap.core import OutputError, escape_controls, open_regular, parse_json, utf8_path, write_csv, write_together
 from bumpymap.layers.batch_row import SurveyRow
 from bumpymap.layers.index_page.page import SurveyView, index_page
 from bumpymap.layers.products import CATALOG_NAME
@@ -116,8 +116,7 @@ def _is_log(path: Path) -> bool:
 def _first_line(path: Path) -> str:
     """Return the first line of a file; empty if it cannot be read. A link is not followed."""
     try:
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW)
+        with open_regular(path, os.O_NOFOLLOW) as file:
+            return file.readline(_MOST_LINE).decode("utf-8", "replace").rstrip("\r\n")
     except OSError:
         return ""
-    with os.fdopen(descriptor, "rb") as file:
-        return file.readline(_MOST_LINE).decode("utf-8", "replace").rstrip("\r\n")

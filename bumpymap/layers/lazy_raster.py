@@ -15,6 +15,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from bumpymap.core import BadInputError
+from bumpymap.layers.map_files import closed_gdal
 
 __all__ = ["lazy_values"]
 
@@ -31,7 +32,8 @@ class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read x
         try:
             if _version(self.path) != self._version:
                 raise BadInputError(f"{self.path} was replaced after it was opened: open the layers again")
-            with rioxarray.open_rasterio(self.path, cache=False, parse_coordinates=False, driver=self.driver) as raster:
+            options = {"cache": False, "parse_coordinates": False, "driver": self.driver}
+            with closed_gdal(), rioxarray.open_rasterio(self.path, **options) as raster:
                 values: NDArray[Any] = raster.variable[key].values
         except (OSError, RasterioError) as error:
             raise BadInputError(f"cannot read {self.path}: {error}. Map the survey again") from error

@@ -6,6 +6,7 @@ files that GDAL looks for beside them; a virtual raster only if it is one that b
 files only if they begin as the format that their name states.
 """
 
+import math
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -13,14 +14,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, open_regular
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
 from bumpymap.layers.sheets.folders import sheets_of, virtual_name
 
 if TYPE_CHECKING:
+    import rasterio
     from rasterio.io import DatasetReader
 
-__all__ = ["open_layer", "require_format", "require_map_written", "require_written"]
+__all__ = ["closed_gdal", "open_layer", "require_format", "require_map_written", "require_written"]
 
 _CLOSED = {
     "GDAL_DISABLE_READDIR_ON_OPEN": "EMPTY_DIR",  # no .ovr and .msk, which GDAL opens by any driver
@@ -28,7 +30,13 @@ _CLOSED = {
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "-",  # no network
 }
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_STARTS = {".tif": _TIFF, ".fgb": (b"fgb\3",), ".shp": (b"\0\0\x27\x0a",), ".gpkg": (b"SQLite format 3\0",)}
+_STARTS = {
+    ".tif": _TIFF,
+    ".fgb": (b"fgb\3",),
+    ".parquet": (b"PAR1",),
+    ".shp": (b"\0\0\x27\x0a",),
+    ".gpkg": (b"SQLite format 3\0",),
+}
 _VIRTUAL = re.compile(
     "VRTDataset|SRS|GeoTransform|Metadata|MDI|VRTRasterBand|Description|NoDataValue|ColorInterp|CategoryNames|Category|"
     "ColorTable|Entry|GDALRasterAttributeTable|FieldDefn|Name|Type|Usage|Row|F|UnitType|SimpleSource|"
@@ -38,13 +46,23 @@ _VIRTUAL = re.compile(
 _AGAIN = "Map the survey again"
 
 
+def closed_gdal(**options: Any) -> "rasterio.Env":
+    """Return the environment in which GDAL reads a raster alone: no files beside it, no network."""
+    import rasterio
+
+    return rasterio.Env(**_CLOSED, **options)
+
+
 @contextmanager
-def open_layer(path: Path, **options: Any) -> "Iterator[DatasetReader]":
+def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterator[DatasetReader]":
     """Open a raster of a map, a GeoTIFF or the virtual raster over those of its sheets; nothing else is read.
 
     Parameters
     ----------
-    path : Path
+    path : Path or str
+        A URL is for ``opener``.
+    opener : object, optional
+        File system that opens it.
     **options
         Of GDAL, while the raster is open.
 
@@ -53,17 +71,21 @@ def open_layer(path: Path, **options: Any) -> "Iterator[DatasetReader]":
     rasterio.errors.RasterioError
         It is missing, damaged or of another format.
     BadInputError
-        It leads to other files.
+        It leads to other files, or the names in it are no text.
     """
     import rasterio
 
-    virtual = path.suffix == ".vrt"
+    virtual = Path(path).suffix == ".vrt"
     if virtual:
-        _require_virtual(path)
-    with rasterio.Env(**_CLOSED, **options), rasterio.open(path, driver="VRT" if virtual else "GTiff") as file:
-        if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
-            raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
-        yield file
+        _require_virtual(Path(path))
+    driver = "VRT" if virtual else "GTiff"
+    try:
+        with closed_gdal(**options), rasterio.open(path, driver=driver, opener=opener) as file:
+            if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
+                raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
+            yield file
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
 
 
 def _require_virtual(path: Path) -> None:
@@ -106,7 +128,7 @@ def require_format(path: Path) -> None:
     """Raise BadInputError if a file does not begin as the format does that its name states."""
     allowed = _STARTS[path.suffix.lower()]
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             start = file.read(16)
     except OSError as error:
         raise BadInputError(f"cannot read {path}: {error.strerror or error}") from error
@@ -117,7 +139,11 @@ def require_format(path: Path) -> None:
 
 
 def require_written(
-    folder: Path, manifest: Mapping[str, Any], names: Iterable[str], record: str = MANIFEST_NAME
+    folder: Path,
+    manifest: Mapping[str, Any],
+    names: Iterable[str],
+    record: str = MANIFEST_NAME,
+    most: float = math.inf,
 ) -> None:
     """Raise BadInputError if a file is missing, or is not the one that a manifest lists by size and checksum.
 
@@ -131,6 +157,8 @@ def require_written(
     names : iterable of str
     record : str
         File name of the manifest, for messages.
+    most : float
+        Bytes of the largest file whose checksum is compared; a larger one is held against its size.
     """
     written = {str(file["path"]): file for file in manifest["files"]}
     for name in names:
@@ -145,7 +173,7 @@ def require_written(
                 f"{path} is cut off or was changed: it has {found:,} bytes and was written with {size:,}. Copy it "
                 "again, or map the survey again"
             )
-        if describe_file(path)["sha256"] != written[name]["sha256"]:
+        if size <= most and describe_file(path)["sha256"] != written[name]["sha256"]:
             raise BadInputError(f"{path} is damaged: its checksum is not that of {record}. {_AGAIN}")
 
 

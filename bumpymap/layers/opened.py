@@ -18,6 +18,7 @@ from bumpymap.core import (
     REASON_TEXT,
     BadInputError,
     Band,
+    BumpymapError,
     UsageError,
     path_of_call,
     settings_of_call,
@@ -26,7 +27,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import open_layer, require_map_written
+from bumpymap.layers.map_files import open_layer, require_format, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -135,6 +136,9 @@ class Layers:
             *self._variables("cost.tif", (_COST,)),
             *self._variables("barred.tif", (_BARRED,)),
         ]
+        for other in found[1:]:
+            if not all(other[side].equals(found[0][side]) for side in "xy"):
+                raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
         dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
         vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
         dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
@@ -361,13 +365,13 @@ class Layers:
         self._require_written(name)
         rioxarray = import_notebook("rioxarray")
         with self._file(self._folder / self._raster(name)) as path:
-            with open_layer(path) as checked:
-                driver = checked.driver
-            with rioxarray.open_rasterio(path, cache=False, driver=driver) as file:
+            with open_layer(path) as checked, rioxarray.open_rasterio(path, cache=False, driver=checked.driver) as file:
                 from bumpymap.layers.lazy_raster import lazy_values
 
-                values = file.values if self._in_memory else lazy_values(path, driver, file.shape, file.dtype)
+                values = file.values if self._in_memory else lazy_values(path, checked.driver, file.shape, file.dtype)
                 raster, nodata = file.copy(data=values), file.rio.nodata
+            if raster.rio.crs is None and self._manifest.get("crs"):  # one that GeoTIFF cannot hold
+                raster.rio.write_crs(self._manifest["crs"]["wkt"], inplace=True)
         if raster.sizes["band"] != len(bands):
             raise BadInputError(
                 f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
@@ -402,6 +406,7 @@ class Layers:
         self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
+                require_format(path)
                 parts.append(read(path))
         return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
 
@@ -412,7 +417,7 @@ class Layers:
             raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
         try:
             yield path
-        except UsageError:
+        except BumpymapError:
             raise
         except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error

@@ -116,7 +116,7 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
         if isinstance(folder, RemoteFolder):
             url = folder.below(name).url
             files, _ = remote_files(url)
-            with rasterio.open(url, opener=files, driver="GTiff") as raster:
+            with open_layer(url, files) as raster:
                 yield raster
         else:
             with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:

@@ -119,6 +119,9 @@ class RouteMap:
                     sheet.read_into([values[band][place] for band in bands], "roughness.tif", part, bands)
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
             raise BadInputError(f"barred.tif of {self.folders[0]} holds unknown codes. Map the survey again")
+        for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
+            if (values[band] < 0.0).any() or (band == "p_fail" and (values[band] > 1.0).any()):
+                raise BadInputError(f"roughness.tif of {self.folders[0]} is damaged: {band}. Map the survey again")
         nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
         columns = {band: values.get(band, nothing) for band in _BANDS}
         return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)

@@ -1,6 +1,7 @@
 """Points of a user's file, for routes: GeoJSON, GPX or CSV."""
 
 import csv
+import io
 import logging
 import os
 from collections.abc import Sequence
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, read_regular
 from bumpymap.layers.route_vectors import VectorLayer, read_vectors
 
 __all__ = ["FilePoint", "read_points"]
@@ -107,7 +108,7 @@ def _lonlat(
 
 def _read_csv(path: Path) -> list[FilePoint]:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
             head = file.readline()
             separator = max(",;\t", key=head.count)
             names = [name.strip().lower() for name in next(csv.reader([head], delimiter=separator), [])]

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle
+from bumpymap.core import BadInputError, CostRule, Georeference, RouteVehicle, stated_crs
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import open_layer, require_written
 from bumpytiles import Grid, TileWindow
@@ -35,6 +34,8 @@ _DTYPES = {
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
 """What a route reads; a comparison of surveys reads the classes too."""
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
+_CHECKED_BYTES = 64 << 20
+"""Of a larger raster windows are read, which takes less time than its checksum."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
 _PIECE = 512
@@ -69,7 +70,7 @@ class RouteSheet:
         """
         manifest = read_manifest(folder)
         try:
-            require_written(folder, manifest, _RASTERS)
+            require_written(folder, manifest, _RASTERS, most=_CHECKED_BYTES)
             parts = (_grid(manifest), _georeference(manifest), _rule(manifest), _vehicle(folder, manifest))
         except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
             raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
@@ -235,7 +236,7 @@ def _grid(manifest: Mapping[str, Any]) -> Grid:
 
 def _georeference(manifest: Mapping[str, Any]) -> Georeference:
     crs, unit = manifest["crs"], manifest["metres_per_unit"]
-    known = None if crs is None else CRS.from_wkt(crs["wkt"])
+    known = None if crs is None else stated_crs(crs["wkt"])
     return Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
 
 

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
-from bumpymap.core import BadInputError, parse_json
+from bumpymap.core import BadInputError, parse_json, read_regular, stated_crs
 from bumpymap.layers.map_files import require_format
 
 __all__ = ["VectorLayer", "read_vectors"]
 
-_MOST_BYTES = 256 << 20
 """Largest GeoJSON or GPX file that is read."""
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
@@ -63,10 +62,7 @@ def read_vectors(path: Path) -> VectorLayer:
 
 
 def _text(path: Path) -> str:
-    size = path.stat().st_size
-    if size > _MOST_BYTES:
-        raise ValueError(f"it has {size:,} bytes; {_MOST_BYTES:,} can be read")
-    return path.read_text(encoding="utf-8-sig")
+    return read_regular(path).decode("utf-8-sig")
 
 
 def _read_geojson(path: Path) -> VectorLayer:
@@ -85,7 +81,7 @@ def _read_geojson(path: Path) -> VectorLayer:
     if stated is not None:
         if stated["type"] != "name":
             raise ValueError("its CRS is given by a link, which is not followed")
-        return _layer(shapes, names, CRS.from_user_input(str(stated["properties"]["name"])))
+        return _layer(shapes, names, stated_crs(str(stated["properties"]["name"])))
     degrees = (np.abs(shapely.get_coordinates(shapes)) <= (180.0, 90.0)).all()
     return _layer(shapes, names, CRS.from_user_input("OGC:CRS84") if degrees else None)
 
@@ -120,6 +116,7 @@ def _read_by_gdal(path: Path) -> VectorLayer:
         shapely.errors.GEOSException,
         CRSError,
         ValueError,
+        UnboundLocalError,  # of pyogrio, where the CRS is no text
     )
     try:
         layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
@@ -128,11 +125,12 @@ def _read_by_gdal(path: Path) -> VectorLayer:
             raise BadInputError(f"{path} must hold one layer of geometries; it holds: {listed}. Save one by itself")
         with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
             about, _, wkb, columns = read(path, layer=layers[0], columns=["name"], force_2d=True)
-        crs = None if about["crs"] is None else CRS.from_user_input(about["crs"])
+        crs = None if about["crs"] is None else stated_crs(about["crs"])
         geometry = shapely.from_wkb(wkb)
     except errors as error:
         # GDAL's text on a file that it cannot open gives advice on GDAL.
-        said = "it is damaged" if isinstance(error, pyogrio.errors.DataSourceError) else error
+        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
+        said = "it is damaged" if damaged else error
         raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
     return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
 

@@ -21,6 +21,7 @@ from bumpymap.core import (
     brief_repr,
     parse_json,
     path_of_call,
+    read_regular,
     short_repr,
 )
 from bumpymap.rating.vehicle.body import body_of, body_table
@@ -267,7 +268,7 @@ class Calibration:
         """Read a calibration file. Raises BadInputError if it is not one."""
         place = path_of_call("the calibration", path)
         try:
-            text = Path(place).read_text(encoding="utf-8")
+            text = read_regular(Path(place)).decode()
         except OSError as error:
             hint = (
                 f". That of an included vehicle: Calibration.shipped('{path}')"

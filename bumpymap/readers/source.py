@@ -149,6 +149,7 @@ def version_of(location: Location) -> Version:
     """Return the current version of a file."""
     with _reading(location):
         if not isinstance(location, str):
+            _refuse_special(location)
             # Opening makes a network file system ask its server, which stat alone may not do.
             descriptor = os.open(location, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
             try:

@@ -27,7 +27,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, NOT_TRAVERSABLE, BadInputError, ClassedSectors, SectorStack, UsageError, parse_json
+from bumpymap.core import (
+    CLASSES,
+    NOT_TRAVERSABLE,
+    BadInputError,
+    ClassedSectors,
+    SectorStack,
+    UsageError,
+    parse_json,
+    read_regular,
+)
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
 
 __all__ = [
@@ -294,9 +303,10 @@ def _shipped() -> StripeModel:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_regular(path).decode()
     except (OSError, UnicodeDecodeError) as error:
-        raise BadInputError(f"cannot read the stripe classes {path}: {error}") from error
+        said = error.strerror if isinstance(error, OSError) else error
+        raise BadInputError(f"cannot read the stripe classes {path}: {said}") from error
 
 
 def _parse(text: str, name: str) -> StripeModel:

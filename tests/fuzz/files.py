@@ -87,6 +87,9 @@ def _case(path, call, folder=None, label=""):
 
 
 def _layers(folder):
+    # Once, not in each child.
+    import geopandas  # noqa: F401
+    import rioxarray  # noqa: F401
     from cost_maps import make_field
     from route_maps import write_folder
     from sheet_maps import write_in_sheets

@@ -33,7 +33,7 @@ from mutate import Start, applied, mutated, starts
 from trial import Verdict, judged, read_whole, watched
 
 SEEDS = Path(__file__).parent / "seeds"
-BATCH = 400
+BATCH = 100
 _JOURNAL_EVERY = 30.0
 _SMALL_FILE = 4096
 

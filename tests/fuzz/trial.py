@@ -24,6 +24,7 @@ __all__ = ["Verdict", "judged", "read_whole", "watched"]
 
 MEMORY = 1_500_000_000
 SECONDS = 15
+"""Of processor time; of time four times as many, for what waits."""
 _READERS = str(Path(bumpymap.readers.__file__).parent)
 _HOUSE = str(Path(bumpymap.readers.__file__).parents[1])
 _SMALL = 16
@@ -190,7 +191,7 @@ def _child(inputs, folder, names, known_lines, judge) -> Iterator[Verdict]:
     if answered < len(inputs):
         ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {os.WEXITSTATUS(status)}"
         said = (folder / "said").read_text(encoding="utf-8", errors="replace")
-        kind = {"SIGALRM": "hang", f"exit {_OWN_FAULT}": "harness"}.get(ended, "died")
+        kind = {"SIGALRM": "hang", "SIGPROF": "hang", f"exit {_OWN_FAULT}": "harness"}.get(ended, "died")
         shutil.rmtree(folder)
         yield Verdict(kind, f"{ended} {_gist(said)}", said[-2000:])
         return
@@ -213,9 +214,11 @@ def _work(inputs, folder, names, known_lines, judge, tell):
             path.write_bytes(data)
             os.ftruncate(said, 0)
             os.lseek(said, 0, os.SEEK_SET)
-            signal.alarm(SECONDS)
+            signal.setitimer(signal.ITIMER_PROF, SECONDS)
+            signal.alarm(4 * SECONDS)
             with _traced(lines) if judge is read_whole else contextlib.nullcontext(set()) as fresh:
                 verdict = judge(path)
+            signal.setitimer(signal.ITIMER_PROF, 0)
             signal.alarm(0)
             noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
             if noise and not verdict.is_fault and judge is read_whole:

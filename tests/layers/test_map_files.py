@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 import threading
 from contextlib import nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -12,10 +13,14 @@ import pytest
 import rasterio
 import shapely
 from cost_maps import make_field
+from made_drives import MadeDrive, log_of, write_table
+from pyogrio.raw import write
+from pyproj import CRS
 from route_maps import bare_map, write_folder
 from sheet_maps import SMALL, write_in_sheets
 
 from bumpymap.change import diff_surveys
+from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
 from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, read_areas, read_points, write_reports
 
@@ -81,6 +86,15 @@ def relief(folder, _):
     site.relief(site.window, (5, 6))
 
 
+def check(folder, out):
+    for path in folder.rglob("run.json"):
+        record = json.loads(path.read_text())
+        record["calibration"] |= {"class_limits": [0.05, 0.1, 0.2]}
+        path.write_text(json.dumps(record))
+    log = log_of(MadeDrive(seconds=60.0, noise=0.01))[0]
+    check_drives(folder, write_table(out / "drive.csv", log, (330_005.0, 2_040_012.0)))
+
+
 def dataset(folder, _):
     layers = open_layers(folder)
     repr(layers)
@@ -104,7 +118,7 @@ def beside(path, aim):
 
 
 @pytest.mark.parametrize("plant", [virtual, tagged, beside])
-@pytest.mark.parametrize("read", [report, export, diff, relief, dataset])
+@pytest.mark.parametrize("read", [report, export, diff, relief, dataset, check])
 @pytest.mark.parametrize("in_sheets", [False, True])
 def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, plant, read, in_sheets):
     url, asked = server
@@ -117,6 +131,86 @@ def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, pl
     with nullcontext() if ignored else pytest.raises(BadInputError, match=str(folder)):
         read(folder, tmp_path)
     assert not asked
+
+
+def test_the_dataset_is_read_from_its_files_alone(one, server, tmp_path):
+    """Not from what lies beside them, for GDAL to find."""
+    folder = copytree(one, tmp_path / "map")
+    text = "<PAMDataset><SRS>EPSG:4326</SRS><GeoTransform>1,2,0,3,0,-2</GeoTransform>"
+    text += '<PAMRasterBand band="1"><NoDataValue>7</NoDataValue><Scale>2</Scale></PAMRasterBand></PAMDataset>'
+    (folder / "heightmap.tif.aux.xml").write_text(text)
+    (folder / "heightmap.tif.msk").write_text(VRT.format(f"/vsicurl/{server[0]}/{tmp_path.name}.tif"))
+    (found, own) = (open_layers(place).heights().load() for place in (folder, one))
+    assert found.identical(own)
+    assert not server[1]
+
+
+@pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
+def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
+    folder = copytree(one, tmp_path / "map")
+    named = f"+proj=utm +zone=14 +ellps=clrk66 +nadgrids=@{tmp_path}/pipe +type=crs"
+    os.mkfifo(tmp_path / "pipe")
+    record = json.loads((folder / "run.json").read_text())
+    record["crs"]["wkt"] = CRS(named).to_wkt()
+    (folder / "run.json").write_text(json.dumps(record))
+    areas = {"type": "Feature", "geometry": shapely.geometry.mapping(shapely.box(0, 0, 9, 9)), "properties": {}}
+    areas |= {"crs": {"type": "name", "properties": {"name": named}}}
+    (folder / "a.json").write_text(json.dumps(areas))
+    with nullcontext() if read is report else pytest.raises(BadInputError, match="names a file by its path"):
+        read(folder, tmp_path)
+
+
+@pytest.mark.parametrize(("name", "read"), [("class.tif", dataset), ("roughness.tif", export)])
+def test_a_layer_that_does_not_fit_is_refused(one, tmp_path, name, read):
+    """It lies elsewhere than the others, or the names of its bands are no text."""
+    folder = copytree(one, tmp_path / "map")
+    if read is dataset:
+        with rasterio.open(folder / name, "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+            file.transform *= file.transform.translation(1, 0)
+    else:
+        (folder / name).write_bytes((folder / name).read_bytes().replace(b">c_r<", b">\xbf_r<"))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=str(folder)):
+        read(folder, tmp_path)
+
+
+@pytest.mark.parametrize(("band", "value"), [("c_r", -1000.0), ("c_r_high", -1.0), ("p_fail", 1.5), ("p_fail", -0.1)])
+def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
+    """A way would be led over them: they would make it cheaper."""
+    folder = copytree(one, tmp_path / "map")
+    with rasterio.open(folder / "roughness.tif", "r+", IGNORE_COG_LAYOUT_BREAK="YES") as file:
+        number = file.descriptions.index(band) + 1
+        file.write(np.full(file.shape, value, np.float32), number)
+    list_anew(folder)
+    site = open_map([folder])
+    with pytest.raises(BadInputError, match=rf"roughness\.tif.*damaged: {band}"):
+        site.read(site.window)
+
+
+def test_areas_whose_crs_is_no_text_are_refused(tmp_path):
+    wkb = shapely.to_wkb(np.array([shapely.box(0, 0, 9, 9)], object))
+    write(
+        tmp_path / "a.shp",
+        wkb,
+        [np.array(["x"], object)],
+        np.array(["name"]),
+        geometry_type="Polygon",
+        crs="EPSG:32614",
+    )
+    path = tmp_path / "a.prj"
+    path.write_bytes(path.read_bytes().replace(b"WGS", b"\xf4GS"))
+    with pytest.raises(BadInputError, match="it is damaged"):
+        read_areas(tmp_path / "a.shp", bare_map())
+
+
+@pytest.mark.parametrize(("name", "read"), [("cost.fgb", "regions"), ("tiles.parquet", "tiles")])
+def test_a_table_of_a_map_leads_nowhere_else(one, server, tmp_path, name, read):
+    folder = copytree(one, tmp_path / "map")
+    (folder / name).write_text(OGR_VRT.format(f"{server[0]}/{tmp_path.name}"))
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=name):
+        getattr(open_layers(folder), read)()
+    assert not server[1]
 
 
 @pytest.mark.parametrize(
@@ -141,10 +235,10 @@ def test_a_virtual_raster_is_one_over_the_sheets_of_the_map(sheets, server, tmp_
 
 
 @pytest.mark.parametrize("name", ["class.tif", "heightmap.tif", "tiles.parquet"])
-@pytest.mark.parametrize("read", [report, dataset, diff])
+@pytest.mark.parametrize("read", [report, dataset, diff, check])
 @pytest.mark.parametrize("in_sheets", [False, True])
 def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, sheets, tmp_path, name, read, in_sheets):
-    if name == "tiles.parquet" and read is not report:
+    if (name != "heightmap.tif" and read is check) or (name == "tiles.parquet" and read is not report):
         pytest.skip("not read")
     folder = copytree(sheets if in_sheets else one, tmp_path / "map")
     path = (min((folder / "sheets").iterdir()) if in_sheets else folder) / name

@@ -7,6 +7,7 @@ Degrees and Earth-centred coordinates are refused with a message that shows the 
 
 import logging
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +32,7 @@ __all__ = [
     "parse_crs",
     "same_crs",
     "scale_note",
+    "stated_crs",
     "statement_from_wkt",
     "unit_name",
 ]
@@ -41,6 +43,10 @@ _US_FOOT = 1200 / 3937
 _UNITS = {1.0: "metre", 0.3048: "foot", _US_FOOT: "US survey foot"}
 _Z_UNITS = {"m": 1.0, "ft": 0.3048, "us-ft": _US_FOOT}
 _SCALE_TOLERANCE = 0.01
+_STRINGS = re.compile('"((?:[^"]|"")*)"')
+_FILE_PARAMETER = re.compile(r"(?:grids|init|file|model|catalog)\s*=")
+_FILE_VALUE = re.compile(r'PARAMETERFILE\s*[\[(]\s*"(?:[^"]|"")*"\s*,\s*"((?:[^"]|"")*)"|"value"\s*:\s*"([^"]*)"')
+_ELSEWHERE = re.compile(r"[/\\~]")
 _LEAST_UNIT, _LARGEST_UNIT = 1e-6, 1e6
 """Allowed range of units, m; those of EPSG lie well inside, from the millimetre to the nautical mile."""
 
@@ -79,11 +85,35 @@ class _HasGeoreference(Protocol):
     def georeference(self) -> Georeference: ...
 
 
+def stated_crs(text: str) -> CRS:
+    """Parse a CRS that a file or a record states.
+
+    PROJ would open the grid files that a CRS names, wherever they are. Those in its own folders have no path.
+
+    Raises
+    ------
+    pyproj.exceptions.CRSError
+        PROJ does not know it, or it names a file by its path or a URL.
+    """
+    is_wkt = re.match(r"\s*\w+\s*[\[(]", text)
+    parts = _STRINGS.findall(text) if is_wkt else [text]
+    values = "".join(map("".join, _FILE_VALUE.findall(text)))
+    if any(_FILE_PARAMETER.search(part.lower()) and _ELSEWHERE.search(part) for part in parts) or _ELSEWHERE.search(
+        values
+    ):
+        raise CRSError("it names a file by its path. Put grids in a folder of PROJ_DATA, and name them without path")
+    if is_wkt and "\u201c" in text:  # quotes too, for PROJ
+        raise CRSError("it has printed quotation marks")
+    return CRS.from_user_input(text)
+
+
 def parse_crs(text: str, name: str = "crs") -> CRS:
-    """Parse the value of ``--crs``, or of the setting ``name``. Raises UsageError if PROJ does not know it."""
+    """Parse the value of ``--crs``, or of the setting ``name``. Raises UsageError if `stated_crs` refuses it."""
     try:
-        return CRS.from_user_input(text)
+        return stated_crs(text)
     except CRSError as error:
+        if "by its path" in str(error):
+            raise UsageError(f"`{name}='{text}'` cannot be used: {error}") from error
         raise UsageError(
             f"`{name}='{text}'` is not a coordinate reference system. Give a code such as EPSG:32614, a PROJ string or "
             "WKT"
@@ -93,7 +123,7 @@ def parse_crs(text: str, name: str = "crs") -> CRS:
 def statement_from_wkt(text: str) -> CrsStatement:
     """Parse a WKT record; if PROJ cannot, the reason is in ``trouble``."""
     try:
-        return CrsStatement(CRS.from_wkt(text))
+        return CrsStatement(stated_crs(text))
     except CRSError:
         shown = text if len(text) <= 60 else text[:57] + "..."
         return CrsStatement(trouble=f"its WKT record cannot be understood ({shown!r})")

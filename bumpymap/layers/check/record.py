@@ -19,6 +19,7 @@ from bumpymap.core import (
     DrivenTiles,
     MapAgreement,
     parse_json,
+    read_regular,
 )
 from bumpymap.layers.check.names import CHECK_MANIFEST_NAME
 from bumpymap.layers.manifest import plain_manifest
@@ -26,7 +27,6 @@ from bumpymap.layers.manifest import plain_manifest
 __all__ = ["CHECK_FORMAT", "check_entries", "read_check", "result_of"]
 
 CHECK_FORMAT = "bumpymap-check"
-_MOST_BYTES = 200_000_000
 _COUNTS = {"drive", "col", "row"}
 _CLASSES = {"class_id", "measured_class"}
 _MOST = 1e12
@@ -67,9 +67,7 @@ def read_check(folder: Path) -> tuple[CheckResult, dict[str, Any]]:
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {_REMEDY}")
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise BadInputError(f"{path} has more than {_MOST_BYTES // 1_000_000} MB: it is no check. {_REMEDY}")
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = parse_json(read_regular(path).decode())
         if not isinstance(record, dict) or record.get("format") != CHECK_FORMAT:
             raise BadInputError(f"{path} is not that of a check. {_REMEDY}")
         return result_of(record), record

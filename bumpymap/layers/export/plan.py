@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, parse_json
+from bumpymap.core import BadInputError, parse_json, read_regular
 from bumpymap.layers.export.target import write_json
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import TileWindow
@@ -20,7 +20,6 @@ _RELATIVE = 3
 """MAV_FRAME_GLOBAL_RELATIVE_ALT: heights above the home position. Rovers stay on the ground whatever it is."""
 _ARDUPILOT, _ROVER = 3, 10
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
-_MOST_BYTES = 64 << 20
 _MOST_WAYPOINTS = 10_000
 
 
@@ -58,10 +57,7 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> NDArray[n
         The file cannot be read, or holds no such line, or one that touches obstacles.
     """
     try:
-        size = path.stat().st_size
-        if size > _MOST_BYTES:
-            raise BadInputError(f"{path} has {size:,} bytes; a route has {_MOST_BYTES:,} at most. Give a route file")
-        record = parse_json(path.read_text(encoding="utf-8"))
+        record = parse_json(read_regular(path).decode())
         line, about = _first_line(record)
         corners = np.array(line, np.float64)[:, :2]
         touched = float((about or {}).get("obstacle_m") or 0.0)

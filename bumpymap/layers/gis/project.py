@@ -11,7 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 from rasterio.errors import RasterioError
 
-from bumpymap.core import OutputError, horizontal_of
+from bumpymap.core import OutputError, horizontal_of, stated_crs
 from bumpymap.layers.gis.facts import StyleFacts
 from bumpymap.layers.gis.project_parts import LayerGroup, ProjectLayer, canvas, layer_element, reference, tree
 from bumpymap.layers.gis.raster_style import MULTIPLY
@@ -130,7 +130,7 @@ def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
     if not isinstance(wkt, str):
         return None
     try:
-        return horizontal_of(CRS.from_wkt(wkt))
+        return horizontal_of(stated_crs(wkt))
     except CRSError:
         return None
 

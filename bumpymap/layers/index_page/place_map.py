@@ -6,10 +6,10 @@ from dataclasses import dataclass
 from functools import cache
 from html import escape
 
-from pyproj import CRS, Transformer
+from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import count_text
+from bumpymap.core import count_text, stated_crs
 from bumpymap.layers.batch_row import SurveyRow
 
 __all__ = ["draw_places"]
@@ -113,6 +113,6 @@ def _box(row: SurveyRow) -> _Placed | None:
 @cache
 def _to_degrees(crs: str) -> Transformer | None:
     try:
-        return Transformer.from_crs(CRS.from_user_input(crs), "EPSG:4326", always_xy=True)
+        return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
     except ProjError:
         return None

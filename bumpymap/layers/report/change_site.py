@@ -11,12 +11,12 @@ import rasterio
 import shapely
 import shapely.geometry
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from pyproj import Transformer
 from pyproj.exceptions import ProjError
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from bumpymap.core import CHANGE_KINDS, BadInputError, parse_json
+from bumpymap.core import CHANGE_KINDS, BadInputError, parse_json, read_regular, stated_crs
 from bumpymap.layers.colours import CHANGE_COLOURS
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.report.codes import ByteGrid, packed
@@ -208,7 +208,7 @@ def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
 
 def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, ...], bool]:
     """Return the largest places of change.geojson, and whether its coordinates are degrees."""
-    collection = parse_json(path.read_text(encoding="utf-8"))
+    collection = parse_json(read_regular(path).decode())
     features = collection["features"]
     if len(features) != record["counts"]["regions"]:
         raise ValueError("change.geojson and change.json are not of one comparison")
@@ -216,7 +216,7 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, 
     degrees, crs = "local_coordinates" not in collection, record["crs"]
     forward = None
     if degrees and crs is not None:
-        forward = Transformer.from_crs("OGC:CRS84", CRS.from_wkt(crs["wkt"]).to_2d(), always_xy=True)
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
     unit = float(record["metres_per_unit"]["horizontal"])
     return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
 

@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS, Transformer
+from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
-from bumpymap.core import BadInputError, parse_json
+from bumpymap.core import BadInputError, parse_json, read_regular, stated_crs
 
 __all__ = ["DrawnWay", "read_ways"]
 
 _FILE = "route.geojson"
-_MOST_BYTES = 50_000_000
 _DECIMALS = 2
 
 
@@ -50,9 +49,7 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {remedy}")
     try:
-        if path.stat().st_size > _MOST_BYTES:
-            raise BadInputError(f"{path} has more than {_MOST_BYTES // 1_000_000} MB: it is no route. {remedy}")
-        features = parse_json(path.read_text(encoding="utf-8"))["features"]
+        features = parse_json(read_regular(path).decode())["features"]
         lines = [(feature["properties"], feature["geometry"]) for feature in features if _is_way(feature)]
         if not lines:
             raise BadInputError(f"{path} holds no way. {remedy}")
@@ -83,7 +80,7 @@ class _Place:
         self._unit = float(record["metres_per_unit"]["horizontal"])
         self._forward = None
         if crs is not None:
-            known = CRS.from_wkt(crs["wkt"])
+            known = stated_crs(crs["wkt"])
             plane = known.sub_crs_list[0] if known.is_compound else known
             self._forward = Transformer.from_crs("OGC:CRS84", plane, always_xy=True)
 

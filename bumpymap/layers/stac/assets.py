@@ -8,6 +8,7 @@ from typing import Any
 
 from pyproj import CRS
 
+from bumpymap.core import stated_crs
 from bumpymap.layers.manifest import MANIFEST_NAME
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
@@ -65,7 +66,7 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
         The content of run.json.
     """
     known = {file["path"]: file for file in record["files"]}
-    crs = None if record["crs"] is None else CRS.from_wkt(record["crs"]["wkt"])
+    crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     vertical = describe_crs(crs) if crs is not None and crs.is_compound else {}
     assets = {}
     for name in _names(folder, known):

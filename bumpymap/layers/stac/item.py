@@ -8,7 +8,7 @@ from typing import Any
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError, Georeference, stated_crs
 from bumpymap.layers.lonlat import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import ITEM_NAME
@@ -47,7 +47,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     """
     name = valid_text(_survey_name(record))
     grid = describe_grid(folder / _TILES)
-    crs = None if record["crs"] is None else CRS.from_wkt(record["crs"]["wkt"])
+    crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     place = _placement(record, grid, crs)
     item = {
         "type": "Feature",

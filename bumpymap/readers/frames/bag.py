@@ -29,11 +29,14 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path) -> list[Path]:
-    """Return the files that make up a bag."""
+    """Return the files that make up a bag, and the pipes in its folder, for `version_of` to refuse."""
     if not path.is_dir():
         return [path]
-    stored = (file for file in path.iterdir() if file.name.lower().removesuffix(".zstd").endswith(BAG_SUFFIXES))
-    return [path / _METADATA, *sorted(file for file in stored if file.is_file())]
+    there = (file for file in path.iterdir() if file.exists() and not file.is_dir())
+    stored = (
+        file for file in there if not file.is_file() or file.name.lower().removesuffix(".zstd").endswith(BAG_SUFFIXES)
+    )
+    return [path / _METADATA, *sorted(stored)]
 
 
 def message_types() -> Any:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import BadInputError, UsageError, path_fault, refuse_faults
+from bumpymap.core import BadInputError, UsageError, path_fault, read_regular, refuse_faults
 from bumpymap.readers import find_surveys
 from bumpymap.survey.batch.names import name_surveys, usual_name
 from bumpymap.survey.batch.settings import SurveyPer
@@ -72,7 +72,7 @@ def list_surveys(
 def read_text(path: Path) -> str:
     """Return the text of a list; bytes that are not UTF-8 are kept, since they may be those of a file name."""
     try:
-        return path.read_text(encoding="utf-8-sig", errors="surrogateescape")
+        return read_regular(path).decode("utf-8-sig", "surrogateescape")
     except OSError as error:
         raise BadInputError(f"cannot read {path}: {error.strerror}") from error
 

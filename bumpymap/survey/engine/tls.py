@@ -6,7 +6,7 @@ from ipaddress import ip_address
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from bumpymap.core import UsageError, read_settings_file
+from bumpymap.core import UsageError, read_regular, read_settings_file
 
 __all__ = ["TlsSettings", "read_tls_settings", "warning_without_tls"]
 
@@ -77,8 +77,7 @@ def _is_loopback(host: str) -> bool:
 
 def _refuse_unreadable(path: Path, name: str, file: Path) -> None:
     try:
-        with file.open("rb") as stream:
-            stream.read(1)
+        read_regular(file)
     except OSError as error:
         raise UsageError(f"{path}: {name} = {file} cannot be read: {error.strerror or error}") from error
 

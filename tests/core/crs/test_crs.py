@@ -18,6 +18,7 @@ from bumpymap.core import (
     reproject_command,
     same_crs,
     scale_note,
+    stated_crs,
     statement_from_wkt,
     utm_epsg,
 )
@@ -44,6 +45,56 @@ def test_what_a_user_may_write(text):
 def test_what_a_user_may_not_write(text):
     with pytest.raises(UsageError, match="EPSG:32614"):
         parse_crs(text)
+
+
+TRANSVERSE = (
+    'PROJCS["x",GEOGCS["x",DATUM["x",SPHEROID["x",6378137,298.257]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925]],'
+    'PROJECTION["Transverse_Mercator"],PARAMETER["central_meridian",-99],UNIT["metre",1],EXTENSION["PROJ4","{}"]]'
+)
+DERIVED = (
+    'PROJCRS["x",BASEGEOGCRS["x",DATUM["x",ELLIPSOID["x",6378137,298.257]]],CONVERSION["x",METHOD["{}"]{}],'
+    'CS[Cartesian,2],AXIS["E",east],AXIS["N",north],LENGTHUNIT["metre",1]]'
+)
+SHIFTED = CRS("+proj=utm +zone=14 +ellps=clrk66 +nadgrids=conus +type=crs").to_wkt()
+
+
+@pytest.mark.parametrize("file", ["{}", "@{}", "conus,@{}", "../{}", "http://127.0.0.1/a.tif", "C:\\a.gsb", "~/a.gsb"])
+@pytest.mark.parametrize(
+    "form",
+    [
+        "+proj=utm +zone=14 +ellps=clrk66 +nadgrids={} +type=crs",
+        "proj=utm zone=14 ellps=clrk66 nadgrids = {}",
+        "+proj=utm +zone=14 +datum=WGS84 +geoidgrids={} +type=crs",
+        "+init={}:1",
+        "+proj=pipeline +step +proj=utm +zone=14 +step +proj=hgridshift +grids={}",
+        TRANSVERSE.format("+init={}:1"),
+        TRANSVERSE.format("+proj=utm +zone=14 +ellps=clrk66 +nadgrids={} +title=[").replace("x", "[+"),
+        DERIVED.format("PROJ-based operation method: +proj=hgridshift +grids={}", ""),
+        DERIVED.format("PROJ hgridshift", ',PARAMETERFILE["grids","{}"]'),
+        SHIFTED.replace('"conus"', '"{}"'),
+        CRS(SHIFTED).to_json().replace('"conus"', '"{}"'),
+    ],
+)
+def test_a_crs_that_names_a_file_elsewhere_is_refused(tmp_path, form, file):
+    """PROJ would open it: a pipe would be waited for."""
+    text = form.replace("{}", file.replace("{}", str(tmp_path / "a")))
+    with pytest.raises(UsageError, match="names a file by its path"):
+        parse_crs(text)
+    assert statement_from_wkt(text).trouble
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        SHIFTED,
+        CRS(3857).to_wkt("WKT1_GDAL"),
+        "+proj=utm +zone=14 +datum=WGS84 +units=us-ft +type=crs",
+        "urn:ogc:def:crs:EPSG::32614",
+        'LOCAL_CS["a/b",UNIT["metre",1]]',
+    ],
+)
+def test_a_crs_may_name_what_proj_has(text):
+    assert stated_crs(text) == CRS(text)
 
 
 @pytest.mark.parametrize("spelling", ["WKT1_GDAL", "WKT1_ESRI", "WKT2_2019"])
