@@ -47,7 +47,7 @@ _BESIDE = 0.9
 """Pixels from the middle of a wall to those beside it."""
 _LEAST_POINTS = 5
 """Known pixels on each side of a step."""
-_LEAST_ON_RIDGE = 3
+_LEAST_ON_RIDGE = 2
 """Known pixels on the line of a ridge."""
 _ASTRAY_ON_RIDGE = 0.25
 """Share of them that may lie below the height that counts."""

@@ -18,6 +18,10 @@ ground on both sides of a pixel is continued to that pixel, whichever tiles they
 5. *Points.* The single pixels of both sides, in 1.8 m along the wall and 1.85 wheels across it, must bear the step out
    at one of five angles: with few pixels all of them, with many all but a fifth. So a survey with few points finds no
    step in rough ground where one with many finds none.
+6. *Ridges.* A wall or ridge is a step however narrow it is. Where a pixel stands out from the runs 3 and 4 pixels away
+   on both sides, the pixels on a line through it (1.8 m, the best of nine angles) are compared with those from 0.7 to
+   1.85 wheels beside it: the step is from the median of the higher side to that of the line, borne out as in 2 by
+   three quarters of the line and, as in 5, by the points on both sides.
 
 A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
 """
@@ -160,7 +164,8 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     tiles, cols = mosaic.east.shape
     pixels = mosaic.pixels
     inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
-    found = RawSteps(*np.empty((2, tiles * pixels, cols)), np.empty((tiles, cols // pixels, inside)))
+    least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
+    found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
     find_raw_steps(mosaic, side, found, row_scratch(cols))
     return found
 

@@ -25,7 +25,7 @@ _UNKNOWN_NOISE = 0.15
 _SHEARS = (0.0, 0.5, -0.5, 1.0, -1.0)
 _LEAST_POINTS, _SURE, _ASTRAY = 5, 3.0, 0.2
 _LEVEL_WIDTH = 1.85
-_LEAST_ON_RIDGE, _ASTRAY_ON_RIDGE, _FOOT = 3, 0.25, 0.38
+_LEAST_ON_RIDGE, _ASTRAY_ON_RIDGE, _FOOT = 2, 0.25, 0.38
 
 
 def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> dict[str, NDArray[np.float32]]:
