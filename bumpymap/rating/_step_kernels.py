@@ -47,6 +47,12 @@ _BESIDE = 0.9
 """Pixels from the middle of a wall to those beside it."""
 _LEAST_POINTS = 5
 """Known pixels on each side of a step."""
+_LEAST_ON_RIDGE = 2
+"""Known pixels on the line of a ridge."""
+_ASTRAY_ON_RIDGE = 0.25
+"""Share of them that may lie below the height that counts."""
+_FOOT = 0.38
+"""From the line of a ridge to the ground beside it, in widths of a level."""
 _RUN_LENGTH = 2 * RUN + 1
 
 
@@ -71,6 +77,9 @@ class RawSteps(NamedTuple):
 
     least: Annotated[Floats, 2]
     """(rows, cols) the least step anywhere in the pixel, m; NaN where a side is unknown."""
+    crest: Annotated[Floats, 2]
+    """(rows, cols) height of a pixel above the runs three and four pixels on both sides of it, m; NaN if it is unknown,
+    infinite if both sides are."""
     inside: Annotated[Floats, 3]
     """(tiles, tiles, (pixels - 2 * RUN) * (pixels - 2 * REACH)) size of the steps in the middle of the pixels whose
     support lies in the tile, m."""
@@ -91,7 +100,7 @@ class RowScratch(NamedTuple):
 
 def peak_scratch(cols: int, pixels: int) -> Floats:
     """Make scratch for `find_peaks` over rows of so many pixels, in tiles of ``pixels`` along a side."""
-    return np.empty(cols + 2 * _RUN_LENGTH * pixels)
+    return np.empty(cols + 3 * _RUN_LENGTH * pixels)
 
 
 def row_scratch(cols: int) -> RowScratch:
@@ -270,6 +279,14 @@ def _share(surely: float, step: float) -> float:
 
 
 @helper
+def _find_crests(heights: Floats, runs: Floats, slope: Floats, crest: Floats) -> None:
+    """Fill how far the pixels of a row lie above the runs three and four pixels on both sides of them."""
+    for c in range(len(crest)):
+        right, left = _mean(runs[c + 7], runs[c + 8]) - 3.5 * slope[c], _mean(runs[c + 1], runs[c]) + 3.5 * slope[c]
+        crest[c] = heights[c] - max(-np.inf, left, right)
+
+
+@helper
 def _compare_sides(runs: Floats, slope: Floats, third: float, fourth: float, plain: Floats, least: Floats) -> None:
     """Fill the steps of a row: in the middle of pixels, and the least ones.
 
@@ -309,10 +326,18 @@ def find_raw_steps(mosaic: StepMosaic, side: int, out: RawSteps, scratch: RowScr
             r = row * pixels + line
             _medians(mosaic.heights[r : r + _RUN_LENGTH], mosaic.south[row], scratch)
             _compare_sides(scratch.runs, mosaic.east[row], third, fourth, scratch.plain, out.least[r])
+            _find_crests(mosaic.heights[r + RUN], scratch.runs, mosaic.east[row], out.crest[r])
             if RUN <= line < pixels - RUN:
                 for col in range(out.inside.shape[1]):
                     for c in range(width):
                         out.inside[row, col, (line - RUN) * width + c] = scratch.plain[col * pixels + REACH + c]
+
+
+@helper
+def _stands_out(step: float, limit: float) -> float:
+    """Share of a step that counts, 0 to 1: none up to the limit, all from 1.4 times that."""
+    share = (step / limit - 1.0) / _RAMP if limit > 0.0 else 1.0
+    return min(max(share, 0.0), 1.0)
 
 
 @helper
@@ -323,9 +348,13 @@ def _keep_peaks(least: Floats, limit: Floats, felt: Floats) -> None:
         step = least[c]
         before = least[c - 1] if c > 0 else -1.0
         behind = least[c + 1] if c < n - 1 else -1.0
-        share = (step / limit[c] - 1.0) / _RAMP if limit[c] > 0.0 else 1.0
-        share = min(max(share, 0.0), 1.0)
-        felt[c] = 0.0 if (step < before) | (step < behind) else step * share
+        felt[c] = 0.0 if (step < before) | (step < behind) else step * _stands_out(step, limit[c])
+
+
+@helper
+def _rank(n: int) -> int:
+    """Place of the height that counts as that of a side, in so many in order: see `_gap`."""
+    return max(0, math.floor(min(0.5 * (n - _SURE * math.sqrt(n)), _ASTRAY * n)))
 
 
 @helper
@@ -355,8 +384,7 @@ def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> fl
             right += known
     if min(left, right) < _LEAST_POINTS:
         return -np.inf
-    first = max(0, math.floor(min(0.5 * (left - _SURE * math.sqrt(left)), _ASTRAY * left)))
-    other = max(0, math.floor(min(0.5 * (right - _SURE * math.sqrt(right)), _ASTRAY * right)))
+    first, other = _rank(left), _rank(right)
     if upper * left < lower * right:
         return _smallest(values[:left], first) - _smallest(values[half : half + right], right - 1 - other)
     return _smallest(values[half : half + right], other) - _smallest(values[:left], left - 1 - first)
@@ -375,6 +403,50 @@ def _believed(mosaic: StepMosaic, r: int, c: int, step: float, values: Floats) -
 
 
 @helper
+def _ridge(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> float:
+    """Height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
+
+    It is the median of the pixels on the line, in 9 rows, above that of the higher side. Sides are as in `_gap`, less
+    what is next to the line.
+    """
+    row, third, cols = r // mosaic.pixels, len(values) // 3, mosaic.heights.shape[1]
+    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
+    east, south = mosaic.east[row, c], mosaic.south[row, c]
+    left = right = top = 0
+    for down in range(-RUN, RUN + 1):
+        line, middle = mosaic.heights[r + RUN + down], c + shear * down
+        for at in range(max(0, math.ceil(middle - wide)), min(cols, math.floor(middle + wide) + 1)):
+            height, away = line[at] - east * (at - c) - south * down, at - middle
+            if math.isnan(height):
+                continue
+            if abs(away) <= 0.5:
+                values[top] = height
+                top += 1
+            elif away <= -_FOOT * wide:
+                values[third + left] = height
+                left += 1
+            elif away >= _FOOT * wide:
+                values[2 * third + right] = height
+                right += 1
+    if min(left, right) < _LEAST_POINTS or top < _LEAST_ON_RIDGE:
+        return 0.0
+    before, behind = values[third : third + left], values[2 * third : 2 * third + right]
+    foot = max(_smallest(before, (left - 1) // 2), _smallest(behind, (right - 1) // 2))
+    high = max(_smallest(before, left - 1 - _rank(left)), _smallest(behind, right - 1 - _rank(right)))
+    step = max(_smallest(values[:top], top // 2) - foot, 0.0)
+    return step * _share(_smallest(values[:top], math.floor(_ASTRAY_ON_RIDGE * top)) - high, step)
+
+
+@helper
+def _highest_ridge(mosaic: StepMosaic, r: int, c: int, values: Floats) -> float:
+    """Height of the ridge through a pixel at the angle that suits it best, m; 0 if there is none."""
+    ridge = 0.0
+    for turn in range(-4, 5):
+        ridge = max(ridge, _ridge(mosaic, r, c, 0.25 * turn, values))
+    return ridge
+
+
+@helper
 def _limit_of_sides(before: float, behind: float) -> float:
     """Root mean square of the limits of both sides of a pixel, m; of the known one, if one is."""
     known = int(math.isfinite(before)) + int(math.isfinite(behind))
@@ -386,17 +458,19 @@ def _limit_of_sides(before: float, behind: float) -> float:
 @kernel
 def find_peaks(
     mosaic: StepMosaic,
-    least: Annotated[Floats, 2],
+    raw: RawSteps,
     limit: Annotated[Floats, 2],
     felt: Annotated[Floats, 2],
     scratch: Annotated[Floats, 1],
 ) -> None:
     """Fill, for each pixel, the step that is the highest of three in its row and stands out, m; NaN if it is unknown.
 
+    Or the ridge through it, if that is higher.
+
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
-    pixels before and behind it. ``scratch`` takes a row of pixels and two sides of a wall, see `peak_scratch`.
+    pixels before and behind it. ``scratch`` takes a row of pixels, a ridge and both of its sides, see `peak_scratch`.
     """
-    cols, pixels = least.shape[1], mosaic.pixels
+    cols, pixels = raw.least.shape[1], mosaic.pixels
     values = scratch[cols:]
     for row in range(limit.shape[0]):
         for c in range(cols):
@@ -404,7 +478,10 @@ def find_peaks(
             behind = limit[row, (c + SIDE) // pixels] if c + SIDE < cols else np.nan
             scratch[c] = _limit_of_sides(before, behind)
         for r in range(row * pixels, (row + 1) * pixels):
-            _keep_peaks(least[r], scratch, felt[r])
+            _keep_peaks(raw.least[r], scratch, felt[r])
             for c in range(cols):
                 if felt[r, c] > 0.0:
                     felt[r, c] *= _believed(mosaic, r, c, felt[r, c], values)
+                if raw.crest[r, c] > scratch[c]:
+                    ridge = _highest_ridge(mosaic, r, c, values)
+                    felt[r, c] = max(felt[r, c], ridge * _stands_out(ridge, scratch[c]))

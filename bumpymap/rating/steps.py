@@ -18,6 +18,10 @@ ground on both sides of a pixel is continued to that pixel, whichever tiles they
 5. *Points.* The single pixels of both sides, in 1.8 m along the wall and 1.85 wheels across it, must bear the step out
    at one of five angles: with few pixels all of them, with many all but a fifth. So a survey with few points finds no
    step in rough ground where one with many finds none.
+6. *Ridges.* A wall or ridge is a step however narrow it is. Where a pixel stands out from the runs 3 and 4 pixels away
+   on both sides, the pixels on a line through it (1.8 m, the best of nine angles) are compared with those from 0.7 to
+   1.85 wheels beside it: the step is from the median of the higher side to that of the line, borne out as in 2 by
+   three quarters of the line and, as in 5, by the points on both sides.
 
 A step depends only on the pixels around it, so two blocks find the same bits for the border that they share.
 """
@@ -123,8 +127,8 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
     across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
-    west_east = _peaks(upright, across.least, limit)
-    north_south = _peaks(lying, along.least, np.ascontiguousarray(limit.T))
+    west_east = _peaks(upright, across, limit)
+    north_south = _peaks(lying, along, np.ascontiguousarray(limit.T))
     found = np.fmax(west_east[pixels:-pixels, pixels:-pixels], north_south[pixels:-pixels, pixels:-pixels].T)
     inner = np.fmax.reduce(_tiles(found, pixels), axis=(1, 3))
     columns, rows = _highest(west_east, pixels), _highest(north_south, pixels)
@@ -160,7 +164,8 @@ def _raw(mosaic: StepMosaic, side: int) -> RawSteps:
     tiles, cols = mosaic.east.shape
     pixels = mosaic.pixels
     inside = (pixels - 2 * RUN) * (pixels - 2 * REACH)
-    found = RawSteps(np.empty((tiles * pixels, cols)), np.empty((tiles, cols // pixels, inside)))
+    least, crest = (np.empty((tiles * pixels, cols)) for _ in range(2))
+    found = RawSteps(least, crest, np.empty((tiles, cols // pixels, inside)))
     find_raw_steps(mosaic, side, found, row_scratch(cols))
     return found
 
@@ -173,10 +178,10 @@ def _usual(across: RawSteps, along: RawSteps) -> Floats:
     return found
 
 
-def _peaks(mosaic: StepMosaic, least: Floats, limit: Floats) -> Floats:
+def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats) -> Floats:
     """Return the steps that stand out, at each pixel."""
-    found = np.empty_like(least)
-    find_peaks(mosaic, least, limit, found, peak_scratch(least.shape[1], mosaic.pixels))
+    found = np.empty_like(raw.least)
+    find_peaks(mosaic, raw, limit, found, peak_scratch(raw.least.shape[1], mosaic.pixels))
     return found
 
 

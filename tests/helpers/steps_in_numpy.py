@@ -25,6 +25,7 @@ _UNKNOWN_NOISE = 0.15
 _SHEARS = (0.0, 0.5, -0.5, 1.0, -1.0)
 _LEAST_POINTS, _SURE, _ASTRAY = 5, 3.0, 0.2
 _LEVEL_WIDTH = 1.85
+_LEAST_ON_RIDGE, _ASTRAY_ON_RIDGE, _FOOT = 2, 0.25, 0.38
 
 
 def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> dict[str, NDArray[np.float32]]:
@@ -37,8 +38,8 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
     along = _Steps.find(z.T, south.T, east.T, pixels, side)
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along, pixels), noise)
-    west_east = _borne_out(across.felt(limit, pixels), z, east, south, level)
-    north_south = _borne_out(along.felt(limit.T, pixels), z.T, south.T, east.T, level).T
+    west_east = _with_ridges(across, limit, z, east, south, level)
+    north_south = _with_ridges(along, limit.T, z.T, south.T, east.T, level).T
     found = np.fmax(west_east, north_south)
     inner = np.fmax.reduce(_tiles(found, pixels)[1:-1, 1:-1], axis=(2, 3))
     rim = np.fmax(_rim(west_east, pixels), _rim(north_south.T, pixels).T)
@@ -57,6 +58,8 @@ class _Steps:
     """Both sides continued to the middle of the pixel."""
     least: Floats
     """The least step anywhere in the pixel; not negative."""
+    crest: Floats
+    """The pixel above the runs three and four pixels on both sides of it, m."""
 
     @classmethod
     def find(cls, z: Floats, east: Floats, south: Floats, pixels: int, side: int) -> "_Steps":
@@ -70,21 +73,32 @@ class _Steps:
         nearer = 2.0 / (2.0 + _unknown(right_side) + _unknown(left_side))  # over unknown pixels, it may be a slope
         surely = nearer * np.maximum(up, down)
         share = _share(surely, 0.5 * nearer * np.abs(up - down))
+        beside = [_mean(*(_shifted(runs, -way * k, np.nan) for k in (3, 4))) - way * 3.5 * slope for way in (1, -1)]
+        crest = z - np.fmax(-np.inf, np.fmax(*beside))
         # The slope on the left is counted away from the pixel, too.
-        return cls(right - left, np.maximum(surely * share - 0.5 * np.abs(bend_right + bend_left), 0.0))
+        return cls(right - left, np.maximum(surely * share - 0.5 * np.abs(bend_right + bend_left), 0.0), crest)
 
-    def felt(self, limit: Floats, pixels: int) -> Floats:
+    def felt(self, limit: Floats) -> Floats:
         """Return the steps that are the highest of three pixels in a row and stand out from noise and rough ground."""
         known = np.nan_to_num(self.least, nan=-1.0)
         peak = (known >= _shifted(known, 1, -1.0)) & (known >= _shifted(known, -1, -1.0))
-        tiles = _each(limit, pixels)
-        sides = np.stack([_shifted(tiles, 2, np.nan), _shifted(tiles, -2, np.nan)])
-        count = np.isfinite(sides).sum(axis=0)
-        square = np.nansum(sides**2, axis=0) / np.maximum(count, 1)
-        least = np.where(count == 0, _UNKNOWN_NOISE, np.sqrt(square))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.where(least > 0, np.clip((self.least / least - 1.0) / _RAMP, 0.0, 1.0), 1.0)
+        share = _stands_out(self.least, limit)
         return np.where(np.isnan(self.least), np.nan, np.where(peak, self.least * share, 0.0))
+
+
+def _limit_of_pixels(limit: Floats, pixels: int) -> Floats:
+    """Return steps that do not count at each pixel, between those of the tiles two pixels before and behind it."""
+    tiles = _each(limit, pixels)
+    sides = np.stack([_shifted(tiles, 2, np.nan), _shifted(tiles, -2, np.nan)])
+    count = np.isfinite(sides).sum(axis=0)
+    square = np.nansum(sides**2, axis=0) / np.maximum(count, 1)
+    return np.where(count == 0, _UNKNOWN_NOISE, np.sqrt(square))
+
+
+def _stands_out(step: Floats, limit: Floats) -> Floats:
+    """Return the share of steps that counts: none up to the limit, all from 1.4 times that."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(limit > 0, np.clip((step / limit - 1.0) / _RAMP, 0.0, 1.0), 1.0)
 
 
 def _gradient(z: Floats, pixels: int) -> tuple[Floats, Floats]:
@@ -138,8 +152,12 @@ def _side(runs: Floats, slope: Floats, way: int, side: int) -> tuple[Floats, Flo
     agree = (rises > 0).all(axis=0) | (rises < 0).all(axis=0)  # False for NaN
     bend = np.where(agree, np.sign(rises[0]) * np.abs(rises).min(axis=0), 0.0)
     continued = ground - bend * np.arange(1, _REACH + 1)[:, None, None]
-    a, b = continued[:2]
-    return np.where(np.isnan(a), b, np.where(np.isnan(b), a, 0.5 * (a + b))), continued[:side], bend
+    return _mean(*continued[:2]), continued[:side], bend
+
+
+def _mean(near: Floats, far: Floats) -> Floats:
+    """Return the mean of two heights; of the known one, if one is."""
+    return np.where(np.isnan(near), far, np.where(np.isnan(far), near, 0.5 * (near + far)))
 
 
 def _unknown(side: Floats) -> NDArray[np.int64]:
@@ -153,31 +171,64 @@ def _share(surely: Floats, step: Floats) -> Floats:
         return np.where(step > 0, np.clip((surely / step - 0.7) / 0.15, 0.0, 1.0), 1.0)
 
 
-def _borne_out(felt: Floats, z: Floats, east: Floats, south: Floats, level: float) -> Floats:
-    """Reduce steps from west to east to what the points on both sides bear out."""
-    found = felt.copy()
-    tiles = len(felt) // len(east)
-    for r, c in np.argwhere(felt > 0):
-        row, col = r // tiles, c // tiles
-        gaps = [_gap(z, r, c, east[row, col], south[row, col], level, shear) for shear in _SHEARS]
-        found[r, c] *= _share(np.max(gaps), felt[r, c])
+def _with_ridges(steps: _Steps, limit: Floats, z: Floats, east: Floats, south: Floats, level: float) -> Floats:
+    """Return steps from west to east as far as the points on both sides bear them out, or ridges, if higher."""
+    pixels = len(z) // len(limit)
+    limits = _limit_of_pixels(limit, pixels)
+    found = steps.felt(limits)
+    for r, c in np.argwhere((found > 0) | (steps.crest > limits)):
+        at = z, r, c, east[r // pixels, c // pixels], south[r // pixels, c // pixels], level
+        if found[r, c] > 0:
+            found[r, c] *= _share(np.max([_gap(*at, shear) for shear in _SHEARS]), found[r, c])
+        if steps.crest[r, c] > limits[r, c]:
+            ridge = np.max([_ridge(*at, shear) for shear in np.arange(-1, 1.25, 0.25)])
+            found[r, c] = max(found[r, c], ridge * _stands_out(ridge, limits[r, c]))
     return found
 
 
-def _gap(z: Floats, r: int, c: int, east: float, south: float, level: float, shear: float) -> float:
-    """Height between the sides of a wall through a pixel that moves ``shear`` pixels east with every row."""
+def _around(
+    z: Floats, r: int, c: int, east: float, south: float, shear: float, foot: float, level: float
+) -> tuple[list[Floats], Floats]:
+    """Return heights in order on both sides of a line through a pixel that moves ``shear`` pixels east with every row.
+
+    Sides reach from ``foot`` to ``level``, px. The other heights are those of the line.
+    """
     down, across = np.meshgrid(np.arange(-_RUN, _RUN + 1), np.arange(-z.shape[1], z.shape[1] + 1), indexing="ij")
     away = across - shear * down
     rows, cols = r + down, c + across
-    near = (np.abs(away) >= 0.9) & (np.abs(away) <= level * np.sqrt(1 + shear**2))
-    near &= (rows >= 0) & (rows < z.shape[0]) & (cols >= 0) & (cols < z.shape[1])
-    heights = z[rows[near], cols[near]] - east * across[near] - south * down[near]
-    sides = [np.sort(heights[np.isfinite(heights) & (np.sign(away[near]) == sign)]) for sign in (-1, 1)]
+    inside = (rows >= 0) & (rows < z.shape[0]) & (cols >= 0) & (cols < z.shape[1]) & (np.abs(away) <= level)
+    heights, away = z[rows[inside], cols[inside]] - east * across[inside] - south * down[inside], away[inside]
+    sides = [_known(heights[(np.abs(away) >= foot) & (np.sign(away) == sign)]) for sign in (-1, 1)]
+    return sides, _known(heights[np.abs(away) <= 0.5])
+
+
+def _known(heights: Floats) -> Floats:
+    return np.sort(heights[np.isfinite(heights)])
+
+
+def _rank(n: int) -> int:
+    return max(0, int(min(0.5 * (n - _SURE * np.sqrt(n)), _ASTRAY * n)))
+
+
+def _gap(z: Floats, r: int, c: int, east: float, south: float, level: float, shear: float) -> float:
+    """Height between the sides of a wall through a pixel."""
+    sides, _ = _around(z, r, c, east, south, shear, 0.9, level * np.sqrt(1 + shear**2))
     if min(len(side) for side in sides) < _LEAST_POINTS:
         return -np.inf
-    ranks = [max(0, int(min(0.5 * (n - _SURE * np.sqrt(n)), _ASTRAY * n))) for n in map(len, sides)]
-    low, high = ([side[rank], side[len(side) - 1 - rank]] for side, rank in zip(sides, ranks, strict=True))
+    low, high = ([side[_rank(len(side))], side[len(side) - 1 - _rank(len(side))]] for side in sides)
     return max(high[0] - low[1], low[0] - high[1])
+
+
+def _ridge(z: Floats, r: int, c: int, east: float, south: float, level: float, shear: float) -> float:
+    """Height of a ridge through a pixel above both of its sides."""
+    wide = level * np.sqrt(1 + shear**2)
+    sides, top = _around(z, r, c, east, south, shear, _FOOT * wide, wide)
+    if min(len(side) for side in sides) < _LEAST_POINTS or len(top) < _LEAST_ON_RIDGE:
+        return 0.0
+    foot = max(side[(len(side) - 1) // 2] for side in sides)
+    high = max(side[len(side) - 1 - _rank(len(side))] for side in sides)
+    step = max(top[len(top) // 2] - foot, 0.0)
+    return step * float(_share(top[int(_ASTRAY_ON_RIDGE * len(top))] - high, step))
 
 
 def _shifted(values: Floats, by: int, fill: float) -> Floats:

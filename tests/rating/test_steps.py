@@ -81,10 +81,12 @@ def test_a_kerb_stands_out_from_noise(noise):
 @pytest.mark.parametrize("unknown", [0.0, 0.1, 0.5, 0.9, 1.0])
 @pytest.mark.parametrize("step", [0.0, 0.01])
 def test_compiled_code_follows_the_definition(unknown, step):
-    """On rolling ground with walls; a step between heights makes many of them equal."""
+    """On rolling ground with walls and ridges; a step between heights makes many of them equal."""
     rng = np.random.default_rng(11)
     heights = 0.1 * rng.normal(0, 0.01, (75, 105)).cumsum(axis=0).cumsum(axis=1)
     heights[:, 50:] += 0.3
+    heights[np.arange(75), 18 + np.arange(75) // 3] += 0.4
+    heights[60] += 0.3
     heights[rng.random(heights.shape) < unknown] = np.nan
     heights[15:30, 45:60] = np.nan
     if step:
@@ -129,16 +131,28 @@ def near(wall):
     return np.abs(wall.distance(*np.meshgrid(axis, axis[::-1]))) < 1
 
 
+def share_with_step(rise, width, density):
+    """Share of the tiles across a ridge or ditch in level ground where most of its height is a step."""
+    share = []
+    for number, place in enumerate(PLACES[:12]):
+        wall = Wall(rise, 6 + place[0], 6 + place[1], place[2])
+        heights = surveyed(lambda x, y, w=wall: rise * (np.abs(w.distance(x, y)) < width / 2), density, 0.01, number)
+        share.extend(highest(find_steps(heights, PIXELS))[near(wall)] > 0.7 * abs(rise))
+    return np.mean(share)
+
+
 @pytest.mark.parametrize("density", [200, 20, 6])
 @pytest.mark.parametrize(("width", "expected"), [(0.3, 0.0), (0.5, 0.0), (1.5, 1.0)])
 def test_a_ditch_is_a_step_where_a_wheel_drops_into_it(density, width, expected):
     """A wheel of 0.6 m rolls over one of 0.5 m, however deep."""
-    share = []
-    for number, place in enumerate(PLACES[:12]):
-        wall = Wall(-1.0, 6 + place[0], 6 + place[1], place[2])
-        heights = surveyed(lambda x, y, w=wall: -1.0 * (np.abs(w.distance(x, y)) < width / 2), density, 0.01, number)
-        share.extend(highest(find_steps(heights, PIXELS))[near(wall)] > 0.5)
-    assert np.mean(share) == pytest.approx(expected, abs=0.1)
+    assert share_with_step(-1.0, width, density) == pytest.approx(expected, abs=0.1)
+
+
+@pytest.mark.parametrize("density", [100, 20, 10])
+@pytest.mark.parametrize(("width", "least"), [(0.2, 0.4), (0.3, 0.9), (0.5, 0.9), (0.8, 0.65)])
+def test_a_ridge_is_a_step_however_narrow(density, width, least):
+    """A wheel rolls over a narrow ditch, not over a narrow wall; in pixels of 0.2 m, one of 0.3 m stands in full."""
+    assert share_with_step(0.5, width, density) > least
 
 
 @pytest.mark.parametrize("density", [200, 20, 4])
