@@ -11,7 +11,7 @@ from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.survey.engine.workspace import Workspace
 
-ASKED = {"inputs": {"a.laz": 1}, "cut": {"chunk_points": 100}}
+ASKED = {"inputs": {"a.laz": {"bytes": 1}}, "settings": {}, "made with": {}, "cut": {"chunk_points": 100}}
 
 
 def killed(out, scratch, run_spec=ASKED):
@@ -172,7 +172,8 @@ def test_other_settings_are_named_in_words(tmp_path):
     with Workspace.opened(tmp_path, None, ASKED, resume=False) as space:
         shutil.copytree(space.folder, tmp_path / "kept")
     (tmp_path / "kept").rename(work_folder(tmp_path))
-    other = {"inputs": {"a.laz": 2, "b.laz": 1}, "settings": {"local": True, "crs": None}, "cut": {"chunk_points": 7}}
+    other = ASKED | {"inputs": {"a.laz": {"bytes": 2}, "b.laz": {"bytes": 1}}, "settings": {"local": True, "crs": None}}
+    other["cut"] = {"chunk_points": 7}
     with pytest.raises(UsageError) as refused, Workspace.opened(tmp_path, None, other, resume=True):
         pass
     lines = refused.value.args
