@@ -74,6 +74,7 @@ RULES = (
     Rule(r"^python tests/benchmarks/second_simulator\.py", "takes MuJoCo, and drives for minutes", None),
     Rule(r"^python tests/benchmarks/(drive_check|motion_drives|ditch_drives)\.py", "drives for hours", None),
     Rule(r"^python tests/benchmarks/scene_book\.py", "surveys made-up scenes for minutes", None),
+    Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file", None),
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),
     Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),

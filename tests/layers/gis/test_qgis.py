@@ -27,6 +27,7 @@ RASTERS = {
     "reason.tif": "paletted",
     "barred.tif": "paletted",
     "obstacle.tif": "paletted",
+    "passage.tif": "paletted",
     "roughness.tif": "singlebandpseudocolor",
     "cost.tif": "singlebandpseudocolor",
     "heightmap.tif": "hillshade",
