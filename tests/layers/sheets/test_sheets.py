@@ -31,7 +31,7 @@ from bumpymap.layers import (
 from bumpymap.layers.sheets import write as writing
 from bumpytiles import BLOCK_TILES
 
-RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle")
+RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle", "passage")
 VIEWS = sorted({*VIEW_NAMES, "catalog.json"} - {"tiles.qml"})
 
 
