@@ -40,7 +40,7 @@ def crosses(is_open, place, transform):
 
 @pytest.mark.parametrize(
     ("gap", "thickness", "density", "classified"),
-    [(0.0, 0.1, 50, True), (0.0, 0.3, 20, True), (0.0, 0.2, 50, False), (1.0, 0.2, 50, True), (2.0, 0.2, 50, True)],
+    [(0.0, 0.1, 50, True), (0.0, 0.3, 20, True), (0.0, 0.2, 50, False), (1.0, 0.2, 50, True), (2.3, 0.2, 50, True)],
 )
 def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, density, classified):
     rng = np.random.default_rng(int(100 * gap + 10 * thickness + density))

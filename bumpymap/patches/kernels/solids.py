@@ -235,6 +235,8 @@ def _join_lines(objects: Bytes, out: Bytes) -> None:
                 down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
                 gap = 0
                 for step in range(1, _GAP + 2):
+                    if step * step * (down * down + right * right) > 4 * (_GAP + 1) * (_GAP + 1):
+                        break  # a step across the corners of pixels is longer
                     if _is_part(objects, r + (step * down + 1) // 2, c + (step * right + 1) // 2):
                         gap = step
                         break
