@@ -358,8 +358,8 @@ def _rank(n: int) -> int:
 
 
 @helper
-def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> float:
-    """Height between the points of both sides of a pixel, as it surely is at least, m; negative if they mix.
+def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, least: float, values: Floats) -> float:
+    """Height between the points of both sides of a pixel, as it surely is at least, m; negative if not above ``least``.
 
     A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves ``shear`` pixels to the east with
     every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the median
@@ -385,9 +385,14 @@ def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> fl
     if min(left, right) < _LEAST_POINTS:
         return -np.inf
     first, other = _rank(left), _rank(right)
+    before, behind = values[:left], values[half : half + right]
     if upper * left < lower * right:
-        return _smallest(values[:left], first) - _smallest(values[half : half + right], right - 1 - other)
-    return _smallest(values[half : half + right], other) - _smallest(values[:left], left - 1 - first)
+        before, behind, first, other = behind, before, other, first
+    top = _smallest(behind, other)
+    mixed = 0
+    for i in range(len(before)):
+        mixed += top - before[i] <= least
+    return top - _smallest(before, len(before) - 1 - first) if mixed <= first else -np.inf
 
 
 @helper
@@ -396,54 +401,86 @@ def _believed(mosaic: StepMosaic, r: int, c: int, step: float, values: Floats) -
     best = 0.0
     for turn in range(5):
         shear = 0.5 * ((turn + 1) // 2) * (1.0 if turn % 2 else -1.0)
-        best = max(best, _share(_gap(mosaic, r, c, shear, values), step))
+        best = max(best, _share(_gap(mosaic, r, c, shear, _BELIEVED * step, values), step))
         if best >= 1.0:
             return 1.0
     return best
 
 
 @helper
-def _ridge(mosaic: StepMosaic, r: int, c: int, shear: float, values: Floats) -> float:
-    """Height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
-
-    It is the median of the pixels on the line, in 9 rows, above that of the higher side. Sides are as in `_gap`, less
-    what is next to the line.
-    """
-    row, third, cols = r // mosaic.pixels, len(values) // 3, mosaic.heights.shape[1]
+def _buried(mosaic: StepMosaic, r: int, c: int, shear: float, height: float, margin: float) -> bool:
+    """Return True if a height is surely less than a margin above what counts as the height of a side of a ridge."""
+    row, cols = r // mosaic.pixels, mosaic.heights.shape[1]
     wide = mosaic.level * math.sqrt(1.0 + shear * shear)
+    beside = max(_FOOT * wide, 0.75)
     east, south = mosaic.east[row, c], mosaic.south[row, c]
-    left = right = top = 0
+    most = _rank(_RUN_LENGTH * (math.floor(wide - beside) + 1))
+    left = right = 0
     for down in range(-RUN, RUN + 1):
-        line, middle = mosaic.heights[r + RUN + down], c + shear * down
-        for at in range(max(0, math.ceil(middle - wide)), min(cols, math.floor(middle + wide) + 1)):
-            height, away = line[at] - east * (at - c) - south * down, at - middle
-            if math.isnan(height):
-                continue
-            if abs(away) <= 0.5:
-                values[top] = height
-                top += 1
-            elif away <= -_FOOT * wide:
-                values[third + left] = height
-                left += 1
-            elif away >= _FOOT * wide:
-                values[2 * third + right] = height
-                right += 1
-    if min(left, right) < _LEAST_POINTS or top < _LEAST_ON_RIDGE:
-        return 0.0
-    before, behind = values[third : third + left], values[2 * third : 2 * third + right]
-    foot = max(_smallest(before, (left - 1) // 2), _smallest(behind, (right - 1) // 2))
-    high = max(_smallest(before, left - 1 - _rank(left)), _smallest(behind, right - 1 - _rank(right)))
-    step = max(_smallest(values[:top], top // 2) - foot, 0.0)
-    return step * _share(_smallest(values[:top], math.floor(_ASTRAY_ON_RIDGE * top)) - high, step)
+        line, middle = mosaic.heights[r + RUN + down], shear * down
+        for away in range(max(-c, math.ceil(middle - wide)), min(cols - 1 - c, math.floor(middle - beside)) + 1):
+            left += height - (line[c + away] - east * away - south * down) <= margin
+        for away in range(max(-c, math.ceil(middle + beside)), min(cols - 1 - c, math.floor(middle + wide)) + 1):
+            right += height - (line[c + away] - east * away - south * down) <= margin
+        if max(left, right) > most:
+            return True
+    return False
 
 
 @helper
-def _highest_ridge(mosaic: StepMosaic, r: int, c: int, values: Floats) -> float:
-    """Height of the ridge through a pixel at the angle that suits it best, m; 0 if there is none."""
-    ridge = 0.0
+def _ridge(mosaic: StepMosaic, r: int, c: int, turn: int, guess: float, least: float, values: Floats) -> float:
+    """Height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
+
+    It is the median of the pixels on the line, in 9 rows, above that of the higher side. The line moves ``turn`` / 4
+    pixels to the east with every row. Sides are as in `_gap`, less what is next to the line.
+
+    Returns 0 early where the ridge is surely no higher than ``least``: soonest with a ``guess`` just above a quarter of
+    the line. Neither changes the height of a higher one.
+    """
+    row, third, cols = r // mosaic.pixels, len(values) // 3, mosaic.heights.shape[1]
+    shear = 0.25 * turn
+    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
+    beside = max(_FOOT * wide, 0.75)
+    east, south = mosaic.east[row, c], mosaic.south[row, c]
+    left = right = top = low = 0
+    for down in range(-RUN, RUN + 1):
+        line, quarters = mosaic.heights[r + RUN + down], turn * down
+        for away in range(max(-c, (quarters + 1) >> 2), min(cols - 1 - c, (quarters + 2) >> 2) + 1):
+            values[top] = line[c + away] - east * away - south * down
+            low += values[top] <= guess
+            top += values[top] == values[top]  # false for NaN
+    place = math.floor(_ASTRAY_ON_RIDGE * top)
+    if top < _LEAST_ON_RIDGE:
+        return 0.0
+    if _buried(mosaic, r, c, shear, guess if low > place else _smallest(values[:top], place), _BELIEVED * least):
+        return 0.0
+    for down in range(-RUN, RUN + 1):
+        line, middle = mosaic.heights[r + RUN + down], shear * down
+        for away in range(max(-c, math.ceil(middle - wide)), min(cols - 1 - c, math.floor(middle - beside)) + 1):
+            values[third + left] = line[c + away] - east * away - south * down
+            left += values[third + left] == values[third + left]
+        for away in range(max(-c, math.ceil(middle + beside)), min(cols - 1 - c, math.floor(middle + wide)) + 1):
+            values[2 * third + right] = line[c + away] - east * away - south * down
+            right += values[2 * third + right] == values[2 * third + right]
+    if min(left, right) < _LEAST_POINTS:
+        return 0.0
+    before, behind = values[third : third + left], values[2 * third : 2 * third + right]
+    high = max(_smallest(before, left - 1 - _rank(left)), _smallest(behind, right - 1 - _rank(right)))
+    surely = _smallest(values[:top], place) - high
+    if surely <= _BELIEVED * least:
+        return 0.0
+    foot = max(_smallest(before, (left - 1) // 2), _smallest(behind, (right - 1) // 2))
+    step = max(_smallest(values[:top], top // 2) - foot, 0.0)
+    return step * _share(surely, step)
+
+
+@helper
+def _highest_ridge(mosaic: StepMosaic, r: int, c: int, ground: float, least: float, values: Floats) -> float:
+    """Height of the ridge through a pixel at the angle that suits it best, m; 0 if none is higher than ``least``."""
+    ridge = least
     for turn in range(-4, 5):
-        ridge = max(ridge, _ridge(mosaic, r, c, 0.25 * turn, values))
-    return ridge
+        ridge = max(ridge, _ridge(mosaic, r, c, turn, ground + _BELIEVED * ridge, ridge, values))
+    return ridge if ridge > least else 0.0
 
 
 @helper
@@ -483,5 +520,6 @@ def find_peaks(
                 if felt[r, c] > 0.0:
                     felt[r, c] *= _believed(mosaic, r, c, felt[r, c], values)
                 if raw.crest[r, c] > scratch[c]:
-                    ridge = _highest_ridge(mosaic, r, c, values)
+                    least = max(scratch[c], felt[r, c])
+                    ridge = _highest_ridge(mosaic, r, c, mosaic.heights[r + RUN, c] - raw.crest[r, c], least, values)
                     felt[r, c] = max(felt[r, c], ridge * _stands_out(ridge, scratch[c]))
