@@ -12,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from bumpymap.route.planner import PlannedWay, WornTiles
+from bumpymap.route.ground import WornTiles
+from bumpymap.route.planner import PlannedWay
 
 __all__ = ["find_alternatives"]
 

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,12 +14,10 @@ from bumpymap.core import OBSTACLE, Barred, TileField
 from bumpymap.layers import RouteMap
 from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.line import is_clear
+from bumpymap.route.settings import CostSettings
 from bumpytiles import TileWindow
 
-if TYPE_CHECKING:
-    from bumpymap.route.planner import Planner, WornTiles
-
-__all__ = ["PIXEL_MARGIN", "Ground", "stretches", "window_around"]
+__all__ = ["PIXEL_MARGIN", "CostGround", "CostSource", "WornTiles", "stretches", "window_around"]
 
 Floats = NDArray[np.float64]
 
@@ -32,12 +30,63 @@ _STRETCH_TILES = 48
 
 
 @dataclass(frozen=True, slots=True)
-class Ground:
+class WornTiles:
+    """Tiles of earlier ways and around them, which are made dearer so that another way is found."""
+
+    tiles: NDArray[np.int64]
+    """(n, 2) column and row."""
+    factor: float
+
+    def factors(self, window: TileWindow) -> NDArray[np.float32]:
+        """Return the factor on the cost of each tile of a window."""
+        worn = _mask(self.tiles, TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2))
+        for axis in (0, 1):
+            worn |= np.roll(worn, 1, axis) | np.roll(worn, -1, axis)
+        return np.where(worn[1:-1, 1:-1], np.float32(self.factor), np.float32(1.0))
+
+
+class CostSource(Protocol):
+    """A map and the settings by which its ground costs: a `bumpymap.route.planner.Planner`."""
+
+    @property
+    def site(self) -> RouteMap:
+        """The map."""
+
+    @property
+    def settings(self) -> CostSettings:
+        """Costs and what may be crossed."""
+
+    @property
+    def memory_tiles(self) -> int:
+        """Most tiles of a window that a search may hold."""
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """Bands that the cost depends on."""
+
+    @property
+    def reach_m(self) -> float:
+        """Distance that the middle of the vehicle keeps from obstacles, m."""
+
+    @property
+    def margin(self) -> float:
+        """The same from closed tiles, tiles."""
+
+    @property
+    def has_areas(self) -> bool:
+        """Whether there are areas to avoid, or to stay in."""
+
+    def cost(self, tiles: TileField, risk: float | None = None, *, through: bool = False) -> NDArray[np.float32]:
+        """Return the cost per metre of each tile of a window, inf where closed."""
+
+
+@dataclass(frozen=True, slots=True)
+class CostGround:
     """Costs of a map for one search.
 
     Parameters
     ----------
-    planner : Planner
+    planner : CostSource
     risk : float, optional
         Weight of the hazard, m; None: that of the settings.
     worn : WornTiles, optional
@@ -46,9 +95,9 @@ class Ground:
         Whether obstacles may be touched, at a hundred times the cost.
     """
 
-    planner: "Planner"
+    planner: CostSource
     risk: float | None = None
-    worn: "WornTiles | None" = None
+    worn: WornTiles | None = None
     touching: bool = False
 
     @property
@@ -165,3 +214,12 @@ def stretches(line: Floats, longest: float) -> Iterator[Floats]:
         if last + 1 == len(whole) or (np.ptp(whole[first : last + 2], axis=0) > longest).any():
             yield whole[first : last + 1]
             first = last
+
+
+def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:
+    """Return where some tiles lie in a window, (rows, cols)."""
+    mask = np.zeros((window.rows, window.cols), np.bool_)
+    row, col = window.row + window.rows - 1 - tiles[:, 1], tiles[:, 0] - window.col
+    inside = (row >= 0) & (row < window.rows) & (col >= 0) & (col < window.cols)
+    mask[row[inside], col[inside]] = True
+    return mask

@@ -21,7 +21,7 @@ from bumpymap.route.search import find_way
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
-    from bumpymap.route.ground import Ground
+    from bumpymap.route.ground import CostGround
 
 __all__ = ["LEAST_SAVING_M", "way_over_areas"]
 
@@ -51,12 +51,12 @@ class AreaGraph(NamedTuple):
     """(n, n) cost from node to node, in tiles."""
 
 
-def way_over_areas(ground: "Ground", start: Floats, goal: Floats) -> Floats | None:
+def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats | None:
     """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
 
     Parameters
     ----------
-    ground : Ground
+    ground : CostGround
         The map, with costs.
     start, goal : array (2,)
         Easting and northing, m.
@@ -94,7 +94,7 @@ def way_over_areas(ground: "Ground", start: Floats, goal: Floats) -> Floats | No
     return again if again is not None else line
 
 
-def _window(ground: "Ground", points: Floats, pad: int) -> TileWindow:
+def _window(ground: "CostGround", points: Floats, pad: int) -> TileWindow:
     """Return the tiles around some points, within the map."""
     grid, whole = ground.site.grid, ground.site.window
     inner = TileWindow.around(grid.index(points[:, 0]), grid.index(points[:, 1]))
@@ -104,7 +104,7 @@ def _window(ground: "Ground", points: Floats, pad: int) -> TileWindow:
     return TileWindow(west, south, east - west, north - south)
 
 
-def _graph(ground: "Ground", window: TileWindow) -> AreaGraph:
+def _graph(ground: "CostGround", window: TileWindow) -> AreaGraph:
     pixels, (rows, cols) = ground.site.grid.pixels, (window.rows, window.cols)
     apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
     apart[:, :-1, :, :-1] = np.isfinite(ground.on_pixels(window)).reshape(rows, pixels, cols, pixels)
@@ -141,7 +141,7 @@ def _contacts(first: NDArray[np.int32], other: NDArray[np.int32], count: int) ->
     return sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (count, count))
 
 
-def _node_at(ground: "Ground", graph: AreaGraph, window: TileWindow, point: Floats) -> int:
+def _node_at(ground: "CostGround", graph: AreaGraph, window: TileWindow, point: Floats) -> int:
     """Return the node in which a point lies; -1 in closed pixels."""
     rows, pixels, cols, _ = graph.node.shape
     row, col = (math.floor(x) for x in ground.in_window(point[None], window)[0])
@@ -171,7 +171,7 @@ def _reaches_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
     return bool(((row == 0) | (col == 0) | (row == rows - 1) | (col == cols - 1)).any())
 
 
-def _point_in(ground: "Ground", graph: AreaGraph, window: TileWindow, node: int) -> Floats:
+def _point_in(ground: "CostGround", graph: AreaGraph, window: TileWindow, node: int) -> Floats:
     """Return the middle of the pixel of a node that is nearest to the middle of the node, easting and northing, m."""
     _, pixels, cols, _ = graph.node.shape
     row, col = divmod(int(graph.tile[node]), cols)
@@ -181,7 +181,7 @@ def _point_in(ground: "Ground", graph: AreaGraph, window: TileWindow, node: int)
 
 
 def _on_pixels(
-    ground: "Ground", points: list[Floats], window: TileWindow, corridor: NDArray[np.bool_]
+    ground: "CostGround", points: list[Floats], window: TileWindow, corridor: NDArray[np.bool_]
 ) -> Floats | None:  # fmt: skip
     """Return the cheapest line through points on the pixels of a corridor of tiles, piece by piece."""
     parts = [np.array([points[0]])]

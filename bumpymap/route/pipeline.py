@@ -27,8 +27,9 @@ from bumpymap.layers import (
 from bumpymap.route._moves import MOVES
 from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
+from bumpymap.route.ground import WornTiles
 from bumpymap.route.no_way import explain_no_way
-from bumpymap.route.planner import PlannedWay, Planner, WornTiles
+from bumpymap.route.planner import PlannedWay, Planner
 from bumpymap.route.reach import Reach, find_reach
 from bumpymap.route.settings import RouteConfig
 from bumpymap.route.stops import Stops, find_stops

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from bumpymap.core import Barred, TileField
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
 from bumpymap.route.cost_field import TileChoice, cost_of
-from bumpymap.route.ground import Ground, window_around
+from bumpymap.route.ground import CostGround, WornTiles, window_around
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.passages import way_over_areas
@@ -20,7 +20,7 @@ from bumpymap.route.settings import CostSettings
 from bumpymap.route.steering import sample_line, steer_clear
 from bumpytiles import TileWindow
 
-__all__ = ["PlannedWay", "Planner", "WornTiles"]
+__all__ = ["PlannedWay", "Planner"]
 
 Floats = NDArray[np.float64]
 
@@ -30,22 +30,6 @@ _NEAR_TILES = 8
 """Tiles around a way in which obstacles make it worth while to look for another one between them."""
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
-
-
-@dataclass(frozen=True, slots=True)
-class WornTiles:
-    """Tiles of earlier ways and around them, which are made dearer so that another way is found."""
-
-    tiles: NDArray[np.int64]
-    """(n, 2) column and row."""
-    factor: float
-
-    def factors(self, window: TileWindow) -> NDArray[np.float32]:
-        """Return the factor on the cost of each tile of a window."""
-        worn = _mask(self.tiles, TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2))
-        for axis in (0, 1):
-            worn |= np.roll(worn, 1, axis) | np.roll(worn, -1, axis)
-        return np.where(worn[1:-1, 1:-1], np.float32(self.factor), np.float32(1.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +121,7 @@ class Planner:
 
     def load(self, window: TileWindow) -> NDArray[np.float32]:
         """Read the cost per metre of each tile of a window, inf where closed for what reads tiles alone."""
-        return Ground(self).on_tiles(window, through=False)
+        return CostGround(self).on_tiles(window, through=False)
 
     def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
@@ -159,12 +143,12 @@ class Planner:
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
         touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
-        return PlannedWay(line, measure_way(self.site, line, stops, Ground(self).of_field, obstacle_m=touched))
+        return PlannedWay(line, measure_way(self.site, line, stops, CostGround(self).of_field, obstacle_m=touched))
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
         line = self._leg(start, goal, None, None)
-        return np.inf if line is None else way_cost(self.site, line, Ground(self).of_field)
+        return np.inf if line is None else way_cost(self.site, line, CostGround(self).of_field)
 
     def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
         """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
@@ -184,7 +168,7 @@ class Planner:
         The cheapest way over whole tiles is steered past obstacles on pixels. Where obstacles close tiles nearby, or
         there is no such way, the areas of tiles are searched as well, and the cheaper of both is returned.
         """
-        ground = Ground(self, risk, worn)
+        ground = CostGround(self, risk, worn)
         over_tiles = self._tile_line(ground, start, goal)
         steered = None if over_tiles is None else steer_clear(ground, over_tiles)
         if steered is not None and not self._may_pass_between(steered):
@@ -199,14 +183,14 @@ class Planner:
     def _touched_m(self, line: Floats) -> float:
         """Return the length of a line on which the vehicle touches obstacles, m."""
         points, step = sample_line(line, self.site.grid)
-        return float((~Ground(self).clear_at(points)).sum()) * step
+        return float((~CostGround(self).clear_at(points)).sum()) * step
 
     def _may_pass_between(self, line: Floats) -> bool:
         """Return whether obstacles close tiles near a line."""
         barred = self.site.read(window_around(self.site, line, _NEAR_TILES), ()).barred
         return bool(np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any())
 
-    def _tile_line(self, ground: Ground, start: Floats, goal: Floats) -> Floats | None:
+    def _tile_line(self, ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
         """Return the cheapest line over whole tiles, (m, 2) easting and northing, m."""
         window = self.site.window
         ends = (self.place(point, window) for point in (start, goal))
@@ -230,12 +214,3 @@ class Planner:
     def place(self, point: Floats, window: TileWindow) -> tuple[float, float]:
         """Convert easting and northing [m] to rows from the north edge and columns from the west edge of a window."""
         return place_in_window(point, self.site.grid, window)
-
-
-def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:
-    """Return where some tiles lie in a window, (rows, cols)."""
-    mask = np.zeros((window.rows, window.cols), np.bool_)
-    row, col = window.row + window.rows - 1 - tiles[:, 1], tiles[:, 0] - window.col
-    inside = (row >= 0) & (row < window.rows) & (col >= 0) & (col < window.cols)
-    mask[row[inside], col[inside]] = True
-    return mask

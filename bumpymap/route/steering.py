@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route.ground import PIXEL_MARGIN, Ground, window_around
+from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
 from bumpymap.route.passages import LEAST_SAVING_M
 from bumpymap.route.search import find_way
 from bumpytiles import Grid
@@ -28,12 +28,12 @@ _STEP = 0.5
 """Distance of the points of a line that are examined, in pixels."""
 
 
-def steer_clear(ground: Ground, line: Floats) -> Floats | None:
+def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
     """Return a line near a given one on which the vehicle fits throughout; None if there is none.
 
     Parameters
     ----------
-    ground : Ground
+    ground : CostGround
         The map, with costs.
     line : array (m, 2)
         Easting and northing of the corners, m.
@@ -97,7 +97,7 @@ def _between(line: Floats, points: Floats, first: int, last: int, step: float) -
     return np.concatenate([ends[:1], inner, ends[1:]])
 
 
-def _search(ground: Ground, part: Floats) -> Floats | None:
+def _search(ground: CostGround, part: Floats) -> Floats | None:
     """Search a section on pixels; None if there is no way."""
     window = window_around(ground.site, part, _AROUND_TILES)
     start, goal = ((float(row), float(col)) for row, col in ground.in_window(part[[0, -1]], window))

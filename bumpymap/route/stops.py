@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import read_points
-from bumpymap.route.ground import Ground
+from bumpymap.route.ground import CostGround
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import window_within
@@ -101,7 +101,7 @@ def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float, *, on_
     reach, most = (math.ceil(metres / size) + 1 for metres in (_NEAR_M, max(snap_m, _LOOK_M)))
     while True:
         window = window_within(site.window, np.array(point) / size, reach)
-        cost = Ground(planner).on_pixels(window) if on_pixels else planner.load(window)
+        cost = CostGround(planner).on_pixels(window) if on_pixels else planner.load(window)
         place = (cells * at for at in place_in_window(point, site.grid, window))
         found = nearest_usable(np.isfinite(cost), *place, margin=margin)
         too_many = 4 * window.cols * window.rows * cells**2 > planner.memory_tiles

@@ -9,7 +9,7 @@ from corpus.bases import bases
 from corpus.known import KNOWN
 from corpus.runner import MEMORY, Runner
 
-from bumpymap.cli._text import escape
+from bumpymap.core import escape_controls
 
 pytestmark = pytest.mark.slow
 
@@ -64,7 +64,7 @@ def faults_of_refusal(outcome, shown):
     faults = []
     if len(outcome.errors) != 1:
         faults.append(f"{len(outcome.errors)} messages")
-    elif escape(shown) not in outcome.text[outcome.text.index("Error: ") :]:
+    elif escape_controls(shown) not in outcome.text[outcome.text.index("Error: ") :]:
         faults.append("a message that does not name the file")
     return faults
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.planner import PlannedWay, WornTiles
+from bumpymap.route.ground import WornTiles
+from bumpymap.route.planner import PlannedWay
 from bumpytiles import TileWindow
 
 

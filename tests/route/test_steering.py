@@ -7,7 +7,7 @@ from route_oracles import cheapest_on_pixels
 from tile_maps import TileMap
 
 from bumpymap.core import Barred, RouteVehicle
-from bumpymap.route.ground import Ground
+from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import way_cost
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
@@ -38,7 +38,7 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
     site, ends = stony_map(seed)
     plan = Planner(site, CostSettings(), 10**7)
     line, back = plan.line(*ends), Planner(site, CostSettings(), 10**7).line(*ends[::-1])
-    ground = Ground(plan)
+    ground = CostGround(plan)
     start, goal = np.floor(ground.in_window(ends, site.window)).astype(int)
     best = cheapest_on_pixels(ground.on_pixels(site.window), start, goal, site.grid.pixel_size)
     if line is None:

@@ -59,7 +59,7 @@ def bands(path):
 @pytest.mark.slow
 def test_the_other_layers_keep_their_bytes(maps):
     same = [path.name for path in (maps / "plain").glob("*.tif")]
-    assert len(same) == 8
+    assert len(same) == 9
     assert all((maps / "plain" / name).read_bytes() == (maps / "speeds" / name).read_bytes() for name in same)
     assert not (maps / "plain" / "speeds.tif").exists()
 
@@ -172,5 +172,6 @@ def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):
 
 
 def test_a_table_of_a_batch_takes_speeds(tmp_path):
+    (tmp_path / "a.laz").touch()
     ((_, _, settings),) = read_table("survey,speed,speeds\na.laz,0.5,0.5 1 2\n", "list.csv", tmp_path)
     assert settings == {"speed": 0.5, "speeds": (0.5, 1.0, 2.0)}
