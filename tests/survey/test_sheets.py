@@ -140,7 +140,7 @@ def test_sheets_need_a_folder(survey):
 
 @pytest.mark.parametrize("value", [0, -1, "5", True, 1e9])
 def test_a_size_that_is_none_is_refused(survey, tmp_path, value):
-    with pytest.raises(bumpymap.UsageError, match="`?sheets`? is"):
+    with pytest.raises(bumpymap.UsageError, match=r"`?sheets`? is"):
         bumpymap.map_survey(survey, tmp_path / "out", sheets=value)
     assert not (tmp_path / "out").exists()
 
