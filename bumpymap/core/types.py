@@ -30,6 +30,7 @@ __all__ = [
     "NO_CLASS",
     "OBJECT_NAMES",
     "OBSTACLE",
+    "OPEN_THROUGH",
     "POINT_BUILDING",
     "POINT_GROUND",
     "POINT_OTHER",
@@ -106,6 +107,8 @@ class Barred(IntEnum):
     SPLIT = 6
 
 
+OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
+"""Tiles of which a part may be open; unknown ones have no cost, but for those of which too little was seen."""
 BARRED_TEXT: dict[Barred, str] = {
     Barred.NO: "passable",
     Barred.UNKNOWN: "unknown ground",

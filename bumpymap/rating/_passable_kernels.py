@@ -271,7 +271,7 @@ def number_areas(
 
 @helper
 def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int) -> bool:
-    """Whether an area of a tile and one of its southern neighbour touch across their border."""
+    """Return whether an area of a tile and one of its southern neighbour touch across their border."""
     last = north.shape[0] - 1
     meet = False
     for c in range(north.shape[0]):
@@ -281,7 +281,7 @@ def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int) -> bool:
 
 @helper
 def _meet_across(west: Bytes, left: int, east: Bytes, right: int) -> bool:
-    """Whether an area of a tile and one of its eastern neighbour touch across their border."""
+    """Return whether an area of a tile and one of its eastern neighbour touch across their border."""
     last = west.shape[0] - 1
     meet = False
     for r in range(west.shape[0]):
@@ -291,7 +291,7 @@ def _meet_across(west: Bytes, left: int, east: Bytes, right: int) -> bool:
 
 @helper
 def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool:
-    """Whether an area of the tile beside ``upper``, above or below ``lower``, touches the first areas of both.
+    """Return whether an area of the tile beside ``upper``, above or below ``lower``, touches the first areas of both.
 
     ``upper`` lies north of ``lower``, diagonally; ``side`` is the tile south of ``upper`` (and west of ``lower`` if
     ``is_east``, else east of it).

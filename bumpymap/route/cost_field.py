@@ -6,12 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, TileField, UsageError
+from bumpymap.core import OPEN_THROUGH, Barred, TileField, UsageError
 
 __all__ = ["TileChoice", "cost_of"]
 
-_OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
-"""Tiles of which a part may be open; unknown ones have no cost, but for those of which too little was seen."""
 _STRIP = 256
 """Rows that are computed at once, so that the float64 arrays in between stay small."""
 
@@ -84,7 +82,7 @@ def cost_of(
         rows = slice(start, start + _STRIP)
         barred = field.barred[rows]
         factor = weighed.cost(shaking[rows].astype(np.float64), weighed.hazard(field.p_fail[rows]))
-        is_closed = (~np.isin(barred, _OPEN_THROUGH) if through else barred != Barred.NO) | ~np.isfinite(factor)
+        is_closed = (~np.isin(barred, OPEN_THROUGH) if through else barred != Barred.NO) | ~np.isfinite(factor)
         cost[rows] = np.where(is_closed, np.inf, factor)
         if unknown_cost is not None:
             cost[rows][(barred == Barred.UNKNOWN) & ~(field.obstacle[rows] > 0.0)] = unknown_cost

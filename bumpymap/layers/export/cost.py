@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Barred
+from bumpymap.core import OPEN_THROUGH, BadInputError
 from bumpymap.layers._cog import write_cog
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers.export.area import ExportArea
@@ -17,8 +17,6 @@ __all__ = ["COST_NAME", "write_pixel_cost"]
 COST_NAME = "cost.tif"
 _BLOCK = 512
 _WINDOW_TILES = 64
-_OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
-"""Tiles of which a part may be open."""
 
 
 def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
@@ -36,7 +34,7 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
         nonlocal free
         field = site.read(window.tiles, ("c_r", "p_fail"))
         cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail)).astype(np.float32)
-        cost[~np.isin(field.barred, _OPEN_THROUGH)] = np.nan
+        cost[~np.isin(field.barred, OPEN_THROUGH)] = np.nan
         out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
         out[~site.passage(window.tiles) | ~np.isfinite(out)] = np.nan
         free += int(np.isfinite(out).sum())

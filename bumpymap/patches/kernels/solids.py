@@ -76,7 +76,7 @@ def _is_overhead(state: int) -> bool:
 
 @helper
 def _is_part(objects: Bytes, r: int, c: int) -> bool:
-    """Whether a pixel holds a point of an obstacle, were it a single one."""
+    """Return whether a pixel holds a point of an obstacle, were it a single one."""
     if not (0 <= r < objects.shape[0] and 0 <= c < objects.shape[1]) or objects[r, c] == UNSEEN:
         return False
     state = objects[r, c] % SEEN
@@ -162,7 +162,7 @@ def _label(objects: Bytes, pixels: int, hole: float, scratch: SolidScratch) -> b
 
 @helper
 def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
-    """Whether a ray from a pixel meets something overhead, in one of 16 directions."""
+    """Return whether a ray from a pixel meets something overhead, in one of 16 directions."""
     turn, sign = direction % 8, (1 if direction < 8 else -1)
     # Slopes of 0, 1/2, 1, 2, ...: integers alone, so that every machine meets the same pixels.
     down, right = sign * min(2, turn, 8 - turn), sign * max(-2, min(2, 4 - turn))
@@ -177,7 +177,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
 
 @helper
 def _is_under(label: Bytes, r: int, c: int) -> bool:
-    """Whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall."""
+    """Return whether the ground in a pixel lies beneath what is overhead: it is on all sides, not as beside a wall."""
     hits = 0
     for direction in range(8):
         one, other = _meets(label, r, c, direction), _meets(label, r, c, direction + 8)
