@@ -2,14 +2,12 @@
 
 import copy
 import doctest
-import gc
 import importlib
 import math
 import shutil
 import subprocess
 import sys
 import threading
-import tracemalloc
 from dataclasses import fields
 from pathlib import Path
 
@@ -243,30 +241,40 @@ def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
         copy.copy(other)
 
 
+LOOP_OVER_MAPS = """
+import gc, sys, tracemalloc
+from pathlib import Path
+
+import numpy as np
+
+import bumpymap
+
+part, folder = map(Path, sys.argv[1:])
+
+
+def two_more(number):
+    for out in (None, folder / str(number)):
+        layers = bumpymap.map_survey(part, out, local=True)
+        assert np.isfinite(layers.dataset()["c_r"].values).any()
+        assert np.isfinite(layers.heights().values).any()
+        layers.tiles()
+
+
+gc.disable()
+tracemalloc.start()
+for number in range(2):
+    two_more(number)
+    files = len(list(Path("/proc/self/fd").iterdir()))
+    gc.collect()  # files may not wait for this, small objects may
+    print(files, tracemalloc.get_traced_memory()[0])
+"""
+
+
 @pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="open files are counted in /proc, which is Linux's")
 def test_a_loop_over_maps_leaves_no_file_open_and_no_memory(tmp_path):
-    def two_more(number):
-        for out in (None, tmp_path / str(number)):
-            layers = bumpymap.map_survey(PART, out, local=True)
-            assert np.isfinite(layers.dataset()["c_r"].values).any()
-            assert np.isfinite(layers.heights().values).any()
-            layers.tiles()
-
-    def left():
-        files = len(list(OPEN_FILES.iterdir()))
-        gc.collect()  # files may not wait for this, small objects may
-        return files, tracemalloc.get_traced_memory()[0]
-
-    gc.disable()
-    tracemalloc.start()
-    try:
-        two_more(0)
-        files, memory = left()
-        two_more(1)
-        more_files, more_memory = left()
-    finally:
-        tracemalloc.stop()
-        gc.enable()
+    command = [sys.executable, "-c", LOOP_OVER_MAPS, PART, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    (files, memory), (more_files, more_memory) = (map(int, line.split()) for line in done.stdout.splitlines())
     assert more_files == files
     assert more_memory - memory < 200_000
 

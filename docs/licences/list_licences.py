@@ -38,6 +38,8 @@ _FAMILIES = {
 }
 """Family of licences: what its names look like, in lower case."""
 REFUSED = ("AGPL", "LGPL", "GPL")
+_GPU_LIBRARIES = re.compile(r"(nvidia|cuda)-")
+"""Names that builds of torch for GPUs need and its builds for the CPU, which bumpymap takes, do not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +133,8 @@ def _requirements(name: str, found: dict[str, Licence | None]) -> list[Requireme
         found[name] = None
         return []
     found[name] = licence_of(installed.metadata, installed.metadata.get_all("Classifier") or [])
-    return [Requirement(line) for line in installed.requires or []]
+    requirements = [Requirement(line) for line in installed.requires or []]
+    return [one for one in requirements if not _GPU_LIBRARIES.match(one.name)]
 
 
 def _shown(licence: Licence | None) -> str:
