@@ -17,28 +17,24 @@ from .config import (
     override_settings as override_settings,
     refuse_clashes as refuse_clashes,
 )
-from .crs.reproject import (
-    Place as Place,
-    describe_crs as describe_crs,
-    reproject_command as reproject_command,
-    utm_epsg as utm_epsg,
-)
-from .crs.settle import (
+from .crs import (
     CrsStatement as CrsStatement,
     GivenCrs as GivenCrs,
+    Place as Place,
     common_georeference as common_georeference,
     crs_from_epsg as crs_from_epsg,
+    describe_crs as describe_crs,
     georeference as georeference,
     horizontal_of as horizontal_of,
     linear_unit as linear_unit,
     parse_crs as parse_crs,
+    reproject_command as reproject_command,
     same_crs as same_crs,
     scale_note as scale_note,
     stated_crs as stated_crs,
     statement_from_wkt as statement_from_wkt,
     unit_name as unit_name,
-)
-from .crs.vertical import (
+    utm_epsg as utm_epsg,
     vertical_of as vertical_of,
     with_vertical as with_vertical,
 )
@@ -65,10 +61,6 @@ from .errors import (
     missing_resource as missing_resource,
     refused_write as refused_write,
 )
-from .export_types import (
-    ExportFormat as ExportFormat,
-    ExportResolution as ExportResolution,
-)
 from .file_hash import (
     CHECKSUM_METHOD as CHECKSUM_METHOD,
     FileHash as FileHash,
@@ -86,10 +78,6 @@ from .files import (
     remove_path as remove_path,
     utf8_path as utf8_path,
     write_together as write_together,
-)
-from .frame_source import (
-    BagMessage as BagMessage,
-    FrameSource as FrameSource,
 )
 from .interrupts import (
     Terminated as Terminated,
@@ -128,12 +116,6 @@ from .ply_file import (
     PLY_TYPES as PLY_TYPES,
     write_vertices as write_vertices,
 )
-from .pose_track import (
-    LONGEST_GAP_S as LONGEST_GAP_S,
-    NEAREST_S as NEAREST_S,
-    SCAN_S as SCAN_S,
-    PoseTrack as PoseTrack,
-)
 from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,
@@ -157,6 +139,8 @@ from .remote import (
 )
 from .route_types import (
     NO_TILE as NO_TILE,
+    ExportFormat as ExportFormat,
+    ExportResolution as ExportResolution,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
@@ -184,18 +168,22 @@ from .run_spec import (
 )
 from .scan_types import (
     CLASSES as CLASSES,
+    LONGEST_GAP_S as LONGEST_GAP_S,
+    NEAREST_S as NEAREST_S,
     NOT_TRAVERSABLE as NOT_TRAVERSABLE,
+    SCAN_S as SCAN_S,
+    BagMessage as BagMessage,
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
+    FrameSource as FrameSource,
     PolarSettings as PolarSettings,
+    PoseTrack as PoseTrack,
     Scan as Scan,
     ScanMethod as ScanMethod,
+    SectorBounds as SectorBounds,
     SectorRide as SectorRide,
     SectorStack as SectorStack,
     point_classes as point_classes,
-)
-from .sector_geometry import (
-    SectorBounds as SectorBounds,
     sector_bounds as sector_bounds,
 )
 from .settings_file import (

@@ -4,17 +4,18 @@ from ._imports import (
 from ._label import (
     label as label,
 )
-from .batch_facts import (
-    map_facts as map_facts,
-)
-from .batch_row import (
+from .batch_page import (
     SurveyRow as SurveyRow,
     SurveyStatus as SurveyStatus,
+    SurveyView as SurveyView,
+    index_page as index_page,
+    read_thumbnail as read_thumbnail,
 )
 from .batch_summary import (
     BATCH_LOG as BATCH_LOG,
     BATCH_NAMES as BATCH_NAMES,
     check_batch_out as check_batch_out,
+    map_facts as map_facts,
     write_batch_summary as write_batch_summary,
 )
 from .change import (
@@ -91,13 +92,6 @@ from .gis.project import (
 )
 from .gis.styles import (
     write_styles as write_styles,
-)
-from .index_page.page import (
-    SurveyView as SurveyView,
-    index_page as index_page,
-)
-from .index_page.thumbnail import (
-    read_thumbnail as read_thumbnail,
 )
 from .manifest import (
     MANIFEST_NAME as MANIFEST_NAME,
@@ -201,19 +195,31 @@ from .route_points import (
     FilePoint as FilePoint,
     read_points as read_points,
 )
-from .scan.accumulated import (
-    AccumulatedSurvey as AccumulatedSurvey,
-    open_accumulated as open_accumulated,
-)
 from .scan.folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
+    FRAME_FOLDER as FRAME_FOLDER,
     MAP_FOLDER as MAP_FOLDER,
+    SCAN_CLASS_NAMES as SCAN_CLASS_NAMES,
+    SCAN_COLOURS as SCAN_COLOURS,
     SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
+    Frame as Frame,
+    FramePart as FramePart,
+    FrameReport as FrameReport,
     check_scan_folder as check_scan_folder,
+    explain_empty_scan as explain_empty_scan,
+    file_sizes as file_sizes,
+    has_finished_parts as has_finished_parts,
+    load_part as load_part,
+    name_frames as name_frames,
     output_errors as output_errors,
+    part_path as part_path,
     remove_stale_products as remove_stale_products,
+    report_frame as report_frame,
+    sample_evenly as sample_evenly,
+    save_part as save_part,
     sync_to_disk as sync_to_disk,
+    write_scan_manifest as write_scan_manifest,
 )
 from .scan.frame import (
     frame_files as frame_files,
@@ -222,64 +228,32 @@ from .scan.frame import (
 )
 from .scan.grid_bag import (
     GridBag as GridBag,
-    check_bag_file as check_bag_file,
-)
-from .scan.ground_grid import (
     GridSettings as GridSettings,
     GroundGrid as GroundGrid,
-)
-from .scan.manifest import (
-    write_scan_manifest as write_scan_manifest,
-)
-from .scan.names import (
-    FRAME_FOLDER as FRAME_FOLDER,
-    Frame as Frame,
-    name_frames as name_frames,
-    sample_evenly as sample_evenly,
-)
-from .scan.part import (
-    FramePart as FramePart,
-    file_sizes as file_sizes,
-    has_finished_parts as has_finished_parts,
-    load_part as load_part,
-    part_path as part_path,
-    save_part as save_part,
-)
-from .scan.report import (
-    FrameReport as FrameReport,
-    explain_empty_scan as explain_empty_scan,
-    report_frame as report_frame,
-)
-from .scan.style import (
-    SCAN_CLASS_NAMES as SCAN_CLASS_NAMES,
-    SCAN_COLOURS as SCAN_COLOURS,
+    check_bag_file as check_bag_file,
 )
 from .scan.table import (
+    AccumulatedSurvey as AccumulatedSurvey,
     SectorTable as SectorTable,
+    open_accumulated as open_accumulated,
     open_table as open_table,
     sector_rows as sector_rows,
-)
-from .sheets.finished import (
-    made_names as made_names,
-    require_whole as require_whole,
 )
 from .sheets.folders import (
     in_sheets as in_sheets,
     remove_sheets as remove_sheets,
     sheet_folders as sheet_folders,
 )
-from .sheets.layout import (
-    SheetLayout as SheetLayout,
-    suggested_sheets as suggested_sheets,
-)
 from .sheets.write import (
+    SheetLayout as SheetLayout,
     SheetRun as SheetRun,
+    made_names as made_names,
+    require_whole as require_whole,
+    suggested_sheets as suggested_sheets,
     write_sheets as write_sheets,
 )
-from .stac.catalog import (
-    write_catalog as write_catalog,
-)
 from .stac.item import (
+    write_catalog as write_catalog,
     write_item as write_item,
 )
 from .summary import (

@@ -24,7 +24,7 @@ from bumpymap.layers._cog import write_cog
 from bumpymap.layers._notebook import import_notebook
 from bumpymap.layers._raster_spec import BandSpec, RasterSpec
 from bumpymap.layers._replacing import refuse_present, require_folder
-from bumpymap.layers.gis.change_style import write_change_style
+from bumpymap.layers.gis.styles import write_change_style
 from bumpymap.layers.lonlat import BoundingBox
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,

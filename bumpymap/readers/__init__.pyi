@@ -1,4 +1,4 @@
-from ._line_kernel import (
+from ._kernels import (
     CELL as CELL,
     QUANTA as QUANTA,
 )
@@ -24,24 +24,17 @@ from .frames.bag import (
     BagReader as BagReader,
     bag_files as bag_files,
 )
-from .frames.bag_frames import (
-    BagTopics as BagTopics,
-)
-from .frames.bin_columns import (
-    BIN_COLUMNS as BIN_COLUMNS,
-)
-from .frames.cloud_message import (
-    points_of as points_of,
-)
-from .frames.deskew import (
+from .frames.deskew_kernels import (
     deskew as deskew,
 )
 from .frames.find import (
+    BagTopics as BagTopics,
     bags_at as bags_at,
     find_frames as find_frames,
     find_sources as find_sources,
 )
 from .frames.kitti import (
+    BIN_COLUMNS as BIN_COLUMNS,
     label_file as label_file,
 )
 from .frames.label_sets import (
@@ -57,19 +50,20 @@ from .frames.poses import (
     place_sources as place_sources,
     read_poses as read_poses,
 )
+from .frames.raw import (
+    points_of as points_of,
+)
 from .frames.read import (
     Robot as Robot,
     read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,
 )
-from .line_sums import (
+from .point_stats import (
     LineCorrection as LineCorrection,
     LineSums as LineSums,
-    cell_indices as cell_indices,
-)
-from .point_stats import (
     PointStats as PointStats,
+    cell_indices as cell_indices,
 )
 from .protocol import (
     Chunk as Chunk,

@@ -1,6 +1,12 @@
 """Convert columns of a PLY or PCD table to points in metres, and warn of large coordinates in float32."""
 
-from collections.abc import Sequence
+import io
+import warnings
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -8,10 +14,106 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Georeference
 from bumpymap.readers.conversion import RawPoints
-from bumpymap.readers.source import OpenFile
+from bumpymap.readers.source import OpenFile, decoding
 from bumpytiles import DECIMALS
 
-__all__ = ["CLASS_COLUMNS", "metres", "precision_note", "read_rows"]
+__all__ = ["CLASS_COLUMNS", "SerialRows", "TextRows", "metres", "precision_note", "read_rows"]
+
+_BLOCK = 100_000
+
+
+@dataclass(slots=True)
+class SerialRows(ABC):
+    """Sequential reader of rows; subclasses parse them."""
+
+    file: OpenFile
+    data_at: int
+    """Offset of the data, bytes."""
+    _stream: Any = field(init=False, default=None)
+    _next: int = field(init=False, default=0)
+
+    def read(self, first: int, count: int) -> NDArray[np.void]:
+        """Return ``count`` rows from row ``first``; fewer at the end of the file."""
+        with decoding(self.file.path, f"the points from {first:,} on"):
+            if self._stream is None or first < self._next:
+                self.close()
+                self._open()
+                self._next = 0
+            while self._next < first and self._advance(min(_BLOCK, first - self._next)).size:
+                pass
+            return self._advance(count)
+
+    def close(self) -> None:
+        """Close the file until the next ``read``."""
+        if self._stream is not None:
+            self._stream.close()
+            self._stream = None
+
+    def _advance(self, count: int) -> NDArray[np.void]:
+        rows = self._load(count)
+        self._next += len(rows)
+        return rows
+
+    @abstractmethod
+    def _open(self) -> None:
+        """Open ``_stream`` at the start of the rows."""
+
+    @abstractmethod
+    def _load(self, count: int) -> NDArray[np.void]:
+        """Read the next rows; fewer at the end of the file."""
+
+
+@dataclass(slots=True)
+class TextRows(SerialRows):
+    """Lines of numbers separated by whitespace; empty lines are skipped."""
+
+    skipped: int
+    """Lines before the first row."""
+    dtype: np.dtype[np.void]
+    """Type of a row; only these columns are read."""
+    columns: list[int]
+    """Index of each of its fields in a line, without lists."""
+    lists: tuple[bool, ...] = ()
+    """Whether each entry of a line is a list, which starts with its length; empty: there are no lists."""
+    _lines: Any = field(init=False, default=None)
+
+    def _open(self) -> None:
+        binary: Any = self.file.open()
+        binary.seek(self.data_at)
+        self._stream = io.TextIOWrapper(binary, "ascii", errors="replace")
+        deque(islice(self._stream, self.skipped), maxlen=0)
+        self._lines = self._without_lists() if any(self.lists) else self._stream
+
+    def _load(self, count: int) -> NDArray[np.void]:
+        with warnings.catch_warnings():
+            # "no data": the point count is checked at the end.
+            warnings.simplefilter("ignore", UserWarning)
+            rows: NDArray[np.void] = np.loadtxt(
+                self._lines, dtype=self.dtype, comments=None, usecols=self.columns, max_rows=count, ndmin=1
+            )
+        return rows
+
+    def _without_lists(self) -> Iterator[str]:
+        for line in self._stream:
+            yield " ".join(_scalars(line.split(), self.lists))
+
+
+def _scalars(words: list[str], lists: tuple[bool, ...]) -> list[str]:
+    """Return the words of a line that are not in a list."""
+    kept, at = [], 0
+    for is_list in lists if words else ():
+        word = words[at] if at < len(words) else ""
+        at += 1
+        if not is_list:
+            kept.append(word)
+        elif word.isdecimal():
+            at += int(word)
+        else:
+            raise ValueError(f"a row of {len(words)} words has {word[:20]!r} instead of the length of a list")
+    if at != len(words):
+        raise ValueError(f"a row has {len(words)} words but its lists require {at}")
+    return kept
+
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
 """Names, in lower case, of columns that hold LAS class codes."""

@@ -9,21 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_BUILDING, POINT_GROUND, POINT_PLANT, Georeference, PointCloud
-from bumpymap.readers._kernel import (
+from bumpymap.readers._kernels import (
     KEPT,
     CountedPoints,
     CountedRecords,
     FilePoints,
+    LinedPoints,
     RecordCounts,
     RecordRules,
+    ScaledLinedPoints,
     WatchCounts,
     WatchRules,
     filter_points,
     filter_records,
 )
-from bumpymap.readers._line_kernel import LinedPoints, ScaledLinedPoints
-from bumpymap.readers.line_sums import LineRules, LineSums
-from bumpymap.readers.point_stats import OUTSIDE, PointStats
+from bumpymap.readers.point_stats import OUTSIDE, LineRules, LineSums, PointStats
 from bumpymap.readers.protocol import ChunkPoints
 from bumpytiles import Bounds, ScaledPoints, Scaling
 

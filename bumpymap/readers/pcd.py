@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.columns import read_rows
+from bumpymap.readers.columns import TextRows, read_rows
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
-from bumpymap.readers.source import Location, OpenFile
-from bumpymap.readers.text_rows import TextRows
+from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 
 __all__ = ["PcdTable"]
 

@@ -1,21 +1,271 @@
 """The reader of PLY files: text, binary, and binary with lists, all read in chunks."""
 
 import io
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from itertools import islice
+from struct import Struct
+from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bumpymap.readers.checks import decoding, refuse_count
-from bumpymap.readers.columns import read_rows
-from bumpymap.readers.listed_rows import ListedRows, data_start
-from bumpymap.readers.ply_header import PlyHeader, read_ply_header
+from bumpymap.core import PLY_TYPES, BadInputError
+from bumpymap.readers.columns import SerialRows, TextRows, read_rows
 from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
-from bumpymap.readers.serial_rows import SerialRows
-from bumpymap.readers.source import Location, OpenFile
-from bumpymap.readers.text_rows import TextRows
+from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 
 __all__ = ["PlyTable"]
+
+_LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
+_BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+@dataclass(frozen=True, slots=True)
+class PlyProperty:
+    """A property as declared in the header."""
+
+    name: str
+    code: str
+    """NumPy type code of its values, without byte order."""
+    length_code: str | None = None
+    """NumPy type code of the list length; None for a scalar."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlyElement:
+    """An element as declared in the header."""
+
+    name: str
+    count: int
+    properties: list[PlyProperty] = field(default_factory=list)
+
+    @property
+    def lists(self) -> tuple[bool, ...]:
+        """Whether each property is a list."""
+        return tuple(prop.length_code is not None for prop in self.properties)
+
+    @property
+    def has_lists(self) -> bool:
+        """Whether any property is a list, so that rows differ in size."""
+        return any(self.lists)
+
+    @property
+    def scalars(self) -> list[str]:
+        """Names of the properties that are not lists."""
+        return [prop.name for prop in self.properties if prop.length_code is None]
+
+    def dtype(self, byte_order: str) -> np.dtype[np.void]:
+        """Return the dtype of its rows, without lists."""
+        return np.dtype([(p.name, byte_order + p.code) for p in self.properties if p.length_code is None])
+
+    def least_bytes(self, *, text: bool) -> int:
+        """Return the minimum size of a row in bytes: a list has at least its length."""
+        if text:
+            return max(2 * len(self.properties) - 1, 1)
+        return max(sum(np.dtype(prop.length_code or prop.code).itemsize for prop in self.properties), 1)
+
+
+@dataclass(frozen=True, slots=True)
+class PlyHeader:
+    """The contents of a PLY header that are needed to read its vertices."""
+
+    byte_order: str
+    """``<`` or ``>``; ``=`` for text."""
+    data_at: int
+    """Offset of the data, bytes."""
+    vertex: PlyElement
+    before: tuple[PlyElement, ...]
+    """Elements whose data precedes the vertices."""
+    columns: tuple[str, str, str]
+    """Names of the x, y and z properties."""
+
+    @property
+    def text(self) -> bool:
+        """Whether the data is text."""
+        return self.byte_order == "="
+
+    @property
+    def lines_before(self) -> int:
+        """Lines between the header and the vertices of a text file."""
+        return sum(element.count for element in self.before)
+
+
+def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
+    """Read the header of a PLY file from the start of ``stream``.
+
+    Raises
+    ------
+    BadInputError
+        Not a PLY header, or without vertex element or x, y and z.
+    """
+    lines, data_at = _lines(stream, path)
+    with decoding(path, "the header"):
+        byte_order, elements = _parse([line.decode("ascii") for line in lines])
+    place = next((i for i, head in enumerate(elements) if head.name.lower() in {"vertex", "vertices"}), None)
+    if place is None:
+        held = ", ".join(head.name for head in elements) or "nothing"
+        raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
+    vertex = elements[place]
+    names = {prop.name.lower(): prop for prop in reversed(vertex.properties)}
+    missing = [axis for axis in "xyz" if axis not in names or names[axis].length_code is not None]
+    if missing:
+        held = ", ".join(prop.name for prop in vertex.properties) or "no properties"
+        raise BadInputError(
+            f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
+            "x, y and z"
+        )
+    if vertex.count == 0:
+        raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
+    columns = (names["x"].name, names["y"].name, names["z"].name)
+    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns)
+
+
+def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
+    """Return the lines of the header without comments, and the offset of its end."""
+    lines: list[bytes] = []
+    while len(lines) < _HEADER_LIMIT:
+        line = stream.readline(_LINE_LIMIT)
+        if not line:
+            break
+        line = line.strip()
+        if line and not line.startswith((b"comment", b"obj_info")):
+            lines.append(line)
+        if line == b"end_header":
+            return lines, stream.tell()
+    raise BadInputError(f"the header of {path} has no end (no line 'end_header'): truncated? Copy or download it again")
+
+
+def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
+    """Return byte order and elements; raise ValueError if the lines are not a PLY header."""
+    if len(lines) < 2 or lines[0] != "ply":
+        raise ValueError("its first line is not 'ply'")
+    match lines[1].split():
+        case ["format", name, "1.0"] if name in _BYTE_ORDERS:
+            byte_order = _BYTE_ORDERS[name]
+        case _:
+            raise ValueError(f"{lines[1]!r} is not a PLY format; allowed are: {', '.join(_BYTE_ORDERS)}, each 1.0")
+    elements: list[PlyElement] = []
+    for line in lines[2:-1]:
+        match line.split():
+            case ["element", name, count] if count.isdecimal():
+                _refuse_twice(name, elements, line)
+                elements.append(PlyElement(name, int(count)))
+            case ["property", *words] if elements:
+                prop = _property(words, line)
+                _refuse_twice(prop.name, elements[-1].properties, line)
+                elements[-1].properties.append(prop)
+            case _:
+                raise ValueError(f"{line!r} is neither an element with a count nor a property of one")
+    return byte_order, elements
+
+
+def _property(words: list[str], line: str) -> PlyProperty:
+    match words:
+        case [kind, name] if kind in PLY_TYPES:
+            return PlyProperty(name, PLY_TYPES[kind])
+        case ["list", length, kind, name] if kind in PLY_TYPES and PLY_TYPES.get(length, "f")[0] != "f":
+            return PlyProperty(name, PLY_TYPES[kind], PLY_TYPES[length])
+    raise ValueError(
+        f"{line!r} is neither 'property TYPE NAME' nor 'property list WHOLE_TYPE TYPE NAME'; the types are "
+        f"{', '.join(PLY_TYPES)}"
+    )
+
+
+def _refuse_twice(name: str, known: list[PlyElement] | list[PlyProperty], line: str) -> None:
+    if any(other.name == name for other in known):
+        raise ValueError(f"{line!r} declares the name {name} a second time")
+
+
+_STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
+_BLOCK = 20_000
+"""Rows held as Python numbers at a time."""
+
+
+@dataclass(slots=True)
+class ListedRows(SerialRows):
+    """Rows of the scalar properties of an element."""
+
+    element: PlyElement
+    byte_order: str
+    size: int
+    """Size of the file, bytes."""
+    _walk: Any = field(init=False, default=None)
+
+    def _open(self) -> None:
+        self._stream = self.file.open()
+        self._stream.seek(self.data_at)
+        self._walk = _rows(self._stream, self.element, self.byte_order, self.size)
+
+    def _load(self, count: int) -> NDArray[np.void]:
+        dtype = self.element.dtype(self.byte_order)
+        blocks = [np.empty(0, dtype)]
+        while count > 0:
+            rows = list(islice(self._walk, min(count, _BLOCK)))
+            if not rows:
+                break
+            blocks.append(np.array(rows, dtype))
+            count -= len(rows)
+        return np.concatenate(blocks)
+
+
+def data_start(file: OpenFile, header: PlyHeader, size: int) -> int:
+    """Return the offset of the vertices in a binary file; elements with lists that come before are read through.
+
+    Raises
+    ------
+    BadInputError
+        The file ends before the vertices.
+    """
+    path, at = file.path, header.data_at
+    for element in header.before:
+        if element.has_lists:
+            with decoding(path, f"the element '{element.name}'"), file.open() as stream:
+                stream.seek(at)
+                rows = sum(1 for _ in _rows(stream, element, header.byte_order, size))
+                refuse_count(path, element.count, rows, f"'{element.name}'")
+                at = stream.tell()
+        else:
+            at += element.count * element.dtype(header.byte_order).itemsize
+    return at
+
+
+def _rows(stream: BinaryIO, element: PlyElement, byte_order: str, size: int) -> Iterator[tuple[Any, ...]]:
+    """Yield the scalar values of each row, up to the end of the file; ``stream`` is left after the last row."""
+    runs = _runs(element, byte_order)
+    at = stream.tell()
+    for _ in range(element.count):
+        row: tuple[Any, ...] = ()
+        for run, item_bytes in runs:
+            data = stream.read(run.size)
+            if len(data) < run.size:
+                return
+            values = run.unpack(data)
+            at += run.size
+            if item_bytes:
+                length, values = values[-1], values[:-1]
+                if length < 0:
+                    raise ValueError(f"a list of {length} numbers")
+                at += length * item_bytes
+                if at > size:
+                    return
+                stream.seek(at)
+            row += values
+        yield row
+
+
+def _runs(element: PlyElement, byte_order: str) -> list[tuple[Struct, int]]:
+    """Split a row after each list length; return the parts with the item size of the list that follows (0: none)."""
+    runs, letters = [], ""
+    for prop in element.properties:
+        if prop.length_code is None:
+            letters += _STRUCT[prop.code]
+        else:
+            runs.append((Struct(f"{byte_order}{letters}{_STRUCT[prop.length_code]}"), np.dtype(prop.code).itemsize))
+            letters = ""
+    return [*runs, (Struct(f"{byte_order}{letters}"), 0)] if letters else runs
+
 
 _ENDIAN = {"<": "binary little endian", ">": "binary big endian", "=": "ascii"}
 

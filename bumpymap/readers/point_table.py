@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CrsStatement, Place, georeference
-from bumpymap.readers.base import SurveyBase
-from bumpymap.readers.checks import refuse_count
 from bumpymap.readers.chunking import split_rows
 from bumpymap.readers.columns import CLASS_COLUMNS, metres, precision_note
 from bumpymap.readers.conversion import PointChecks, convert_table_points
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyInfo
-from bumpymap.readers.source import Location
+from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyBase, SurveyInfo
+from bumpymap.readers.source import Location, refuse_count
 
 __all__ = ["CLASSES", "PointTable", "TableInfo", "TableSurvey", "Wanted"]
 

@@ -8,8 +8,10 @@ import hashlib
 import io
 import os
 import stat
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -17,28 +19,19 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BumpymapError, remote_files
+from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write, remote_files
 from bumpymap.readers._decoder_child import CallbackFile
-from bumpymap.readers.pinned import (
-    PINNED,
-    HashedBytes,
-    HashedFile,
-    Location,
-    PinnedFile,
-    Version,
-    add_to_hash,
-    difference,
-    file_changed,
-    is_hashed,
-    require_pinned,
-    version_text,
-)
 from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
+from bumpytiles import Bounds
 
 __all__ = [
+    "TRUST",
     "Location",
     "OpenFile",
     "Version",
+    "asks_too_much",
+    "box_text",
+    "decoding",
     "file_changed",
     "identity",
     "is_folder",
@@ -48,10 +41,111 @@ __all__ = [
     "pinned_version",
     "read_into",
     "read_range",
+    "refuse_count",
+    "refuse_header_bounds",
     "require_unchanged",
     "size_of",
     "version_of",
 ]
+
+Location = Path | str
+"""A path, or a URL as a str."""
+Version = dict[str, Any]
+"""Distinguishes versions of a file without reading it: ``size`` in bytes, and ``mtime_ns`` of a local file or the
+``version`` that the server of a URL reports (empty if none), both as str."""
+
+_VERSIONS = (
+    "etag", "ETag", "md5Hash", "last-modified", "LastModified", "last_modified", "mtime", "updated", "created",
+)  # fmt: skip
+"""Keys under which servers report the version of a file."""
+
+
+@dataclass(frozen=True, slots=True)
+class PinnedFile:
+    """The file that the body of `pinned_version` reads."""
+
+    location: Location
+    version: Version
+    hashed: "HashedBytes | None"
+    """Where bytes go that are read; None: they are not hashed."""
+
+
+HashedBytes = Callable[[int, Any], None]
+"""Called with the offset of some bytes and a buffer that holds them."""
+
+PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
+"""See `bumpymap.readers.source.pinned_version`."""
+
+
+class HashedFile(io.FileIO):
+    """A file whose bytes are hashed as they are read, see `pinned_version`."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self._path = path
+
+    def readinto(self, buffer: Any) -> int | None:
+        """Read bytes into a buffer; return how many."""
+        start = self.tell()
+        got = super().readinto(buffer)
+        # Copied: the caller reads the next bytes into the same buffer.
+        add_to_hash(self._path, start, bytes(memoryview(buffer)[:got]))
+        return got
+
+    def readall(self) -> bytes:
+        """Read the rest of the file."""
+        start = self.tell()
+        data = super().readall()
+        add_to_hash(self._path, start, data)
+        return data
+
+
+def add_to_hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
+    """Add bytes of a file to the hash of `pinned_version`."""
+    pinned = PINNED.get()
+    if pinned is not None and pinned.hashed is not None and pinned.location == path:
+        pinned.hashed(start, data)
+
+
+def is_hashed(path: Path) -> bool:
+    """Return whether the bytes of a file are to be hashed."""
+    pinned = PINNED.get()
+    return pinned is not None and pinned.hashed is not None and pinned.location == path
+
+
+def file_changed(location: Location, how: str) -> BadInputError:
+    """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
+    return BadInputError(
+        f"{location} changed while it was read: {how}. What was read may be a mixture of both versions and was "
+        "discarded. Run again once no program writes to it any more, or on a copy"
+    )
+
+
+def difference(before: Version, now: Version) -> str:
+    """Say how two versions of a file differ."""
+    if before["size"] != now["size"]:
+        return f"it had {before['size']:,} bytes and has {now['size']:,}"
+    if "mtime_ns" in before:
+        return "it has the same size, but was written again"
+    return f"the server reports version {now['version'] or '(none)'} after {before['version']}"
+
+
+def require_pinned(url: str, said: Mapping[str, Any]) -> None:
+    """Check a response of a web server against the version that is being read; servers may omit some headers."""
+    pinned = PINNED.get()
+    if pinned is None or pinned.location != url:
+        return
+    before = pinned.version
+    now = {"size": before["size"] if said["size"] is None else said["size"], "version": version_text(said)}
+    key, _, value = before["version"].partition(" ")
+    if now["size"] != before["size"] or (key and said.get(key, value) != value):
+        raise file_changed(url, difference(before, now))
+
+
+def version_text(said: Mapping[str, Any]) -> str:
+    """Return which version of a file a server reports; empty if it reports none."""
+    return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
+
 
 _HEAD_BYTES = 65_536
 """Bytes at each end of a file that its digest covers."""
@@ -305,3 +399,55 @@ def _reading(location: Location) -> Iterator[None]:
         if not is_url(location):
             raise
         raise BadInputError(f"cannot read {location}: {str(error).strip() or type(error).__name__}") from error
+
+
+_NEEDED, _NEEDED_PER_BYTE = 512 << 20, 20
+"""Memory that reading a log or bag may need, and for each byte of it."""
+TRUST = "`trust_points=True` continues with the extent of the points"
+
+
+@contextmanager
+def decoding(path: Location, what: str) -> Iterator[None]:
+    """Turn any exception of a parser into a BadInputError: the file is damaged.
+
+    A panic of a decoder written in Rust is a ``BaseException``, not an ``Exception``.
+    """
+    try:
+        yield
+    except (BumpymapError, KeyboardInterrupt, SystemExit, GeneratorExit, MemoryError):
+        raise
+    except BaseException as error:
+        if missing_resource(error) or refused_write(error):  # out of memory or the like: not the file's fault
+            raise
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise BadInputError(
+            f"cannot read {what} of {path}: {reason}. The file is damaged or truncated; copy or download it again"
+        ) from error
+
+
+def asks_too_much(error: BaseException, paths: Iterable[Path]) -> bool:
+    """Return whether memory ran out that files of their size, intact, would not need: a length in them is wrong."""
+    if missing_resource(error) != "memory":
+        return False
+    files = (file for path in paths for file in (path.iterdir() if path.is_dir() else (path,)))
+    return (free_memory() or 0) >= _NEEDED + _NEEDED_PER_BYTE * sum(file.stat().st_size for file in files)
+
+
+def refuse_count(path: Location, declared: int, held: int, unit: str = "points") -> None:
+    """Raise BadInputError if a file holds fewer points, or other units, than its header declares."""
+    if held < declared:
+        raise BadInputError(
+            f"{path} declares {declared:,} {unit} but holds {held:,}: truncated? Copy or download it again"
+        )
+
+
+def refuse_header_bounds(path: Location, bounds: Bounds) -> None:
+    """Raise BadInputError if the bounds in a header are not finite or inverted."""
+    sides = (bounds.west, bounds.south, bounds.east, bounds.north)
+    if not np.isfinite(sides).all() or bounds.west > bounds.east or bounds.south > bounds.north:
+        raise BadInputError(f"the header of {path} gives an impossible extent: {box_text(bounds)}. {TRUST}")
+
+
+def box_text(bounds: Bounds) -> str:
+    """Return bounds as text for messages."""
+    return f"easting {bounds.west:,.2f} to {bounds.east:,.2f} m, northing {bounds.south:,.2f} to {bounds.north:,.2f} m"

@@ -11,7 +11,7 @@ from pypcd4 import Encoding, PointCloud
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import Georeference
-from bumpymap.readers import PointStats, ReadOptions, las_points, open_survey, reopen_survey
+from bumpymap.readers import PointStats, ReadOptions, open_survey, reopen_survey
 from bumpymap.readers.conversion import PointChecks, RecordLayout, convert_las_points
 from bumpymap.readers.point_stats import OUTSIDE
 from bumpytiles import Bounds
@@ -115,7 +115,7 @@ def of_kind(kind, las, laz, monkeypatch):
         return pcd(las.folder, rows, kind)
     path = survey(las, count=400, fmt=1 if kind == "stream" else 7)
     if kind == "huge":
-        monkeypatch.setattr(las_points, "HUGE_CHUNK", 1000)
+        monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)
     packed = {"chunks": {"chunk": 30}, "stream": {}, "huge": {"chunk": 100}}
     return laz.pack(path, **packed[kind]) if kind in packed else laz.octree(path) if kind == "octree" else path
 
@@ -173,7 +173,7 @@ def test_long_points_make_small_chunks(las, laz, batches, table):
 def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch, piece):
     path = survey(las)
     expected = table(batches(open_survey(path)))
-    monkeypatch.setattr(las_points, "_PIECE_BYTES", piece)
+    monkeypatch.setattr("bumpymap.readers.las._PIECE_BYTES", piece)
     assert np.array_equal(table(batches(open_survey(path))), expected)
     whole = path.read_bytes()
     path.write_bytes(whole[: len(whole) - 40])

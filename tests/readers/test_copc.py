@@ -94,14 +94,14 @@ def test_ground_is_complete_long_before_the_end(tree):
 
 
 def test_a_piece_reads_its_own_bytes_alone(tree, monkeypatch):
-    from bumpymap.readers import las_points
+    from bumpymap.readers import las
 
     path = tree()
     reader = open_survey(path)
     read = []
-    whole = las_points.read_into
+    whole = las.read_into
     monkeypatch.setattr(
-        las_points, "read_into", lambda where, start, data: read.append(data.size) or whole(where, start, data)
+        las, "read_into", lambda where, start, data: read.append(data.size) or whole(where, start, data)
     )
     chunks = reader.chunks(300)
     for chunk in chunks:

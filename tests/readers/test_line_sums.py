@@ -6,8 +6,8 @@ import laspy
 import numpy as np
 import pytest
 
-from bumpymap.readers import LineCorrection, LineSums, ReadOptions, cell_indices, line_sums, open_survey
-from bumpymap.readers._line_kernel import SLOTS, LinedPoints
+from bumpymap.readers import LineCorrection, LineSums, ReadOptions, cell_indices, open_survey, point_stats
+from bumpymap.readers._kernels import SLOTS, LinedPoints
 
 
 def cloud(n=20_000, side=90.0, lines=3, seed=0, corner=(-41.0, 4_000_000.0)):
@@ -55,8 +55,8 @@ def test_more_cells_than_the_table_holds():
 @pytest.mark.parametrize("most", [50_000, 200, 40])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_any_chunks_in_any_order_give_the_same_sample(monkeypatch, most, seed):
-    monkeypatch.setattr(line_sums, "MOST_ROWS", most)
-    monkeypatch.setattr(line_sums, "_WAITING_ROWS", 2 * most)
+    monkeypatch.setattr(point_stats, "MOST_ROWS", most)
+    monkeypatch.setattr(point_stats, "_WAITING_ROWS", 2 * most)
     points, rng = cloud(), np.random.default_rng(seed)
     whole = LineSums.of(points).merged()
     assert len(whole.rows()) <= most

@@ -7,8 +7,8 @@ from bumpymap.core import THIN_SEEN
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpymap.readers import PointSummaryBuilder, open_survey, pixel_sample, summary as module
-from bumpymap.readers.pixel_sample import thin_rule
+from bumpymap.readers import PointSummaryBuilder, open_survey, summary as module
+from bumpymap.readers.summary import thin_rule
 from bumpytiles import Grid, TileBuckets
 
 THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
@@ -53,7 +53,7 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     whole = stats(path, FeatureSettings(min_points=4)).summary()
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "MERGE_AT", 10)
-    monkeypatch.setattr(pixel_sample, "GROUP_PIXELS", 1000)
+    monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
     reader = open_survey(path)
     clouds = reader.clouds
     monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
@@ -75,7 +75,7 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     path = las.write("a.laz", np.round(rng.uniform(-60, 60, (104_000, 3)), 3), offset=(0, 0, 0))
     settings = FeatureSettings(min_points=10)
     whole = stats(path, settings).summary()
-    monkeypatch.setattr(pixel_sample, "MOST_PIXELS", 5000)
+    monkeypatch.setattr(module, "MOST_PIXELS", 5000)
     sampled = stats(path, settings)
     summary = sampled.summary()
     assert sampled.all_pixels.step >= 8

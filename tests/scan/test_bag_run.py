@@ -19,7 +19,7 @@ from bags import cloud, lidar_rows, odometry, transforms, write_bag
 from bumpymap.cli import main
 from bumpymap.core import OutputError, UsageError
 from bumpymap.layers import ExportSettings, GroundGrid, export_map, open_map
-from bumpymap.layers.scan.ground_grid import sector_occupancy
+from bumpymap.layers.scan.grid_bag import sector_occupancy
 from bumpymap.readers import Robot
 from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
 

@@ -22,7 +22,7 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.lock import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
 from bumpymap.layers.products import NAMED_RASTERS
-from bumpymap.layers.scan.polygons import write_polygons
+from bumpymap.layers.scan.frame import write_polygons
 from bumpymap.readers import Robot, read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig

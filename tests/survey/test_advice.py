@@ -11,7 +11,7 @@ from bumpymap.cli import main
 from bumpymap.core import THIN_POINTS
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
-from bumpymap.readers.pixel_sample import thin_rule
+from bumpymap.readers.summary import thin_rule
 from bumpymap.survey.advice import Outcome, advise, enough_points
 from bumpytiles import Grid
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.readers import LineSums
-from bumpymap.readers._line_kernel import LinedPoints
+from bumpymap.readers._kernels import LinedPoints
 from bumpymap.survey.flight_lines import FlightLines, compare_lines, describe_lines, describe_pairs
 from bumpymap.survey.line_adjustment import left_after
 from bumpymap.survey.line_cells import LineCells, steps_between_lines

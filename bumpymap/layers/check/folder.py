@@ -22,7 +22,7 @@ from bumpymap.layers.check.picture import write_check_picture
 from bumpymap.layers.check.record import CHECK_FORMAT, check_entries
 from bumpymap.layers.check.stretch_csv import write_stretch_table
 from bumpymap.layers.check.vectors import write_driven_tiles, write_stretches
-from bumpymap.layers.gis.check_style import write_check_style
+from bumpymap.layers.gis.styles import write_check_style
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,
     describe_file,

@@ -1,30 +1,391 @@
 """The output folder of a scan run: check it before the run, remove stale files of an earlier run afterwards."""
 
+import json
 import os
-from collections.abc import Iterable, Iterator, Sequence
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field
 from os.path import lexists
 from pathlib import Path
+from typing import Any, Self
 
 import lazrs
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 from rasterio.errors import RasterioError
 
-from bumpymap.core import OutputError, remove_path
+from bumpymap.core import (
+    CLASS_NAMES,
+    CLASSES,
+    NOT_TRAVERSABLE,
+    BagMessage,
+    ClassedSectors,
+    Dropped,
+    FrameSource,
+    OutputError,
+    PoseTrack,
+    Scan,
+    parse_json,
+    point_classes,
+    remove_path,
+)
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, NAMED_RASTERS, check_folder
-from bumpymap.layers.scan.names import FRAME_FILES, FRAME_FOLDER
 
 __all__ = [
     "ACCUMULATED_NAME",
+    "FRAME_FILES",
+    "FRAME_FOLDER",
     "MAP_FOLDER",
+    "OBSTACLE_POINT",
+    "OTHER_POINT",
+    "SCAN_CLASS_NAMES",
+    "SCAN_COLOURS",
     "SCAN_MANIFEST_NAME",
+    "SECTOR_STATES",
     "SECTOR_TABLE_NAME",
+    "Frame",
+    "FramePart",
+    "FrameReport",
     "check_scan_folder",
+    "class_index",
+    "explain_empty_scan",
+    "file_sizes",
+    "has_finished_parts",
+    "load_part",
+    "name_frames",
     "output_errors",
+    "part_path",
+    "point_styles",
     "remove_stale_products",
+    "report_frame",
+    "sample_evenly",
+    "save_part",
+    "sector_states",
     "sync_to_disk",
+    "write_scan_manifest",
 ]
+
+SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
+"""Name of each class of a sector; see `class_index`."""
+SECTOR_STATES = ("free", "obstacle", "rough", "not ground")
+"""What a sector is to a robot; see `sector_states`."""
+OBSTACLE_POINT, OTHER_POINT = CLASSES, CLASSES + 1
+"""Styles of points that are not ground. Those of ground points are the classes of their sectors."""
+SCAN_COLOURS: NDArray[np.uint8] = np.array(
+    # Obstacles have the red of the worst class of a map.
+    [*(CLASS_COLOURS[class_id][:3] for class_id in (*range(CLASSES), 3)), (140, 140, 140)],
+    np.uint8,
+)
+"""(5, 3) red, green, blue of each style of a point."""
+
+
+def class_index(classed: ClassedSectors) -> NDArray[np.int64]:
+    """Return the place of each sector's class in ``SCAN_CLASS_NAMES``, (n,)."""
+    return np.where(classed.class_id == NOT_TRAVERSABLE, CLASSES, classed.class_id).astype(np.int64)
+
+
+def sector_states(classed: ClassedSectors) -> NDArray[np.int64]:
+    """Return the place of each sector's state in ``SECTOR_STATES``, (n,).
+
+    Free: class 0 or 1, and nothing stands on it. Obstacle: ground of any class on which something stands. Rough: class
+    2 without an obstacle. Not ground: no class.
+    """
+    rough, no_ground = classed.class_id == CLASSES - 1, classed.class_id == NOT_TRAVERSABLE
+    return np.select([no_ground, classed.sectors.obstacle, rough], [3, 1, 2], 0).astype(np.int64)
+
+
+def point_styles(classed: ClassedSectors) -> NDArray[np.uint8]:
+    """Return the style of each point, (m,): an index into ``SCAN_COLOURS``.
+
+    Ground has the class of its sector; an obstacle is a point between belly and vehicle height above the ground;
+    everything else is of one style: overhead, low but not ground, without a class or a sector.
+    """
+    stack, settings = classed.sectors, classed.sectors.settings
+    with np.errstate(invalid="ignore"):
+        stands = (stack.point_height >= settings.belly_m) & (stack.point_height <= settings.height_m)
+    style = np.where(stands & ~stack.point_ground, np.uint8(OBSTACLE_POINT), np.uint8(OTHER_POINT))
+    own = np.append(classed.class_id, np.uint8(NOT_TRAVERSABLE))[stack.point_sector]
+    return np.where(stack.point_ground & (own < CLASSES), own, style)
+
+
+FRAME_FOLDER = "frames"
+FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
+"""File suffix of each product that is written per frame."""
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame of a run, before it is read."""
+
+    name: str
+    """Stem of its output files, unique in the run."""
+    path: Path
+    """File of the scan; or the bag that holds it."""
+    pose: NDArray[np.float64] | None = None
+    """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
+    motion: PoseTrack | None = None
+    """Poses around the frame, at times relative to it; None if unknown."""
+    message: BagMessage | None = None
+    """Its place in a bag; None if it has a file of its own."""
+
+    @property
+    def origin(self) -> str:
+        """The file; or the bag, topic and number of the message."""
+        where = "" if self.message is None else f", message {self.message.number} of {self.message.topic}"
+        return f"{self.path}{where}"
+
+
+def name_frames(sources: Sequence[FrameSource]) -> list[Frame]:
+    """Give each frame a unique name.
+
+    Returns
+    -------
+    list of Frame
+        Named by the stems of their files; those in a bag by their time, seconds and nanoseconds
+        (``1700000000_250000000``). In a stem that is not valid UTF-8, every byte beyond ASCII becomes ``%`` and two hex
+        digits (``caf%E9``), because names are written to Parquet and to file names. If two stems are equal (ignoring
+        case, as some file systems do), all names start with the number of the frame in the run: ``000000_STEM``,
+        ``000001_STEM``.
+    """
+    names = [_stem(source) for source in sources]
+    if len({name.casefold() for name in names}) < len(names):
+        names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
+    return [
+        Frame(name, source.path, source.pose, source.motion, source.message)
+        for name, source in zip(names, sources, strict=True)
+    ]
+
+
+def _stem(source: FrameSource) -> str:
+    if source.message is not None:
+        return "{}_{:09d}".format(*divmod(source.message.stamp_ns, 1_000_000_000))
+    stem = source.path.stem
+    try:
+        stem.encode()
+    except UnicodeEncodeError:
+        return "".join(chr(byte) if byte < 128 else f"%{byte:02X}" for byte in os.fsencode(stem))
+    return stem
+
+
+def sample_evenly(frames: Sequence[Frame], most: int) -> list[Frame]:
+    """Return at most ``most`` frames at even intervals, including the first and the last."""
+    if len(frames) <= most:
+        return list(frames)
+    return [frames[place] for place in np.linspace(0, len(frames) - 1, most).round().astype(int)]
+
+
+_RIDE_CLASSES = ("0", "1", "2", "3", "unknown")
+
+
+@dataclass(frozen=True, slots=True)
+class FrameReport:
+    """The file of a frame, and numbers of its points and sectors."""
+
+    frame: Frame
+    bytes: int
+    """Size of its file or message."""
+    sha256: str | None
+    """Of its file; None for a message."""
+    points: int
+    """Points that were kept."""
+    dropped: Dropped
+    """Returns that were dropped, by reason."""
+    azimuth_start_rad: float
+    """Where sector 0 of every zone starts."""
+    sectors: tuple[int, ...]
+    """(4,) sectors of class 0 to 2, then not traversable."""
+    states: tuple[int, ...]
+    """(4,) sectors by ``SECTOR_STATES``."""
+    classed_points: tuple[int, ...]
+    """(4,) points of class 0 to 2, then of no class."""
+    ride_classes: tuple[int, ...] | None
+    """(5,) traversable sectors of class 0 to 3 for the vehicle, then unknown; None without a vehicle."""
+    seconds: float
+    """Wall time from reading the file to classed sectors."""
+
+    @classmethod
+    def of(cls, frame: Frame, record: Mapping[str, Any]) -> Self:
+        """Restore a report from its `record`."""
+        return cls(
+            frame,
+            record["bytes"],
+            record["sha256"],
+            record["points"],
+            Dropped(**record["dropped"]),
+            record["azimuth_start_rad"],
+            tuple(record["sectors"].values()),
+            tuple(record["sector_states"].values()),
+            tuple(record["points_by_class"].values()),
+            None if record["sectors_by_ride"] is None else tuple(record["sectors_by_ride"].values()),
+            record["seconds"],
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Return the entry of the frame in scan.json."""
+        return {
+            "name": self.frame.name,
+            "path": str(self.frame.path),
+            "message": None if self.frame.message is None else asdict(self.frame.message),
+            "bytes": self.bytes,
+            "sha256": self.sha256,
+            "pose": self.frame.pose,
+            "points": self.points,
+            "dropped": asdict(self.dropped),
+            "azimuth_start_rad": self.azimuth_start_rad,
+            "sectors": dict(zip(SCAN_CLASS_NAMES, self.sectors, strict=True)),
+            "sector_states": dict(zip(SECTOR_STATES, self.states, strict=True)),
+            "points_by_class": dict(zip([*SCAN_CLASS_NAMES[:CLASSES], "no class"], self.classed_points, strict=True)),
+            "sectors_by_ride": None
+            if self.ride_classes is None
+            else dict(zip(_RIDE_CLASSES, self.ride_classes, strict=True)),
+            "seconds": self.seconds,
+        }
+
+
+def report_frame(
+    frame: Frame, version: Mapping[str, Any] | None, scan: Scan, classed: ClassedSectors, seconds: float
+) -> FrameReport:
+    """Count the points and sectors of a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+    version : mapping or None
+        ``size`` and ``mtime_ns`` of its file before it was read; not needed for a message.
+    scan : Scan
+    classed : ClassedSectors
+    seconds : float
+
+    Raises
+    ------
+    BadInputError
+        The file is missing, or has changed since it was read.
+    """
+    sectors, points = (
+        tuple(np.bincount(np.where(class_id == NOT_TRAVERSABLE, CLASSES, class_id), minlength=CLASSES + 1).tolist())
+        for class_id in (classed.class_id, point_classes(scan, classed))
+    )
+    file: Mapping[str, Any]
+    if frame.message is not None:
+        file = {"bytes": frame.message.bytes, "sha256": None}
+    else:
+        known = version or {}
+        file = describe_input({"path": frame.path, "bytes": known.get("size"), "mtime_ns": known.get("mtime_ns")})
+    return FrameReport(
+        frame,
+        file["bytes"],
+        file["sha256"],
+        len(scan.points),
+        scan.dropped,
+        classed.sectors.azimuth_start_rad,
+        sectors,
+        tuple(np.bincount(sector_states(classed), minlength=len(SECTOR_STATES)).tolist()),
+        points,
+        _count_rides(classed),
+        round(seconds, 4),
+    )
+
+
+def _count_rides(classed: ClassedSectors) -> tuple[int, ...] | None:
+    if classed.ride is None:
+        return None
+    unknown = len(_RIDE_CLASSES) - 1
+    class_id = np.minimum(classed.ride.class_id[classed.sectors.traversable], unknown)
+    return tuple(np.bincount(class_id, minlength=unknown + 1).tolist())
+
+
+def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
+    """Explain why a scan has no sectors or no traversable ones; return an empty string if it has."""
+    stack, settings = classed.sectors, classed.sectors.settings
+    if len(stack.zone):
+        if stack.traversable.any():
+            return ""
+        return f"none of its {len(stack.zone):,} sectors is traversable. Does its z axis point up?"
+    if not len(scan.points):
+        lost = scan.dropped
+        return (
+            f"it holds no points: {lost.no_return:,} returns at (0, 0, 0) or NaN, {lost.not_finite:,} not finite, "
+            f"{lost.on_robot:,} on the robot"
+        )
+    near, far = settings.zone_starts_m[0], settings.end_m
+    distance = np.hypot(*scan.points[:, :2].T.astype(np.float64))
+    inside = int(((distance >= near) & (distance < far)).sum())
+    return (
+        f"none of its sectors holds more than {settings.least_points} points: {inside:,} of {len(scan.points):,} "
+        f"points lie {near:g} to {far:g} m from the sensor"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FramePart:
+    """What a finished frame adds to the files of the drive."""
+
+    report: FrameReport
+    rows: pa.Table | None
+    """Rows for sectors.parquet; None if that is not written."""
+    points: NDArray[np.float32]
+    """(n, 3) m, in the sensor frame, for gathered.laz; empty if that is not written."""
+    is_ground: NDArray[np.bool_]
+    """(n,) whether each of them is ground."""
+    files: Mapping[str, int] = field(default_factory=dict)
+    """Size of each file of the frame's own by its name, bytes."""
+
+
+def file_sizes(paths: Iterable[Path]) -> dict[str, int] | None:
+    """Return the sizes of files by their names, bytes; None if one is missing."""
+    try:
+        return {path.name: path.stat().st_size for path in paths}
+    except OSError:
+        return None
+
+
+def part_path(folder: Path, number: int) -> Path:
+    """Return the checkpoint file of the frame with that number in the run."""
+    return folder / f"frame-{number:06d}.npz"
+
+
+def has_finished_parts(folder: Path) -> bool:
+    """Return whether a folder holds the checkpoint of any frame."""
+    return next(folder.glob("frame-*.npz"), None) is not None
+
+
+def save_part(part: FramePart, path: Path) -> None:
+    """Write the checkpoint of a finished frame; the file appears only when it is complete.
+
+    It is not flushed to the disk, which would take longer than classifying the frame. After a power cut it may be
+    damaged, or complete while a file of the frame is not; `load_part` and the sizes of the files show that.
+    """
+    rows = np.empty(0, np.uint8)
+    if part.rows is not None:
+        sink = pa.BufferOutputStream()
+        with pa.ipc.new_stream(sink, part.rows.schema) as stream:
+            stream.write_table(part.rows)
+        rows = np.frombuffer(sink.getvalue(), np.uint8)
+    record = {"report": part.report.record() | {"pose": None}, "files": dict(part.files)}
+    known = np.frombuffer(json.dumps(record).encode(), np.uint8)
+    temporary = path.with_name(f".{path.name}")  # removed by the next run if this one is killed
+    np.savez(temporary, known=known, rows=rows, points=part.points, is_ground=part.is_ground)
+    os.replace(temporary, path)  # noqa: PTH105 (os.replace says that it overwrites)
+
+
+def load_part(path: Path, frame: Frame) -> FramePart | None:
+    """Read the checkpoint of a frame; None if it is missing, damaged or of another frame."""
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            record = parse_json(saved["known"].tobytes().decode())
+            rows = pa.ipc.open_stream(saved["rows"].tobytes()).read_all() if saved["rows"].size else None
+            if record["report"]["name"] != frame.name:
+                return None
+            report = FrameReport.of(frame, record["report"])
+            return FramePart(report, rows, saved["points"], saved["is_ground"], record["files"])
+    except (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, pa.ArrowException):
+        return None
+
 
 SCAN_MANIFEST_NAME, SECTOR_TABLE_NAME, ACCUMULATED_NAME, MAP_FOLDER = (
     "scan.json",
@@ -128,3 +489,38 @@ def _foreign_file(folder: Path, *, unfinished: bool) -> Path | None:
     if not (unfinished or (folder / SCAN_MANIFEST_NAME).exists()):
         return frames
     return next((path for path in sorted(frames.iterdir()) if path.suffix not in FRAME_FILES.values()), None)
+
+
+_FORMAT = "bumpymap-scan-run"
+_VERSION = 1
+
+
+def write_scan_manifest(
+    folder: Path, known: Mapping[str, Any], frames: Iterable[FrameReport], identities: Mapping[str, Mapping[str, Any]]
+) -> None:
+    """Write scan.json beside the products in ``folder``.
+
+    Parameters
+    ----------
+    folder : Path
+    known : mapping
+        The run's own entries: settings, method, skipped frames, seconds. They are kept.
+    frames : iterable of FrameReport
+    identities : mapping
+        Identity of each input file by its path, see `bumpymap.readers.source.identity`.
+    """
+    files = [
+        describe_file(folder / name) | {"path": name}
+        for name in (SECTOR_TABLE_NAME, ACCUMULATED_NAME)
+        if (folder / name).exists()
+    ]
+    times = {path: identity["mtime_ns"] for path, identity in identities.items()}
+    record = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        **known,
+        "versions": software_versions(),
+        "files": files,
+        "frames": [{**frame.record(), "mtime_ns": times.get(str(frame.frame.path))} for frame in frames],
+    }
+    write_manifest(record, folder / SCAN_MANIFEST_NAME)

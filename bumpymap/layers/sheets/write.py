@@ -1,24 +1,35 @@
 """Write a map in sheets: each a complete folder of layers, then what leads to them, the manifest last."""
 
 import logging
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
 
 import numpy as np
+import rasterio
+import rasterio.shutil
+from rasterio.errors import RasterioError
 
 from bumpymap.core import (
     CLASS_NAMES,
+    BadInputError,
     CostTable,
+    OutputError,
     Progress,
     SilentProgress,
+    UsageError,
+    atomic,
     read_record,
     utf8_path,
     write_csv,
     write_together,
 )
+from bumpymap.layers._value_table import sum_counts
+from bumpymap.layers.completed_run import verified_record
 from bumpymap.layers.folder import write_products, write_views
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,
@@ -27,25 +38,296 @@ from bumpymap.layers.manifest import (
     describe_file,
     write_manifest,
 )
-from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import CATALOG_NAME, EVERY_VIEW_NAME, SHEET_FOLDER, SHEET_TABLE_NAME
+from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.placement import MAX_PIXELS, MAX_SIDE, MAX_TILES, Placement
+from bumpymap.layers.products import (
+    CATALOG_NAME,
+    EVERY_NAME,
+    EVERY_VIEW_NAME,
+    SHEET_FOLDER,
+    SHEET_TABLE_NAME,
+    SPEEDS_NAME,
+    SPEEDS_VIRTUAL_NAME,
+    VIRTUAL_NAMES,
+)
 from bumpymap.layers.ride_scale import class_limits
-from bumpymap.layers.sheets.finished import is_finished, virtual_names
 from bumpymap.layers.sheets.folders import (
     make_sheet_folder,
     remove_manifest,
     remove_map_files,
     remove_sheets,
     remove_speeds,
+    sheet_folders,
 )
-from bumpymap.layers.sheets.layout import SheetLayout, SheetPlace
-from bumpymap.layers.sheets.virtual import write_virtual
 from bumpymap.layers.stac import write_catalog
 from bumpymap.layers.summary import STRIP, MapSummary, summarise
 from bumpymap.layers.vector import GeoJsonCoordinates
-from bumpytiles import TileTable, TileWindow
+from bumpytiles import BLOCK_TILES, Grid, TileTable, TileWindow
 
-__all__ = ["SheetRun", "write_sheets"]
+__all__ = [
+    "SheetLayout",
+    "SheetRun",
+    "made_names",
+    "require_whole",
+    "suggested_sheets",
+    "write_sheets",
+    "write_virtual",
+]
+
+MAX_SHEETS = 10_000
+"""Most sheets in the bounding window of a survey: a virtual raster lists every sheet in each of its bands."""
+_FARTHEST = 20_000_000.0
+"""m: no coordinate of a projected CRS is larger, so names of sheets have as many digits as this needs."""
+_LEAST_DIGITS = 4
+
+SheetPlace = tuple[int, int]
+"""Column and row of a sheet; rows grow to the north, and the CRS origin is the south-west corner of sheet (0, 0)."""
+
+
+def suggested_sheets(grid: Grid) -> float:
+    """Return a usual side of sheets, km: 5, less where tiles or pixels are small, more where a block is larger."""
+    most = _most_blocks(grid) * BLOCK_TILES * grid.tile_size / 1000.0
+    digit = 10.0 ** math.floor(math.log10(most))
+    return max(min(5.0, math.floor(most / digit) * digit), BLOCK_TILES * grid.tile_size / 1000.0)
+
+
+def _most_blocks(grid: Grid) -> int:
+    return min(MAX_SIDE, math.isqrt(MAX_TILES), math.isqrt(MAX_PIXELS) // grid.pixels) // BLOCK_TILES
+
+
+@dataclass(frozen=True, slots=True)
+class SheetLayout:
+    """The squares that a map is cut into."""
+
+    grid: Grid
+    side: int
+    """Tiles along a side, a multiple of a block's."""
+
+    @classmethod
+    def of(cls, grid: Grid, kilometres: float) -> "SheetLayout":
+        """Return sheets of about this size: rounded to whole blocks, at least one.
+
+        Raises
+        ------
+        UsageError
+            Sheets are smaller than a block, or larger than the largest map.
+        """
+        block, most = BLOCK_TILES * grid.tile_size / 1000.0, _most_blocks(grid)
+        blocks = round(kilometres / block)
+        if not 1 <= blocks <= most:
+            raise UsageError(
+                f"`sheets` is {kilometres:g} km; with tiles of {grid.tile_size:g} m and {grid.pixels} pixels a sheet "
+                f"has a side of at least {block:g} km (one block of {BLOCK_TILES} x {BLOCK_TILES} tiles) and at most "
+                f"{most * block:g} km, the largest map. Give `sheets={suggested_sheets(grid):g}` or another number "
+                "between them"
+            )
+        return cls(grid, blocks * BLOCK_TILES)
+
+    @property
+    def kilometres(self) -> float:
+        """Side of a sheet, km."""
+        return self.side * self.grid.tile_size / 1000.0
+
+    def count(self, window: TileWindow) -> tuple[int, int]:
+        """Return the columns and rows of sheets that a window of tiles overlaps."""
+        spans = ((window.col, window.cols), (window.row, window.rows))
+        cols, rows = ((start + length - 1) // self.side - start // self.side + 1 for start, length in spans)
+        return cols, rows
+
+    def check_whole(self, window: TileWindow) -> None:
+        """Raise BadInputError if a survey with these tiles would have too many sheets."""
+        cols, rows = self.count(window)
+        if cols * rows <= MAX_SHEETS:
+            return
+        width, height = (side * self.grid.tile_size / 1000 for side in (window.cols, window.rows))
+        needed = self.kilometres * math.sqrt(cols * rows / MAX_SHEETS) * 1.1
+        raise BadInputError(
+            f"the survey spans {width:,.1f} km x {height:,.1f} km: {cols:,} x {rows:,} sheets of "
+            f"{self.kilometres:g} km, and there may be {MAX_SHEETS:,}. Give larger ones, such as "
+            f"`sheets={math.ceil(needed)}`; if the survey is smaller, look for points far outside it"
+        )
+
+    def places(self, tiles: TileTable) -> list[SheetPlace]:
+        """Return the sheets that hold tiles, west column first, then south row first."""
+        keys = np.array(list(tiles.pack_of), np.int64) // (self.side // BLOCK_TILES)
+        return [(col, row) for col, row in np.unique(keys[:, ::-1], axis=0).tolist()]
+
+    def window(self, place: SheetPlace) -> TileWindow:
+        """Return the tiles of a sheet."""
+        return TileWindow(place[0] * self.side, place[1] * self.side, self.side, self.side)
+
+    def name(self, place: SheetPlace) -> str:
+        """Return the name of a sheet's folder, such as ``e0102_n0842``: its column and row; west and south below 0.
+
+        Sheets of one size have names of one length.
+        """
+        digits = max(_LEAST_DIGITS, len(str(math.ceil(_FARTHEST / (self.side * self.grid.tile_size)))))
+        (col, row), letters = place, ("we"[place[0] >= 0], "sn"[place[1] >= 0])
+        return f"{letters[0]}{abs(col):0{digits}d}_{letters[1]}{abs(row):0{digits}d}"
+
+
+_FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError)  # noqa: SLF001 (no public name)
+_OF_ONE_SHEET = "STATISTICS_"
+"""Metadata of this name do not hold for all sheets."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Source:
+    """A raster of a sheet."""
+
+    path: str
+    width: int
+    height: int
+    block: tuple[int, int]
+    """Rows and columns."""
+    left: int
+    """Place in the virtual raster, pixels."""
+    top: int
+
+
+def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[str, TileWindow]) -> None:
+    """Write a virtual raster; the same sheets give the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+        The file to write, ``NAME.vrt`` for the rasters ``NAME.tif``.
+    root : Path
+        The folder that it will be moved to: paths in it are relative to this one.
+    placement : Placement
+        The extent of all sheets.
+    sheets : mapping
+        Path, relative to ``root``, of the folder of each sheet, and the tiles that its rasters span.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The raster of a sheet cannot be read.
+    """
+    raster = f"{path.stem}.tif"
+    try:
+        sources = [_source(root, f"{folder}/{raster}", placement.window, window) for folder, window in sheets.items()]
+        tree = _template(path, root / sources[0].path)
+    except _FAILURES as error:
+        raise BadInputError(f"cannot read {raster} of a sheet in {root}: {error}. Map the survey again") from error
+    pixels = sources[0].width // next(iter(sheets.values())).cols
+    window = placement.window
+    tree.set("rasterXSize", str(window.cols * pixels))
+    tree.set("rasterYSize", str(window.rows * pixels))
+    place = tree.find("GeoTransform")
+    if place is not None:
+        place.text = ", ".join(f"{number:.17g}" for number in placement.transform(pixels).to_gdal())
+    for domain in tree.findall("Metadata[@domain]"):
+        tree.remove(domain)
+    for band in tree.iter("VRTRasterBand"):
+        _fill_band(band, sources)
+        table = band.find("GDALRasterAttributeTable")
+        if table is not None and not sum_counts(table, [root / source.path for source in sources]):
+            band.remove(table)  # better none than the counts of one sheet
+    ET.indent(tree)
+    with atomic(path) as temporary:
+        temporary.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")
+
+
+def _source(root: Path, path: str, whole: TileWindow, window: TileWindow) -> _Source:
+    with open_layer(root / path) as file:
+        pixels = file.width // window.cols
+        left = (window.col - whole.col) * pixels
+        top = (whole.row + whole.rows - window.row - window.rows) * pixels
+        return _Source(path, file.width, file.height, file.block_shapes[0], left, top)
+
+
+def _template(path: Path, raster: Path) -> ET.Element:
+    """Return the VRT that GDAL makes of one raster."""
+    scratch = path.with_name(f".{path.stem}.one.vrt")
+    try:
+        rasterio.shutil.copy(str(raster), str(scratch), driver="VRT")
+        return ET.parse(scratch).getroot()  # noqa: S314 (GDAL has just written it)
+    finally:
+        scratch.unlink(missing_ok=True)
+
+
+def _fill_band(band: ET.Element, sources: Sequence[_Source]) -> None:
+    """Replace the sources of a band, and remove what is true of one sheet only."""
+    for one in band.findall("SimpleSource") + band.findall("ComplexSource"):
+        band.remove(one)
+    for metadata in band.findall("Metadata"):
+        for entry in [entry for entry in metadata if entry.get("key", "").startswith(_OF_ONE_SHEET)]:
+            metadata.remove(entry)
+    number, kind = band.get("band", "1"), band.get("dataType", "")
+    names, colours = band.find("CategoryNames"), band.find("ColorTable")
+    if names is not None and colours is not None:
+        for unused in colours[len(names) :]:  # a list of classes then shows those that exist
+            colours.remove(unused)
+    for source in sources:
+        element = ET.SubElement(band, "SimpleSource")
+        ET.SubElement(element, "SourceFilename", {"relativeToVRT": "1"}).text = source.path
+        ET.SubElement(element, "SourceBand").text = number
+        block = {"BlockXSize": str(source.block[1]), "BlockYSize": str(source.block[0])}
+        raster = {"RasterXSize": str(source.width), "RasterYSize": str(source.height), "DataType": kind}
+        ET.SubElement(element, "SourceProperties", raster | block)
+        _add_box(element, "SrcRect", 0, 0, (source.width, source.height))
+        _add_box(element, "DstRect", source.left, source.top, (source.width, source.height))
+
+
+def _add_box(element: ET.Element, name: str, left: int, top: int, size: tuple[int, int]) -> None:
+    sides = {"xOff": left, "yOff": top, "xSize": size[0], "ySize": size[1]}
+    ET.SubElement(element, name, {side: str(value) for side, value in sides.items()})
+
+
+def made_names(record: dict[str, Any] | None) -> tuple[str, ...]:
+    """Return the names of the files that a map with this manifest has beside it, which it lists with checksums."""
+    in_sheets = (record or {}).get("format") == SHEETS_FORMAT
+    return (*virtual_names(record or {}), SHEET_TABLE_NAME) if in_sheets else _layers(record or {})
+
+
+def virtual_names(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the virtual rasters over the sheets of a map with this manifest, or its entries."""
+    return (*VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME) if _has_speeds(record) else VIRTUAL_NAMES
+
+
+def _layers(record: Mapping[str, Any]) -> tuple[str, ...]:
+    without = {MANIFEST_NAME} if _has_speeds(record) else {MANIFEST_NAME, SPEEDS_NAME}
+    return tuple(name for name in EVERY_NAME if name not in without)
+
+
+def _has_speeds(record: Mapping[str, Any]) -> bool:
+    settings = record.get("settings")
+    return bool(settings.get("speeds")) if isinstance(settings, Mapping) else False
+
+
+def is_finished(sheet: Path, place: dict[str, Any]) -> bool:
+    """Return whether a folder holds the complete sheet of this place and run, every file as it was written."""
+    record = read_record(sheet / MANIFEST_NAME) or {}
+    if record.get("sheet") != place:
+        return False
+    try:
+        with verified_record(sheet, _layers(record)):
+            return True
+    except OutputError:
+        return False
+
+
+def require_whole(folder: Path, record: dict[str, Any]) -> None:
+    """Raise OutputError if a sheet of a complete map is missing or has changed; do nothing if it has no sheets."""
+    if record.get("format") != SHEETS_FORMAT:
+        return
+    try:
+        sheets = sheet_folders(folder)
+        sums = [describe_file(sheet / MANIFEST_NAME)["sha256"] for sheet in sheets]
+    except BadInputError as error:
+        raise OutputError(f"{error}. Choose another `out`, or pass `overwrite=True` to replace it") from error
+    for sheet, entry, found in zip(sheets, record["sheets"], sums, strict=True):
+        if entry["sha256"] != found:
+            raise OutputError(
+                f"{folder} already holds a complete run, but {sheet / MANIFEST_NAME} has changed since. Choose another "
+                "`out`, or pass `overwrite=True` to replace it"
+            )
+        with verified_record(sheet, _layers(record)):
+            pass
+
 
 _log = logging.getLogger(__name__)
 

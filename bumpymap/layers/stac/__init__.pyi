@@ -1,6 +1,4 @@
-from .catalog import (
-    write_catalog as write_catalog,
-)
 from .item import (
+    write_catalog as write_catalog,
     write_item as write_item,
 )

@@ -1,22 +1,353 @@
 """Write item.json: a map as a STAC item."""
 
-from collections.abc import Mapping
+import hashlib
+import json
+import math
+import re
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import date
+from itertools import pairwise
+from os.path import lexists
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import quote
 
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, Georeference, stated_crs
+from bumpymap.core import (
+    BARRED_TEXT,
+    CLASS_NAMES,
+    NO_CLASS,
+    OBJECT_NAMES,
+    REASON_TEXT,
+    BadInputError,
+    Georeference,
+    OutputError,
+    atomic,
+    stated_crs,
+)
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.lonlat import BoundingBox, polygons_in_wgs84, wgs84_transformer
+from bumpymap.layers.manifest import MANIFEST_NAME
+from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import ITEM_NAME
-from bumpymap.layers.stac.assets import describe_assets, describe_crs, describe_grid
-from bumpymap.layers.stac.document import STAC_VERSION, identifier, valid_text, write_document
+from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["write_item"]
+__all__ = ["write_catalog", "write_item"]
+
+_Colours = Mapping[int, tuple[int, int, int, int]]
+_TABLES: dict[str, tuple[dict[int, str], _Colours]] = {
+    "class": (dict(enumerate(CLASS_NAMES)), CLASS_COLOURS),
+    "reason": ({int(code): text for code, text in REASON_TEXT.items()}, REASON_COLOURS),
+    "barred": ({int(code): text for code, text in BARRED_TEXT.items()}, BARRED_COLOURS),
+    "obstacle": (dict(enumerate(OBJECT_NAMES)), OBJECT_COLOURS),
+}
+
+
+def classes_of_band(band: str, limits: Sequence[float] = ()) -> list[dict[str, Any]] | None:
+    """Return the entries of ``classification:classes`` of a band of codes; None: the band holds none.
+
+    Parameters
+    ----------
+    band : str
+        Its name.
+    limits : sequence of float, optional
+        Ride costs between the classes, rad/m, if the classes of the map were made by them.
+    """
+    if band not in _TABLES:
+        return None
+    names, colours = _TABLES[band]
+    meanings = _intervals(limits) if band == "class" and len(limits) == len(names) - 1 else []
+    found = []
+    for value, name in names.items():
+        entry: dict[str, Any] = {"value": value, "name": name.replace(" ", "_"), "title": name}
+        if meanings:
+            entry["description"] = meanings[value]
+        red, green, blue, alpha = colours[value]
+        if alpha:
+            entry["color_hint"] = f"{red:02X}{green:02X}{blue:02X}"
+        found.append(entry)
+    return [*found, {"value": NO_CLASS, "name": "nodata", "title": "no data", "nodata": True}]
+
+
+def _intervals(limits: Sequence[float]) -> list[str]:
+    """Return the ride costs of each class in words."""
+    edges = [f"{limit:g}" for limit in limits]
+    middle = [f"{low} to {high}" for low, high in pairwise(edges)]
+    return [f"c_r {span} rad/m" for span in (f"below {edges[0]}", *middle, f"from {edges[-1]}")]
+
+
+_SHA256 = "1220"
+"""What a multihash begins with: the code of SHA-256 and the length of its digest, 32 bytes."""
+_COG = "image/tiff; application=geotiff; profile=cloud-optimized"
+_TYPES = {
+    ".tif": _COG,
+    ".parquet": "application/vnd.apache.parquet",
+    ".geojson": "application/geo+json",
+    ".fgb": "application/vnd.flatgeobuf",
+    ".json": "application/json",
+    ".html": "text/html",
+    ".qgs": "application/x-qgis-project",
+    ".qml": "application/x-qgis-layer-settings",
+    ".xml": "application/xml",
+}
+_TITLES = {
+    "tiles.parquet": "all values of each tile",
+    "cost.geojson": "regions of one class, with their cost",
+    "cost.fgb": "regions of one class, with their cost, in the CRS of the survey",
+    "run.json": "inputs, settings, versions and checksums of the run",
+    "report.html": "the map as a page",
+    "map.qgs": "all layers as a project of QGIS",
+    ".qml": "style of the layer, for QGIS",
+    ".xml": "names of the values, for GDAL",
+}
+_OVERVIEWS = (".html", ".qgs")
+_WITH_HEIGHTS = ("heightmap.tif", "relief.tif", "tiles.parquet")
+"""Files in the survey's CRS with its vertical part."""
+_STATISTICS = {
+    "STATISTICS_MINIMUM": "minimum",
+    "STATISTICS_MAXIMUM": "maximum",
+    "STATISTICS_MEAN": "mean",
+    "STATISTICS_STDDEV": "stddev",
+    "STATISTICS_VALID_PERCENT": "valid_percent",
+}
+
+
+def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Return the assets of an item: every file of a map by its name, with what its header says.
+
+    Files to look at the others with are assets if they are there; they have no size and no checksum, since GIS programs
+    rewrite them.
+
+    Parameters
+    ----------
+    folder : Path
+        With the complete layers.
+    record : mapping
+        The content of run.json.
+    """
+    known = {file["path"]: file for file in record["files"]}
+    crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
+    vertical = describe_crs(crs) if crs is not None and crs.is_compound else {}
+    assets = {}
+    for name in _names(folder, known):
+        asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [_role(name, known)]}
+        if name.endswith(".tif"):
+            asset |= _raster(folder / name, record)
+        elif name.endswith(".parquet"):
+            asset |= _table(folder / name)
+        title = _TITLES.get(name) or _TITLES.get(Path(name).suffix)
+        asset |= {"title": title} if title else {}
+        asset |= vertical if name in _WITH_HEIGHTS else {}
+        if name in known:
+            asset |= {"file:size": known[name]["bytes"], "file:checksum": f"{_SHA256}{known[name]['sha256']}"}
+        assets[name] = asset
+    return assets
+
+
+def describe_crs(crs: CRS | None) -> dict[str, Any]:
+    """Return the fields of a CRS: its code, or null and its WKT."""
+    if crs is None:
+        return {"proj:code": None}
+    authority = crs.to_authority()
+    return {"proj:code": None, "proj:wkt2": crs.to_wkt()} if authority is None else {"proj:code": ":".join(authority)}
+
+
+def describe_grid(path: Path) -> dict[str, Any]:
+    """Return the fields of the grid of pixels of a raster: shape, transform and bounds in units of its CRS."""
+    with open_layer(path) as raster:
+        return {
+            "proj:shape": list(raster.shape),
+            "proj:transform": list(raster.transform)[:6],
+            "proj:bbox": list(raster.bounds),
+        }
+
+
+def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files of a folder in a lasting order; run.json will be there."""
+    layers = [name for name in EVERY_NAME if name in known and name != ITEM_NAME]
+    sides = [f"{name}.aux.xml" for name in layers]
+    return [*layers, MANIFEST_NAME, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
+
+
+def _role(name: str, known: Mapping[str, Any]) -> str:
+    if name in known:
+        return "data"
+    return "overview" if name.endswith(_OVERVIEWS) else "metadata"
+
+
+def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a raster: its bands and its pixels."""
+    limits = _class_limits(record)
+    with open_layer(path) as raster:
+        bands = [_band(raster, number, limits) for number in raster.indexes]
+        title, pixel = raster.tags().get("title"), raster.transform.a * record["metres_per_unit"]["horizontal"]
+    found: dict[str, Any] = {"title": title} if title else {}
+    found |= {"gsd": round(pixel, 9), **describe_grid(path), "bands": bands}
+    if len(bands) == 1 and "classification:classes" in bands[0]:  # where programs that know no bands look for them
+        found["classification:classes"] = bands[0].pop("classification:classes")
+    return found
+
+
+def _band(raster: Any, number: int, limits: Sequence[float]) -> dict[str, Any]:
+    """Return the fields of a band that are known."""
+    tags, name, kind = raster.tags(number), raster.descriptions[number - 1] or "", raster.dtypes[number - 1]
+    codes = kind == "uint8"  # a share of pixels may have the name of a band of codes
+    fields = {
+        "name": name,
+        "description": tags.get("long_name"),
+        "unit": raster.units[number - 1],
+        "data_type": kind,
+        "nodata": _nodata(raster.nodatavals[number - 1]),
+        "statistics": _statistics(tags),
+        "classification:classes": classes_of_band(name, limits) if codes else None,
+    }
+    return {key: value for key, value in fields.items() if value not in (None, "", {})}
+
+
+def _nodata(value: float | None) -> float | str | None:
+    """Return a value as JSON can hold it."""
+    if value is None or math.isnan(value):
+        return None if value is None else "nan"
+    return int(value) if value.is_integer() else value
+
+
+def _statistics(tags: Mapping[str, str]) -> dict[str, float]:
+    """Return the statistics that GDAL wrote to a band."""
+    found = {}
+    for key, name in _STATISTICS.items():
+        with suppress(KeyError, ValueError):
+            value = float(tags[key])
+            if math.isfinite(value):
+                found[name] = value
+    return found
+
+
+def _class_limits(record: Mapping[str, Any]) -> Sequence[float]:
+    """Return the ride costs between classes, rad/m; none if the classes were made by a table of textures."""
+    calibration = record.get("calibration")
+    if record.get("settings", {}).get("rating") != "ride" or not isinstance(calibration, Mapping):
+        return ()
+    limits: Sequence[float] = calibration.get("class_limits") or ()
+    return limits
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """Return the fields of tiles.parquet: its columns and the number of its rows."""
+    import pyarrow.parquet as pq
+
+    with pq.ParquetFile(path) as file:
+        schema, rows = file.schema_arrow, file.metadata.num_rows
+    columns = [
+        {"name": field.name, "type": str(field.type), "description": (field.metadata or {}).get(b"description", b"")}
+        for field in schema
+    ]
+    for column in columns:
+        column["description"] = column["description"].decode()
+        if not column["description"]:
+            del column["description"]
+    return {"table:columns": columns, "table:primary_geometry": "geometry", "table:row_count": rows}
+
+
+STAC_VERSION = "1.1.0"
+
+
+def identifier(name: str) -> str:
+    """Return a name with only letters of ASCII, digits, dots, ``-`` and ``_``, as STAC wants of an id.
+
+    Of a name that has none of these the id is made from its checksum.
+    """
+    text = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.")
+    return text or f"survey-{hashlib.sha256(name.encode('utf-8', 'surrogateescape')).hexdigest()[:8]}"
+
+
+def valid_text(name: str) -> str:
+    """Return text as valid UTF-8: bytes of a file name that are not are written escaped, as in run.json."""
+    return name.encode("utf-8", "backslashreplace").decode()
+
+
+def write_document(document: Mapping[str, Any], path: Path) -> None:
+    """Write JSON; lists of numbers stand in one line.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    text = re.sub(r"\[\n\s*([-+.\de]+(?:,\n\s*[-+.\de]+)*)\n\s*\]", lambda found: _one_line(found[1]), text)
+    with atomic(path) as temporary:
+        temporary.write_text(f"{text}\n", encoding="utf-8")
+
+
+def _one_line(numbers: str) -> str:
+    return f"[{', '.join(numbers.replace(',', ' ').split())}]"
+
+
+_ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
+"""Characters that a link cannot hold: surrogates stand for bytes of a file name that are not UTF-8."""
+
+
+def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
+    """Write catalog.json: a STAC catalogue with a link to the item of each complete map, or to its own catalogue.
+
+    A map in sheets has a catalogue with an item for each sheet.
+
+    Items do not link back: they are the same whether a map was made alone or with others.
+
+    Parameters
+    ----------
+    root : Path
+        The folder that holds those of the maps.
+    folders : sequence of str
+        Their names in it, in the order of the links. One without a complete map is left out.
+    title : str
+        Of the catalogue.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written, or there is a link or a folder in its place.
+    """
+    place = root / CATALOG_NAME
+    if lexists(place) and (place.is_symlink() or not place.is_file()):
+        raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
+    items = [_link("item", f"./{_quoted(name)}/{ITEM_NAME}", name) for name in folders if _has(root / name, ITEM_NAME)]
+    children = [
+        _link("child", f"./{_quoted(name)}/{CATALOG_NAME}", name) | {"type": "application/json"}
+        for name in folders
+        if _has(root / name, CATALOG_NAME) and not _has(root / name, ITEM_NAME)
+    ]
+    name = valid_text(title)
+    document = {
+        "type": "Catalog",
+        "stac_version": STAC_VERSION,
+        "id": identifier(name),
+        "title": name,
+        "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey or sheet",
+        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items, *children],
+    }
+    write_document(document, place)
+
+
+def _has(folder: Path, name: str) -> bool:
+    return (folder / name).is_file() and (folder / MANIFEST_NAME).is_file()
+
+
+def _quoted(name: str) -> str:
+    """Return the name of a folder as a part of a relative link; only what would end or change the link is escaped.
+
+    pystac opens links as they are written, so that the others must stay.
+    """
+    return "".join(quote(one, safe="", errors="surrogateescape") if _ESCAPED.match(one) else one for one in name)
+
+
+def _link(rel: str, href: str, title: str) -> dict[str, Any]:
+    return {"rel": rel, "href": href, "type": "application/geo+json", "title": valid_text(title)}
+
 
 _EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "classification/v2.0.0", "processing/v1.1.0", "table/v1.2.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"

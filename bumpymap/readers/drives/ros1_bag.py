@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from bumpymap.core import UsageError
-from bumpymap.readers.checks import decoding
 from bumpymap.readers.frames.bag import BagRecord
+from bumpymap.readers.source import decoding
 
 __all__ = ["Ros1Bag", "is_ros1"]
 

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.checks import decoding
 from bumpymap.readers.drives.table_head import DATE_AND_TIME, HEAD_BYTES, TableHead, read_head
-from bumpymap.readers.source import open_source, size_of
+from bumpymap.readers.source import decoding, open_source, size_of
 
 __all__ = ["TextTable", "open_table"]
 

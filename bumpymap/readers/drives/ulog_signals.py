@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 
 from bumpymap.core import BadInputError, PlaceTrack, UsageError
-from bumpymap.readers.checks import decoding
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.guesses import check_lonlat
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
-from bumpymap.readers.source import open_source, size_of
+from bumpymap.readers.source import decoding, open_source, size_of
 
 __all__ = ["is_ulog", "ulog_signals"]
 

@@ -9,8 +9,7 @@ from threading import Lock
 from typing import Any
 
 from bumpymap.core import BadInputError, BagMessage, UsageError
-from bumpymap.readers.checks import asks_too_much, decoding
-from bumpymap.readers.source import Version, read_range, require_unchanged, size_of, version_of
+from bumpymap.readers.source import Version, asks_too_much, decoding, read_range, require_unchanged, size_of, version_of
 
 __all__ = ["BAG_SUFFIXES", "CLOUD", "BagReader", "BagRecord", "bag_files", "is_bag", "message_types"]
 

@@ -1,11 +1,68 @@
 """The record of all returns in a scan file, before any are dropped."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RawScan"]
+from bumpymap.core import BadInputError, UsageError, short_repr
+
+__all__ = ["TIME_COLUMNS", "RawScan", "point_seconds", "points_of", "read_cloud", "start_of_day_time"]
+
+TIME_COLUMNS = ("t", "time", "timestamp", "offset_time", "time_stamp", "timestamps", "scalar_timestamp", "scalar_time")
+"""Names, in lower case, of columns with the time of each point."""
+_UNITS_S = (1.0, 1e-6, 1e-9)
+"""Seconds, microseconds, nanoseconds."""
+_SPAN_S = (0.005, 2.0)
+"""Time that a scan takes: a revolution at 5 to 20 Hz and its parts, or several. Within these limits no time fits two
+units."""
+_EPOCH_S = 1e8
+"""Later than this (1973) is a time of day and not one since the sensor was switched on."""
+
+
+def point_seconds(column: NDArray[Any]) -> NDArray[np.float32] | None:
+    """Return the time of each point, s.
+
+    Parameters
+    ----------
+    column : (n,) array of numbers
+        Times in s, us or ns, after the time of the frame or of day; may hold values that are not finite.
+
+    Returns
+    -------
+    (n,) float32 or None
+        After the time of the frame, as in the file; of times of day: after the first of them. None if the unit is not
+        clear: a scan takes 5 ms to 2 s. NaN where a time is not finite, or 0 among times of day.
+    """
+    times, unit = _known(column)
+    if unit is None:
+        return None
+    seconds = times * unit
+    if np.nanmax(np.abs(seconds)) > _SPAN_S[1]:
+        seconds = np.where(times == 0.0, np.nan, times - _first(times)) * unit
+    return seconds.astype(np.float32)
+
+
+def start_of_day_time(column: NDArray[Any]) -> float | None:
+    """Return the first time of a column in seconds since 1970; None if it does not hold such times."""
+    times, unit = _known(column)
+    first = 0.0 if unit is None else _first(times) * unit
+    return first if first > _EPOCH_S else None
+
+
+def _known(column: NDArray[Any]) -> tuple[NDArray[np.float64], float | None]:
+    """Return the times, NaN where they are not finite, and their unit in seconds."""
+    times = column.astype(np.float64)
+    times[~np.isfinite(times)] = np.nan
+    stamped = times[~np.isnan(times) & (times != 0.0)]
+    span = float(np.ptp(stamped)) if len(stamped) else 0.0
+    return times, next((unit for unit in _UNITS_S if _SPAN_S[0] <= span * unit <= _SPAN_S[1]), None)
+
+
+def _first(times: NDArray[np.float64]) -> float:
+    """Return the first time; some drivers write 0 for beams without return."""
+    return float(np.nanmin(np.where(times == 0.0, np.nan, times)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,3 +77,114 @@ class RawScan:
     """(n,) semantic ids."""
     time: NDArray[np.float32] | None = None
     """(n,) s, see `bumpymap.core.Scan`; NaN if unknown."""
+
+
+_ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
+_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+"""Types of numpy of the constants in sensor_msgs/PointField."""
+_INTENSITY = ("intensity", "intensities", "reflectivity")
+"""Names of fields with the strength of the return; the first one that is there is taken."""
+_SAME_CLOCK_S = 2.0
+"""Times of points and of the header that are farther apart are of different clocks: no scan takes longer."""
+
+
+def points_of(message: Any) -> NDArray[np.float32]:
+    """Return the points of a message.
+
+    Parameters
+    ----------
+    message : sensor_msgs/PointCloud2
+        From rclpy, rosbags or any other library with the same names of attributes.
+
+    Returns
+    -------
+    (n, 3) float32
+        x, y and z of all returns, m, also of those that are NaN; of an organised cloud row by row.
+
+    Raises
+    ------
+    BadInputError
+        The message has no x, y and z, or less data than it declares.
+    UsageError
+        This is no such message.
+    """
+    missing = [name for name in _ATTRIBUTES if not hasattr(message, name)]
+    if missing:
+        raise UsageError(
+            f"message is {short_repr(message)}, without {', '.join(missing)}; give a message sensor_msgs/PointCloud2"
+        )
+    return _xyz(_rows(message))
+
+
+def read_cloud(message: Any) -> RawScan:
+    """Read all returns of a message: points and, if there are fields for them, intensity and time.
+
+    Times of day count from the time in the header, if they are near to it, else from the first.
+
+    Raises
+    ------
+    BadInputError
+        See `points_of`.
+    """
+    rows = _rows(message)
+    intensity, time = (_column(rows, names) for names in (_INTENSITY, TIME_COLUMNS))
+    seconds = None if time is None else point_seconds(time)
+    if time is not None and seconds is not None:
+        start, stamp = start_of_day_time(time), message.header.stamp
+        late = 0.0 if start is None else start - (stamp.sec + 1e-9 * stamp.nanosec)
+        seconds += np.float32(late if abs(late) < _SAME_CLOCK_S else 0.0)
+    return RawScan(_xyz(rows), None if intensity is None else intensity.astype(np.float32), None, seconds)
+
+
+def _column(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[Any] | None:
+    """Return the values of the first of some fields that is there, (n,)."""
+    name = next((name for name in names if name in (rows.dtype.names or ())), None)
+    return None if name is None else rows[name].ravel()
+
+
+def _xyz(rows: NDArray[np.void]) -> NDArray[np.float32]:
+    points = np.empty((*rows.shape, 3), np.float32)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is dropped and counted later
+        for column, axis in enumerate("xyz"):
+            points[..., column] = rows[axis]
+    return points.reshape(-1, 3)
+
+
+def _rows(message: Any) -> NDArray[np.void]:
+    """Return a view of the points, (height, width), with the fields that hold one number each."""
+    height, width, step = int(message.height), int(message.width), int(message.point_step)
+    dtype = _dtype(message, step)
+    data = np.frombuffer(message.data, np.uint8)
+    pitch = int(message.row_step) if height > 1 else width * step
+    needed = (height - 1) * pitch + width * step if height and width else 0
+    if pitch < width * step or needed > data.size:
+        raise BadInputError(
+            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, in rows of {message.row_step:,} "
+            f"bytes, and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
+        )
+    return np.ndarray((height, width) if needed else (0, 0), dtype, data, strides=(pitch, step))
+
+
+def _dtype(message: Any, step: int) -> np.dtype[np.void]:
+    order = ">" if message.is_bigendian else "<"
+    fields = {
+        str(field.name): (np.dtype(order + _TYPES[int(field.datatype)]), int(field.offset))
+        for field in message.fields
+        if int(field.datatype) in _TYPES and int(field.count) <= 1
+    }
+    missing = [axis for axis in "xyz" if axis not in fields]
+    outside = [name for name, (kind, offset) in fields.items() if offset + kind.itemsize > step]
+    if missing or outside:
+        names = ", ".join(str(field.name) for field in message.fields) or "none"
+        what = (
+            f"has no {', '.join(missing)}" if missing else f"declares {outside[0]} outside of its {step} bytes a point"
+        )
+        raise BadInputError(f"the point cloud {what}; its fields are {names}. x, y and z are needed, a number each")
+    return np.dtype(
+        {
+            "names": list(fields),
+            "formats": [kind for kind, _ in fields.values()],
+            "offsets": [offset for _, offset in fields.values()],
+            "itemsize": step,
+        }
+    )

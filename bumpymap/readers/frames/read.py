@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BagMessage, Dropped, Scan, UsageError
 from bumpymap.readers.frames.bag import BagReader
-from bumpymap.readers.frames.cloud_message import read_cloud
-from bumpymap.readers.frames.raw import RawScan
+from bumpymap.readers.frames.raw import RawScan, read_cloud
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["Robot", "read_message", "read_scan", "scene_points"]

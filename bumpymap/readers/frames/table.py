@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.detect import read_columns
-from bumpymap.readers.frames.point_time import TIME_COLUMNS, point_seconds, start_of_day_time
-from bumpymap.readers.frames.raw import RawScan
+from bumpymap.readers.frames.raw import TIME_COLUMNS, RawScan, point_seconds, start_of_day_time
 
 __all__ = ["read_start", "read_table"]
 

@@ -12,9 +12,7 @@ from ply_files import read_vertices
 
 from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS, name_frames, sample_evenly, write_frame
-from bumpymap.layers.scan.cloud import write_cloud
-from bumpymap.layers.scan.geometry import outlines
-from bumpymap.layers.scan.polygons import _numbers, write_polygons
+from bumpymap.layers.scan.frame import _numbers, outlines, write_cloud, write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
 
 

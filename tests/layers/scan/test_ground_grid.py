@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.core import PolarSettings, Scan, UsageError, sector_bounds
 from bumpymap.layers import GroundGrid
-from bumpymap.layers.scan.ground_grid import sector_occupancy
+from bumpymap.layers.scan.grid_bag import sector_occupancy
 from bumpymap.scan import classify_filter, polar_sectors
 
 GRIDS = [

@@ -8,8 +8,8 @@ import rasterio
 
 from bumpymap.core import PolarSettings, Scan, sector_bounds
 from bumpymap.layers import SCAN_COLOURS
-from bumpymap.layers.scan.picture import SIDE, paint as paint_image, write_picture
-from bumpymap.layers.scan.style import SECTOR_STATES, point_styles, sector_states
+from bumpymap.layers.scan.folder import SECTOR_STATES, point_styles, sector_states
+from bumpymap.layers.scan.frame import SIDE, paint as paint_image, write_picture
 from bumpymap.scan import classify_filter, polar_sectors
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -289,7 +289,7 @@ def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
 
 def test_files_to_look_at_are_assets_without_a_checksum(folder, tmp_path, monkeypatch):
     names = ("class.qml", "map.qgs", "report.html")
-    monkeypatch.setattr("bumpymap.layers.stac.assets.EVERY_VIEW_NAME", (*names, "not_there.qml"))
+    monkeypatch.setattr("bumpymap.layers.stac.item.EVERY_VIEW_NAME", (*names, "not_there.qml"))
     shutil.copytree(folder, tmp_path / "b")
     for name in names:
         (tmp_path / "b" / name).write_text("x")

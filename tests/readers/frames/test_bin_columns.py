@@ -7,7 +7,7 @@ import pytest
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.readers import read_scan
-from bumpymap.readers.frames.bin_columns import find_columns
+from bumpymap.readers.frames.kitti import find_columns
 
 FILE = Path("a.bin")
 

@@ -10,7 +10,7 @@ from bags import LIDAR, as_rclpy, cloud, lidar_rows
 
 from bumpymap.core import BadInputError
 from bumpymap.readers import points_of
-from bumpymap.readers.frames.cloud_message import read_cloud
+from bumpymap.readers.frames.raw import read_cloud
 
 
 @st.composite

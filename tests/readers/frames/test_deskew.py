@@ -6,7 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import PoseTrack, Scan
 from bumpymap.readers import deskew
-from bumpymap.readers.frames.point_time import point_seconds, start_of_day_time
+from bumpymap.readers.frames.raw import point_seconds, start_of_day_time
 
 SPEED_MPS, TURN_RADPS = 8.0, 1.2
 

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import files_beside_poses, read_poses, read_scan
-from bumpymap.readers.frames.pose_file import read_pose_file
-from bumpymap.readers.frames.time_text import seconds_of_names
+from bumpymap.readers.frames.pose_files import read_pose_file, seconds_of_names
 
 TURNS = Rotation.random(6, random_state=3)
 PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4

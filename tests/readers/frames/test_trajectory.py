@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation, Slerp
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.frames.trajectory import FrameTree, Trajectory, seconds_since
+from bumpymap.readers.frames.pose_files import FrameTree, Trajectory, seconds_since
 
 START = 1_700_000_000
 

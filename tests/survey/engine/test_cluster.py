@@ -627,7 +627,7 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
 
 
 def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
-    monkeypatch.setattr("bumpymap.readers.las_points.HUGE_CHUNK", 1000)  # chunks that must be read in order
+    monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)  # chunks that must be read in order
     result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--workers", 3)
     assert result.exit_code == 0, result.output
     assert here.done.count(read_ranges) == 1

@@ -1,7 +1,7 @@
-"""Which points count: one pass over the bytes, without the interpreter's lock.
+"""Sums of the points of each flight line in each cell of a grid, and heights without the offset of their line.
 
-``filter_records`` takes LAS records, whose coordinates stay integers; ``filter_points`` takes points in metres, such as
-those of tables (PLY, PCD). Both watch every point and keep those that count, in their order.
+The sums are integers of 0.1 mm, so that they do not depend on the order of the points. Sums that exceed 64 bits wrap
+around; differences of them are right again.
 """
 
 from typing import Annotated, Any, NamedTuple
@@ -9,17 +9,33 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpytiles import helper, kernel
+from bumpymap.core import POINT_GROUND
+from bumpytiles import coordinates, helper, kernel, tile_index
 
 __all__ = [
+    "AXIS_BITS",
+    "CELL",
     "KEPT",
+    "LINE_BITS",
+    "QUANTA",
+    "SLOTS",
+    "STRIP",
+    "SUMS",
+    "CellTable",
+    "Corrections",
     "CountedPoints",
     "CountedRecords",
     "FilePoints",
+    "LinedPoints",
     "RecordCounts",
     "RecordRules",
+    "ScaledLinedPoints",
+    "StripPlaces",
     "WatchCounts",
     "WatchRules",
+    "add_points",
+    "add_scaled_points",
+    "correct_heights",
     "filter_points",
     "filter_records",
 ]
@@ -212,3 +228,172 @@ def filter_records(records: Records, rules: RecordRules, out: CountedRecords, se
     counts[3] = to
     extremes[0], extremes[1], extremes[2] = x_min, x_max, y_min
     extremes[3], extremes[4], extremes[5] = y_max, z_min, z_max
+
+
+CELL = 3.0
+"""Side of a cell, m."""
+QUANTA = 1e4
+"""Steps of a coordinate in a metre."""
+SUMS = 10
+"""Sums of a cell: number of points, x, y, z, x x, x y, y y, x z, y z, z z."""
+SLOTS = 1 << 13
+"""Rows of a `CellTable`; a power of two."""
+STRIP = 512
+"""Points that are turned into metres at once."""
+AXIS_BITS, LINE_BITS = 23, 17
+"""Bits of a key: column and row of the cell, unique within 25,000 km; line number and ground flag."""
+_AXIS_MASK = (1 << AXIS_BITS) - 1
+_FULL = SLOTS * 3 // 4
+_SHIFT = 64 - 13
+
+
+Indices = Annotated[NDArray[np.int64], 1]
+Rows = Annotated[NDArray[np.int64], 2]
+
+Places = Annotated[NDArray[np.int32], 1]
+Numbers = Annotated[NDArray[np.float64], 2]
+
+
+class LinedPoints(NamedTuple):
+    """Points with their flight line, (n,) each."""
+
+    x: Floats
+    """m, as the two that follow."""
+    y: Floats
+    z: Floats
+    kind: Bytes
+    line: Lines
+
+
+class ScaledLinedPoints(NamedTuple):
+    """The same, with coordinates as integers of the file's own grid, see `bumpytiles.ScaledPoints`."""
+
+    x: Words
+    y: Words
+    z: Words
+    kind: Bytes
+    line: Lines
+
+
+class StripPlaces(NamedTuple):
+    """Scratch for coordinates, (``STRIP``,) each."""
+
+    x: Floats
+    """m, as the two that follow."""
+    y: Floats
+    z: Floats
+
+
+class CellTable(NamedTuple):
+    """A hash table of cells, (``SLOTS``,) rows."""
+
+    keys: Indices
+    """Key of the row; -1: empty."""
+    sums: Rows
+    """(``SLOTS``, ``SUMS``)."""
+    state: Indices
+    """(2,) the next point to add, and the rows in use."""
+
+
+class Corrections(NamedTuple):
+    """What to subtract from the heights of each line."""
+
+    place: Places
+    """(65536,) row of each line in ``numbers``; -1: nothing to subtract."""
+    numbers: Numbers
+    """(lines, 5) offset [m], east and north of the place where it applies [m], slopes to the east and north [m/m]."""
+
+
+@helper
+def _row_of(key: Any, table: CellTable) -> Any:
+    """Return the row of a key, which is added if it is new."""
+    row = np.int64((np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(_SHIFT))
+    while table.keys[row] != key:
+        if table.keys[row] == -1:
+            table.keys[row] = key
+            table.state[1] += 1
+            break
+        row = (row + 1) & (SLOTS - 1)
+    return row
+
+
+@helper
+def _key(col: int, row: int, line: int, ground: bool) -> Any:
+    key = (np.int64(col) & _AXIS_MASK) << (AXIS_BITS + LINE_BITS)
+    key |= (np.int64(row) & _AXIS_MASK) << LINE_BITS
+    return key | (np.int64(line) << 1) | np.int64(ground)
+
+
+@helper
+def _add(points: LinedPoints, table: CellTable) -> Any:
+    """Add points until the table is full; return how many were added.
+
+    Neighbours in a file are neighbours on the ground: sums of points in one cell are added up before they are stored.
+    """
+    i, n = 0, len(points.x)
+    while i < n and table.state[1] < _FULL:
+        line, ground = points.line[i], points.kind[i] == POINT_GROUND
+        col, row = tile_index(points.x[i], CELL), tile_index(points.y[i], CELL)
+        west, south = col * CELL, row * CELL
+        east, north = (col + 1.0) * CELL, (row + 1.0) * CELL
+        count = s1 = s2 = s3 = s4 = s5 = s6 = s7 = s8 = s9 = np.int64(0)
+        while i < n:
+            x, y = points.x[i], points.y[i]
+            same = points.line[i] == line and (points.kind[i] == POINT_GROUND) == ground
+            if count > 0 and not (same and west <= x < east and south <= y < north):
+                break
+            e, u = np.int64(np.rint((x - west) * QUANTA)), np.int64(np.rint(points.z[i] * QUANTA))
+            m = np.int64(np.rint((y - south) * QUANTA))
+            count, s1, s2, s3 = count + 1, s1 + e, s2 + m, s3 + u
+            s4, s5, s6 = s4 + e * e, s5 + e * m, s6 + m * m
+            s7, s8, s9 = s7 + e * u, s8 + m * u, s9 + u * u
+            i += 1
+        sums = table.sums[_row_of(_key(col, row, line, ground), table)]
+        sums[0] += count
+        sums[1] += s1
+        sums[2] += s2
+        sums[3] += s3
+        sums[4] += s4
+        sums[5] += s5
+        sums[6] += s6
+        sums[7] += s7
+        sums[8] += s8
+        sums[9] += s9
+    return i
+
+
+@kernel
+def add_points(points: LinedPoints, table: CellTable) -> None:
+    """Add points, from the one that ``state`` names, until all are added or the table is full."""
+    first = table.state[0]
+    rest = LinedPoints(points.x[first:], points.y[first:], points.z[first:], points.kind[first:], points.line[first:])
+    table.state[0] = first + _add(rest, table)
+
+
+@kernel
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: StripPlaces, table: CellTable) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` is scratch."""
+    first, added, wanted = table.state[0], 0, 0
+    while added == wanted and first < len(points.x):
+        wanted = min(STRIP, len(points.x) - first)
+        last = first + wanted
+        there = LinedPoints(
+            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.kind[first:last], points.line[first:last]
+        )
+        coordinates(points.x[first:last], scaling, 0, there.x)
+        coordinates(points.y[first:last], scaling, 1, there.y)
+        coordinates(points.z[first:last], scaling, 2, there.z)
+        added = _add(there, table)
+        first += added
+    table.state[0] = first
+
+
+@kernel
+def correct_heights(points: LinedPoints, corrections: Corrections) -> None:
+    """Subtract the offset of each point's line from its height."""
+    numbers = corrections.numbers
+    for i in range(len(points.x)):
+        row = corrections.place[points.line[i]]
+        if row >= 0:
+            east, north = points.x[i] - numbers[row, 1], points.y[i] - numbers[row, 2]
+            points.z[i] -= numbers[row, 0] + numbers[row, 3] * east + numbers[row, 4] * north
