@@ -28,7 +28,7 @@ from bumpymap.survey.api import MapSettings
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 COMMANDS_ALONE = {
-    *("cli", "lab", "survey/advice.py", "rating/vehicle"),
+    *("cli", "lab", "survey/advice.py", "rating/vehicle_profile.py", "rating/vehicle_body.py"),
     "rating/calibration_lookup.py",  # its messages show commands to type
 }
 """Code whose messages go to the command line: no call of the public API reaches it."""

@@ -103,14 +103,12 @@ from .textures import (
     normalise as normalise,
     remove_plane as remove_plane,
 )
-from .vehicle.floor import (
+from .vehicle_body import (
     less_floor as less_floor,
 )
-from .vehicle.profile import (
+from .vehicle_profile import (
     Vehicle as Vehicle,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,
-)
-from .vehicle.template import (
     write_profile_template as write_profile_template,
 )

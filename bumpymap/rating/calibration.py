@@ -24,8 +24,7 @@ from bumpymap.core import (
     read_regular,
     short_repr,
 )
-from bumpymap.rating.vehicle.body import body_of, body_table
-from bumpymap.rating.vehicle.floor import Floor, floor_of, with_floor
+from bumpymap.rating.vehicle_body import Floor, body_of, body_table, floor_of, with_floor
 
 __all__ = ["DEFAULT_FAIL_WEIGHT", "MAP_SPEED", "Calibration", "DrivenTerrain", "remembered", "shipped_calibrations"]
 

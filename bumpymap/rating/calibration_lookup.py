@@ -5,7 +5,7 @@ from pathlib import Path
 
 from bumpymap.core import BadInputError
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle import Vehicle, load_profile
+from bumpymap.rating.vehicle_profile import Vehicle, load_profile
 
 __all__ = ["calibration_beside", "find_calibration"]
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import FAIL_SHARE, NO_CLASS, TEXTURES, CostMap, Georeference, PatchStack, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.vehicle.floor import with_floor
+from bumpymap.rating.vehicle_body import with_floor
 
 __all__ = ["PAPER_TABLE", "rate", "rate_as_paper"]
 

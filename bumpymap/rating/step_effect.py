@@ -25,7 +25,7 @@ from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride._ride_kernels import normal_shares
 from bumpymap.rating.ride.correction import NORMAL_TAIL
 from bumpymap.rating.ride.speed import plain_speed_factor
-from bumpymap.rating.vehicle.floor import less_floor, with_floor
+from bumpymap.rating.vehicle_body import less_floor, with_floor
 
 __all__ = ["STEP_COLUMNS", "StepEffect", "apply_steps", "crossing_fails", "edge_usable"]
 

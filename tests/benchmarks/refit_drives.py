@@ -24,7 +24,7 @@ from bumpymap.check import check_drives
 from bumpymap.core import BadInputError, DrivenStretches
 from bumpymap.lab.worlds.drives import sense_drive, write_drive_files
 from bumpymap.rating import Calibration, DriveUpdate, Vehicle, update_from_drives
-from bumpymap.rating.update import respond
+from bumpymap.rating.drive_posterior import respond
 
 GODIE_EPSG = 32614
 LENGTHS_M = (100.0, 250.0, 500.0)

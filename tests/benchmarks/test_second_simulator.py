@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bumpymap.lab.simulate.terrain import PlaneGround, SineGround, Strip
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 pytestmark = pytest.mark.slow
 WARTHOG = load_profile("warthog")

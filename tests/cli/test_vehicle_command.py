@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.vehicle.profile import KEYS, load_profile
+from bumpymap.rating.vehicle_profile import KEYS, load_profile
 
 SHIPPED = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 

@@ -9,7 +9,7 @@ from driven_stretches import driven_stretches
 
 from bumpymap.core import BadInputError
 from bumpymap.rating import Calibration, RideModel, update_from_drives
-from bumpymap.rating.update import DrivePrior, collect_evidence, fit_move
+from bumpymap.rating.drive_posterior import DrivePrior, collect_evidence, fit_move
 
 CALIBRATION = Calibration.shipped("warthog")
 

@@ -13,7 +13,7 @@ from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.patches.features import measure
 from bumpymap.rating import STEP_COLUMNS, RideModel, apply_steps, find_calibration, load_profile, rate, rate_as_paper
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.vehicle.floor import floor_of, less_floor, with_floor
+from bumpymap.rating.vehicle_body import floor_of, less_floor, with_floor
 
 SHIPPED = Calibration.shipped("warthog")
 FLOOR = 0.05

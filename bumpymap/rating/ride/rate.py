@@ -13,7 +13,7 @@ from bumpymap.rating.ride.geometry import roll_over
 from bumpymap.rating.ride.noise import denoise
 from bumpymap.rating.ride.operator import RideOperator
 from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor, require_speeds, speed_log_sd
-from bumpymap.rating.vehicle.floor import with_floor
+from bumpymap.rating.vehicle_body import with_floor
 
 __all__ = ["RideModel", "interval", "judge"]
 

@@ -15,7 +15,7 @@ from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.geometry import move_over
 from bumpymap.rating.ride.motion import MotionModel
 from bumpymap.rating.ride.motion_operator import MotionOperator
-from bumpymap.rating.vehicle.floor import less_floor, with_floor
+from bumpymap.rating.vehicle_body import less_floor, with_floor
 
 __all__ = [
     "SpeedRating",

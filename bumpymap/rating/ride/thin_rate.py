@@ -13,7 +13,7 @@ from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 from bumpymap.rating.ride.thin_neighbours import pull_to_neighbours
 from bumpymap.rating.ride.thin_noise import PooledNoise, pool_noise
-from bumpymap.rating.vehicle.floor import less_floor
+from bumpymap.rating.vehicle_body import less_floor
 
 __all__ = ["BlockRating", "dense_share", "is_rateable", "rate_thin", "ride_weight"]
 

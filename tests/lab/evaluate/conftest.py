@@ -11,7 +11,7 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.texture_network import TextureModel
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 

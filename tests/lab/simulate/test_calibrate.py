@@ -19,7 +19,7 @@ from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
 from bumpymap.lab.simulate.summary import class_limits
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
-from bumpymap.rating.vehicle.profile import Vehicle, load_profile
+from bumpymap.rating.vehicle_profile import Vehicle, load_profile
 
 pytest.importorskip("dartpy")
 

@@ -8,7 +8,7 @@ import pytest
 from bumpymap.lab.simulate.checks import check_plane, check_repeat, check_sine, check_step, sine_c_r
 from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.model import Physics
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 pytestmark = pytest.mark.slow
 

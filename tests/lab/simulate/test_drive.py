@@ -8,7 +8,7 @@ from bumpymap.core.errors import UsageError
 from bumpymap.lab.simulate.drive import DriveSettings, follow
 from bumpymap.lab.simulate.model import Physics, Pose
 from bumpymap.lab.simulate.terrain import Strip
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
 from bumpymap.lab.simulate.relief import ReliefGround
 from bumpymap.lab.simulate.way import Stop
 from bumpymap.lab.worlds.drives import GRAVITY
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")
 LINE = np.array([[3.0, 3.0], [8.0, 3.0]])

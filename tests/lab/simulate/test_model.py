@@ -21,7 +21,7 @@ from bumpymap.lab.simulate.model import (
 )
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip, strip_triangles
 from bumpymap.rating.textures import make_textures
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 pytest.importorskip("dartpy")
 

@@ -11,7 +11,7 @@ from bumpymap.lab.simulate.drive import Drive, DriveSettings
 from bumpymap.lab.simulate.journal import Journal
 from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.validate import DriveConditions, drive_patches
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 WARTHOG = load_profile("warthog")
 LEVEL = np.zeros((15, 15))

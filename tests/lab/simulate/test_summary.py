@@ -13,7 +13,7 @@ from bumpymap.lab.simulate.patch import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.lab.simulate.summary import class_limits, natural_breaks
 from bumpymap.rating.calibration import DrivenTerrain
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 SETTINGS = CalibrationSettings(load_profile("warthog"), patches=3, starts=2, z_range=(0.1, 1.0), terrains=4)
 

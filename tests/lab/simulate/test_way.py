@@ -13,7 +13,7 @@ from bumpymap.lab.simulate.guide import GuideLine
 from bumpymap.lab.simulate.model import Pose
 from bumpymap.lab.simulate.relief import ReliefGround
 from bumpymap.lab.simulate.way import Stop, WayDrive, drive_way, follow_guide
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")
 SETTINGS = DriveSettings(settle_s=0.1, ramp_s=0.2, cruise_s=0.1)

@@ -5,7 +5,7 @@ import pytest
 
 from bumpymap.rating import MotionOperator, RideOperator, felt_response, move_over, roll_over
 from bumpymap.rating.ride.motion_operator import heave_filter
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 WARTHOG = load_profile("warthog").to_dict()
 STIFF = {**WARTHOG, "rocker": {**WARTHOG["rocker"], "stiffness_nm_per_rad": 0.0}}

@@ -10,7 +10,7 @@ from bumpymap.lab import ScanEffects, Terrain, make_terrain, survey_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
 from bumpymap.rating.ride._spreads import point_noise
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 from bumpytiles import Grid, TileBuckets
 
 OPERATOR = RideOperator.of(load_profile("warthog").to_dict(), 3.0, 15)

@@ -9,7 +9,7 @@ from scipy.ndimage import grey_dilation, map_coordinates
 
 from bumpymap.rating import RideOperator, Rides, roll_over
 from bumpymap.rating.ride.operator import chassis_response, cosines, interpolation
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 VEHICLES = {name: load_profile(name).to_dict() for name in ("warthog", "small_rover", "car")}
 OPERATORS = {name: RideOperator.of(vehicle, 3.0, 15) for name, vehicle in VEHICLES.items()}

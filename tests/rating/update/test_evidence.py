@@ -8,7 +8,7 @@ from driven_stretches import driven_stretches
 
 from bumpymap.core import DrivenStretches
 from bumpymap.rating import Calibration
-from bumpymap.rating.update import collect_evidence
+from bumpymap.rating.drive_posterior import collect_evidence
 
 CALIBRATION = Calibration.shipped("warthog")
 

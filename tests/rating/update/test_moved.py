@@ -9,8 +9,8 @@ import pytest
 
 from bumpymap.rating import Calibration, Correction, Rides
 from bumpymap.rating.calibration import shipped_calibrations
+from bumpymap.rating.drive_update import LogMove, moved_calibration
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
-from bumpymap.rating.update import LogMove, moved_calibration
 
 NAMES = shipped_calibrations()
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bumpymap.rating.update import DriveEvidence, DrivePrior, fit_move, posterior, respond
+from bumpymap.rating import drive_posterior as posterior
+from bumpymap.rating.drive_posterior import DriveEvidence, DrivePrior, fit_move, respond
 
 MIDDLE = np.log(0.25)
 PRIOR = DrivePrior(MIDDLE, (0.2, 0.1), -np.inf)

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle.profile import KEYS, Vehicle, load_profile, shipped_profiles
+from bumpymap.rating.vehicle_profile import KEYS, Vehicle, load_profile, shipped_profiles
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from bumpymap.lab.evaluate.trial import TrialOptions
 from bumpymap.lab.simulate.checks import sine_c_r
 from bumpymap.lab.simulate.way import WayDrive
 from bumpymap.rating import RideModel
-from bumpymap.rating.vehicle.profile import load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 SETTINGS = RouteTrialSettings(total_pairs=2, repeats=1, least_m=12.0, most_m=20.0)
 

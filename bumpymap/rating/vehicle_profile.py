@@ -1,18 +1,28 @@
 """Vehicle profiles: dimensions, masses and preferences of a vehicle, read from a TOML file and checked."""
 
+import json
 import math
+import re
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TextIO
 
-from bumpymap.core import BadInputError, UsageError, parse_record, path_of_call, read_toml, refuse_faults, short_repr
+from bumpymap.core import (
+    UNFILLED,
+    BadInputError,
+    OutputError,
+    UsageError,
+    parse_record,
+    path_of_call,
+    read_toml,
+    refuse_faults,
+    short_repr,
+)
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
-from bumpymap.rating.vehicle.body import Body, body_table
-from bumpymap.rating.vehicle.floor import Floor
-from bumpymap.rating.vehicle.keys import OneLine, Quantity, profile_keys
+from bumpymap.rating.vehicle_body import Body, Floor, OneLine, ProfileKey, Quantity, body_table, profile_keys
 
-__all__ = ["KEYS", "Belly", "Chassis", "Rocker", "Vehicle", "Wheel", "load_profile", "shipped_profiles"]
+__all__ = ["KEYS", "Vehicle", "load_profile", "shipped_profiles", "write_profile_template"]
 
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file with every key, its unit and its range"
 _LONGEST_BELLY = 4.0
@@ -313,3 +323,81 @@ def _gyration(profile: Vehicle, table: str) -> str:
         f"{size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg m2; a solid box of mass m, length l, "
         "width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, m (l2 + w2) / 12"
     )
+
+
+_NAME = re.compile(r"[\w-]{1,64}")
+
+
+def write_profile_template(name: str, path: Path, like: str | None) -> None:
+    """Write `profile_template` to a new file.
+
+    Raises
+    ------
+    UsageError
+        The name is that of an included vehicle, or not one word; there is no vehicle ``like``.
+    OutputError
+        The file exists, or cannot be written.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"the name of a vehicle is {name!r}; it must be up to 64 letters, digits, _ and -")
+    if name in shipped_profiles():
+        raise UsageError(f"a vehicle named {name} is included in bumpymap: choose another name, or --like {name}")
+    text = profile_template(name, like)
+    try:
+        with path.open("x", encoding="utf-8") as file:  # "x" does not follow a symbolic link either
+            _fill(file, path, text)
+    except FileExistsError as error:
+        raise OutputError(f"{path} exists and is not overwritten: give another --out") from error
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error.strerror}; give another --out") from error
+
+
+def _fill(file: TextIO, path: Path, text: str) -> None:
+    """Write the whole text, or remove the file."""
+    try:
+        file.write(text)
+        file.flush()
+    except OSError:
+        path.unlink()
+        raise
+
+
+def profile_template(name: str, like: str | None) -> str:
+    """Return the text of a profile to edit.
+
+    Parameters
+    ----------
+    name : str
+        Name of the new vehicle.
+    like : str or None
+        A vehicle (name or TOML file) to copy the numbers from; None: put a placeholder that `vehicle check` reports.
+    """
+    model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
+    lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
+    if like is None:
+        lines.append(f'# Replace each "{UNFILLED}" by a value.')
+    else:
+        lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
+    lines += [f"name = {json.dumps(name)}", "# A one-line description."]
+    lines.append(f"description = {json.dumps('like ' + model['name'] if model else UNFILLED, ensure_ascii=False)}")
+    table = ""
+    for key in KEYS:
+        if key.table != table:
+            table = key.table
+            lines += ["", f"[{table}]"]
+        what = key.quantity.what.replace("`", "")
+        lines += [f"# {what[0].upper()}{what[1:]} ({key.quantity.allowed}).", _line(key, model)]
+    return "\n".join(lines) + "\n"
+
+
+def _line(key: ProfileKey, model: dict[str, Any]) -> str:
+    """Return the line of a key, as a comment if its default follows from the others."""
+    if not model and key.default is not None and math.isnan(key.default):
+        return f"# {key.short} =   (if left out, it follows from the keys above)"
+    return f"{key.short} = {_value(key, model)}"
+
+
+def _value(key: ProfileKey, model: dict[str, Any]) -> str:
+    if not model:
+        return json.dumps(UNFILLED if key.default is None else key.default)
+    return json.dumps((model[key.table] if key.table else model)[key.short])
