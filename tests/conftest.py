@@ -11,7 +11,7 @@ from hypothesis import settings
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
-from bumpymap.lab import load_open3d
+from bumpymap.lab.worlds.scans.lidar import load_open3d
 from bumpymap.patches.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
 
@@ -19,7 +19,8 @@ from bumpytiles import Grid, TileBuckets
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("bumpymap")
 
-sys.path.append(str(Path(__file__).parent / "helpers"))  # modules that several rooms' tests share
+# Modules that several rooms' tests share, and made-up ground, drives and sensors.
+sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds")]
 
 
 @cache

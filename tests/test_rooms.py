@@ -44,9 +44,8 @@ ROOMS = {
     "change": ({"core", "layers"}, {"geopandas", "numpy", "scipy"}),
     "check": ({"core", "readers", "layers"}, {"numpy", "scipy"}),
     "lab": (
-        # layers and route: ways are planned over the layers of a map and driven
-        {"core", "readers", "patches", "rating", "layers", "route", "scan"},
-        {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "skimage", "sklearn", "torch"},
+        {"core", "readers", "patches", "rating", "scan"},
+        {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "check", "lab"},

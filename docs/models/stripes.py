@@ -9,7 +9,7 @@ import numpy as np
 
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
-from bumpymap.lab.train.scan.data import crowns_as_bushes, scene_scan
+from bumpymap.lab.train.scan_sectors import crowns_as_bushes, scene_scan
 from bumpymap.lab.worlds.scans.scene import THEMES
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes

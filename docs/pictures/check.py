@@ -14,11 +14,14 @@ import numpy as np
 
 import bumpymap
 from bumpymap.check import CheckConfig, run_check
-from bumpymap.lab.evaluate.routes.measured import driven_heights
-from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
-from bumpymap.lab.simulate.relief import ReliefGround
-from bumpymap.lab.simulate.way import Stop
-from bumpymap.lab.worlds.drives import (
+from bumpymap.layers import open_map
+from bumpymap.rating import load_profile
+from bumpytiles import TileWindow
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
+
+from driven_ways import RecordSettings, ReliefGround, Stop, driven_heights, record_way
+from sensed_drives import (
     GNSS,
     IMUS,
     ClockFault,
@@ -28,9 +31,6 @@ from bumpymap.lab.worlds.drives import (
     sense_drive,
     write_drive_files,
 )
-from bumpymap.layers import open_map
-from bumpymap.rating import load_profile
-from bumpytiles import TileWindow
 
 ROOT = Path(__file__).resolve().parents[2]
 WAY = ((110, 8), (14, 8), (14, 29), (60, 29), (116, 23), (118, 44), (98, 58), (84, 46), (50, 36), (19, 38), (19, 72))

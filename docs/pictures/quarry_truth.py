@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.colors import LightSource
 from matplotlib.patches import Circle
 
-from bumpymap.lab import ZONES, QuarrySite
+from bumpymap.lab.worlds.sample import ZONES, QuarrySite
 
 STEP = 0.1
 LABELS = {

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab import DriveSettings, PatchGround, Physics
-from bumpymap.lab.simulate.drive import drive
+from bumpymap.lab.simulate.drive import DriveSettings, drive
+from bumpymap.lab.simulate.model import Physics
+from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.rating import Vehicle, load_profile
 from bumpymap.rating.textures import make_textures
 

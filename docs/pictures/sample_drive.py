@@ -10,11 +10,13 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from check import ROOT, SENSORS, drive
-
 import bumpymap
-from bumpymap.lab.simulate.way import Stop
-from bumpymap.lab.worlds.drives import GNSS, read_motion, sense_drive, write_drive_files
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
+
+from check import ROOT, SENSORS, drive
+from driven_ways import Stop
+from sensed_drives import GNSS, read_motion, sense_drive, write_drive_files
 
 WAY = ((14, 10), (14, 29), (62, 29))
 """Metres east and north of the south-west corner of the map: road, washboard."""

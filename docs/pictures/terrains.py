@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.colors import LightSource
 from matplotlib.figure import Figure
 
-from bumpymap.lab import KINDS, ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain, make_terrain, survey_terrain
 
 FOLDER = Path(__file__).parents[1] / "pages" / "img"
 SEED = 1

@@ -1,5 +1,6 @@
 """A site of 96 m x 96 m made of the library's terrains: its true surface, and the layers of a survey of it."""
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.lab.simulate.library import library_terrains
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
-from bumpymap.lab.simulate.relief import ReliefGround
+from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain, library_terrains
 from bumpymap.lab.simulate.terrain import PatchGround
-from bumpymap.lab.worlds import Terrain
+from bumpymap.lab.worlds.terrains import Terrain
 from bumpymap.rating import Calibration, Vehicle
 from bumpymap.survey import map_survey
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from driven_ways import ReliefGround
 
 EPSG = 32632
 CORNER = (512_340.0, 5_403_210.0)

@@ -1,11 +1,15 @@
 """Named sets of sensors for `drive_check.py`; what differs from vehicle to vehicle is drawn for each drive."""
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from bumpymap.lab.worlds.drives import GNSS, IMUS, ClockFault, DriveSensors
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from sensed_drives import GNSS, IMUS, ClockFault, DriveSensors
 
 Draw = Callable[[np.random.Generator], DriveSensors]
 

@@ -13,17 +13,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.evaluate.routes.measured import driven_heights
-from bumpymap.lab.evaluate.routes.pairs import choose_pairs
-from bumpymap.lab.evaluate.routes.planner import RoutePlanner
-from bumpymap.lab.evaluate.routes.settings import RouteTrialSettings
-from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
-from bumpymap.lab.simulate.relief import ReliefGround
-from bumpymap.lab.simulate.way import Stop
-from bumpymap.lab.worlds.drives import TrueDrive, read_motion, save_motion
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Vehicle
 from bumpytiles import TileWindow
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from _route_trial import RoutePlanner, RouteTrialSettings, choose_pairs
+from driven_ways import RecordSettings, ReliefGround, Stop, driven_heights, record_way
+from sensed_drives import TrueDrive, read_motion, save_motion
 
 _ROOM_TILES = 3
 _STOP_S = 3.0

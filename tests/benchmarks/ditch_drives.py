@@ -19,10 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.core import Barred, Georeference, MapConfig, SilentProgress, rated_columns
-from bumpymap.lab.simulate.journal import Journal
-from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.lab.simulate.plan import CalibrationSettings
-from bumpymap.lab.simulate.pool import drive_jobs
 from bumpymap.lab.simulate.steps import WallGround, cross
 from bumpymap.rating import Vehicle, crossing_fails
 from bumpymap.survey.neighbour_rating import NeighbourRating

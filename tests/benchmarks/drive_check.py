@@ -17,9 +17,6 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from _library_site import EPSG, library_layers
-from _sensor_sets import SETS
-from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives, stiff
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
@@ -27,9 +24,15 @@ from bumpymap.check import DriveMeasure, ReadingSettings, WayStretch, agreement_
 from bumpymap.check.pipeline import _Done, _field, _measured, _stretches
 from bumpymap.check.place_on_map import places_on_map
 from bumpymap.core import BadInputError, MapAgreement
-from bumpymap.lab.worlds.drives import SensedDrive, TrueDrive, sense_drive
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Calibration, Vehicle
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from _library_site import EPSG, library_layers
+from _sensor_sets import SETS
+from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives, stiff
+from sensed_drives import SensedDrive, TrueDrive, sense_drive
 
 Floats = NDArray[np.float64]
 _IN_80 = 1.2816

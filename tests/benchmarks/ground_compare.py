@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Scan
-from bumpymap.lab.evaluate.scan.points import ground_score
-from bumpymap.lab.evaluate.scan.run import labels_of
+from bumpymap.lab.evaluate.scans import ground_score, labels_of
 from bumpymap.readers import LabelSet, find_frames, read_scan
 from bumpymap.scan import polar_sectors
 

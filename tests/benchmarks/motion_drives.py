@@ -16,16 +16,11 @@ import numpy as np
 from scipy.stats import spearmanr
 
 from bumpymap.core import FeatureSettings, Georeference, Reason, SilentProgress, TextureMap
-from bumpymap.lab.evaluate.drives import driven_ground
-from bumpymap.lab.evaluate.keyed_random import uniform_by_key
-from bumpymap.lab.evaluate.strata import choose_patches, strata
-from bumpymap.lab.evaluate.subject import NoisyRide
-from bumpymap.lab.evaluate.survey import load_survey, open_readers, take_tiles
+from bumpymap.lab.evaluate.rated_survey import NoisyRide, load_survey, open_readers, take_tiles
+from bumpymap.lab.evaluate.survey_trial import choose_patches, driven_ground, strata, uniform_by_key
 from bumpymap.lab.simulate.drive import Start
-from bumpymap.lab.simulate.journal import JobJournal
-from bumpymap.lab.simulate.motion import MotionRecord
-from bumpymap.lab.simulate.motion_drive import drive_motion
-from bumpymap.lab.simulate.pool import drive_jobs
+from bumpymap.lab.simulate.jobs import JobJournal, drive_jobs
+from bumpymap.lab.simulate.motion_fit import MotionRecord, drive_motion
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.patches import join_stacks
 from bumpymap.rating import QUANTITIES, RideModel, Vehicle, find_calibration, motion_felt

@@ -16,15 +16,18 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from _sensor_sets import SETS
-from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives
-from unlike_vehicles import VARIANTS
 
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError, DrivenStretches
-from bumpymap.lab.worlds.drives import sense_drive, write_drive_files
 from bumpymap.rating import Calibration, DriveUpdate, Vehicle, update_from_drives
 from bumpymap.rating.drive_posterior import respond
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from _sensor_sets import SETS
+from _true_drives import KeptDrive, WayTask, heights_of, kept_ways, make_drives
+from sensed_drives import sense_drive, write_drive_files
+from unlike_vehicles import VARIANTS
 
 GODIE_EPSG = 32614
 LENGTHS_M = (100.0, 250.0, 500.0)

@@ -28,9 +28,8 @@ _KINDS = {
 
 def make_frames(folder: Path, count: int) -> Path:
     """Write the frames as KITTI-style files, unless they are there."""
-    from bumpymap.lab.worlds.scans.lidar import simulate_scan
+    from bumpymap.lab.worlds.scans.lidar import SENSORS, simulate_scan
     from bumpymap.lab.worlds.scans.scene import make_scene
-    from bumpymap.lab.worlds.scans.sensor import SENSORS
 
     if len(list(folder.glob("*.bin"))) == count:
         return folder

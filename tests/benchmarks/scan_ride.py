@@ -20,9 +20,8 @@ from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
 from bumpymap.core import NO_CLASS, Scan, SectorRide, SectorStack, sector_bounds
-from bumpymap.lab.worlds.scans.lidar import _World, posture, simulate_scan
+from bumpymap.lab.worlds.scans.lidar import SENSORS, Sensor, _World, posture, simulate_scan
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
-from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor
 from bumpymap.rating import find_calibration
 from bumpymap.scan import SectorRater, polar_sectors
 from bumpymap.survey import map_survey

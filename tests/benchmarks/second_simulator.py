@@ -26,13 +26,12 @@ import numpy as np
 from _mujoco_vehicle import SETUPS, MujocoVehicle, Setup
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.drive import DriveSettings, Outcome, follow
-from bumpymap.lab.simulate.library import read_library
+from bumpymap.lab.simulate.drive import DriveSettings, Outcome, PatchDrives, follow, start_seed
 from bumpymap.lab.simulate.model import Physics
-from bumpymap.lab.simulate.patch import PatchDrives, start_seed
+from bumpymap.lab.simulate.plan import read_library
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
 from bumpymap.lab.simulate.terrain import PatchGround, Strip
-from bumpymap.lab.worlds import KINDS
+from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import MAX_FAILED_SHARE, Calibration, RideModel, Vehicle, roll_over
 
 _NORMAL_TAIL = NormalDist().inv_cdf(0.9)

@@ -8,16 +8,20 @@ wall or a trunk beside which a disc of the vehicle's width does not fit.
 """
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 
-from bumpymap.lab.worlds.scans.sensor import SENSORS
-from bumpymap.lab.worlds.scans.street import Street, drive_street, make_street, noisy_poses
-from bumpymap.lab.worlds.woods import swept_tiles
+from bumpymap.lab.worlds.scans.lidar import SENSORS
 from bumpymap.scan import ScanConfig, scan_frames
+
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
+from made_street import Street, drive_street, make_street, noisy_poses
+from made_woods import swept_tiles
 
 BELLY_M, HEIGHT_M, WIDTH_M = 0.25, 1.38, 1.37
 """Of the Warthog."""

@@ -6,7 +6,6 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.lab.evaluate.scan import timing
 
 
 def evaluate(tmp_path, *words):
@@ -19,19 +18,13 @@ def evaluate(tmp_path, *words):
     ("words", "message"),
     [
         (["site.laz", "--model", "m.onnx"], "--model applies to scans: add --scans"),
-        (["--library", "--stripes", "s.json"], "--stripes applies to scans: add --scans"),
+        (["site.laz", "--stripes", "s.json"], "--stripes applies to scans: add --scans"),
         (["site.laz", "--scenes", "35"], "--scenes applies to scans: add --scans"),
         (["--scans", "--total-patches", "300"], "--total-patches applies to surveys and vehicles"),
         (["--scans", "--local"], "--local applies to surveys and vehicles"),
         (["--scans", "drive", "--vehicle", "car"], "--vehicle applies to surveys and vehicles"),
         (["--scans", "drive", "--scenes", "5"], "--scenes applies to simulated scenes"),
-        (["--scans", "--library"], "give one of them"),
-        (["--library", "site.laz"], "takes either surveys"),
-        ([], "takes either surveys"),
-        (["site.laz", "--pairs", "5"], "--pairs applies to routes: add --routes"),
-        (["--routes", "site", "--densities", "5"], "--densities applies to surveys and vehicles"),
-        (["--routes", "--library"], "give one of them"),
-        (["--routes"], "takes the folder of layers"),
+        ([], "takes surveys"),
     ],
 )
 def test_options_of_another_evaluation_are_refused(tmp_path, words, message):
@@ -41,7 +34,6 @@ def test_options_of_another_evaluation_are_refused(tmp_path, words, message):
 
 
 def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
-    monkeypatch.setattr(timing.importlib.util, "find_spec", lambda _: object())
     (tmp_path / "open3d.py").write_text('raise ImportError("libusb-1.0.so.0: cannot open shared object file")')
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "open3d", raising=False)

@@ -30,7 +30,7 @@ COMMANDS = {
     "scan": ["scan", "surveys/frame.bin", "--out", "new"],
     "vehicle": ["vehicle", "list"],
     "calibrate": ["calibrate", "--out", "layers"],
-    "evaluate": ["evaluate", "--routes", "layers", "--out", "new"],
+    "evaluate": ["evaluate", "--scans", "surveys/frame.bin", "--out", "new"],
     "train": ["train", "--scans", "surveys", "--out", "n.onnx"],
 }
 FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3}
@@ -40,7 +40,7 @@ SCRIPT = "from bumpymap.__main__ import run\nif __name__ == '__main__':\n    run
 PROGRAM = """
 import operator
 import bumpymap
-from bumpymap.lab.simulate.pool import run_in_processes
+from bumpymap.lab.simulate.jobs import run_in_processes
 if __name__ == "__main__":
     assert list(run_in_processes(operator.neg, [1, 2], 2)) == [-1, -2]
     bumpymap.map_survey("surveys/a.laz", "new", workers=2, overwrite=True)

@@ -195,7 +195,7 @@ def test_no_folder_for_points_is_left_by_a_signal(tmp_path, when):
 SLOW = """
 import os, time
 from pathlib import Path
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.drive import PatchDrives
 
 def run_job(settings, job):
     if job == next(iter(settings.jobs())):
@@ -254,11 +254,12 @@ def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name,
 def test_an_evaluation_that_is_ended_says_so(tmp_path, monkeypatch, name, code, word):
     from click.testing import CliRunner
 
-    from bumpymap.cli import evaluate_command, main
+    from bumpymap.cli import main
 
-    monkeypatch.setattr(evaluate_command, "_require", lambda _: None)
-    monkeypatch.setattr("bumpymap.lab.evaluate_library", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
-    result = CliRunner().invoke(main, ["evaluate", "--library", "--out", str(tmp_path)])
+    monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
+    monkeypatch.setattr("bumpymap.lab.evaluate_survey", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
+    survey = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+    result = CliRunner().invoke(main, ["evaluate", str(survey), "--out", str(tmp_path)])
     assert result.exit_code == code
     assert result.stderr.strip() == f"{word} {KEPT}"
     assert list(tmp_path.iterdir()) == []

@@ -109,10 +109,10 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
 
 def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
     require_torch()
-    from bumpymap.lab.train.scan import train as trainer
+    from bumpymap.lab.train import scan_net
 
     with pytest.MonkeyPatch.context() as patch:
-        draw, moving_bars = trainer.draw_epoch, []
+        draw, moving_bars = scan_net.draw_epoch, []
 
         def stop_at_the_second(*arguments):
             if moving_bars:
@@ -120,7 +120,7 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
             moving_bars.append(True)
             return draw(*arguments)
 
-        patch.setattr(trainer, "draw_epoch", stop_at_the_second)
+        patch.setattr(scan_net, "draw_epoch", stop_at_the_second)
         ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert ended.exit_code == 130
     assert ended.stderr.endswith("Give the same command again to continue after the last complete epoch.\n")
@@ -190,7 +190,8 @@ def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
 
 def test_the_help_names_the_defaults_of_the_library():
     require_torch()
-    from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
+    from bumpymap.lab.train.scan_net import ScanTrainSettings
+    from bumpymap.lab.train.textures import NetworkSettings, TrainSettings
 
     texture, scan = TrainSettings(), ScanTrainSettings()
     help_of = {option.name: option.help for option in train_command.command.params}

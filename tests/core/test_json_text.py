@@ -9,7 +9,7 @@ from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.json_text import Each, Nullable, Number, parse_json, shape_fault
 from bumpymap.core.run_folder import RunFolder, work_folder
-from bumpymap.lab.simulate.journal import Journal
+from bumpymap.lab.simulate.jobs import Journal
 from bumpymap.scan import load_stripes
 
 DEPTHS = [51, 400, 900, 2_000, 200_000]

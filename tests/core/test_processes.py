@@ -13,7 +13,7 @@ import pytest
 from bumpymap.core import processes
 from bumpymap.core.errors import UsageError
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, allocate_shared
-from bumpymap.lab.simulate.pool import run_in_processes
+from bumpymap.lab.simulate.jobs import run_in_processes
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
 
@@ -115,7 +115,7 @@ def test_a_script_without_a_guard_is_not_run_again(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import operator\n"
-        "from bumpymap.lab.simulate.pool import run_in_processes\n"
+        "from bumpymap.lab.simulate.jobs import run_in_processes\n"
         "print('run')\n"
         "print(*run_in_processes(operator.neg, [1, 2, 3], 2))\n"
     )
@@ -127,7 +127,7 @@ def test_a_daemonic_process_may_have_children():
     """As the workers of Dask are."""
     code = """
         import multiprocessing, operator, os
-        from bumpymap.lab.simulate.pool import run_in_processes
+        from bumpymap.lab.simulate.jobs import run_in_processes
 
         def work():
             os._exit(sum(run_in_processes(operator.neg, [-1, -2], 2)))
@@ -143,7 +143,7 @@ def test_a_daemonic_process_may_have_children():
 def test_a_task_of_the_main_module_is_refused_in_words(tmp_path):
     code = """
         from bumpymap.core.processes import ChildError
-        from bumpymap.lab.simulate.pool import run_in_processes
+        from bumpymap.lab.simulate.jobs import run_in_processes
 
         def task(job):
             return job

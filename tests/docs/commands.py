@@ -45,7 +45,6 @@ class Rule:
 
 
 _FEW = "--patches 2 --starts 2 --terrains 2 --terrain-starts 2"
-_PARTS = "density,invariance,noise,timing"
 RULES = (
     Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
@@ -73,6 +72,8 @@ RULES = (
     Rule(r"^python tests/benchmarks/ground_compare\.py", "takes labelled frames and Patchwork++", None),
     Rule(r"^python tests/benchmarks/second_simulator\.py", "takes MuJoCo, and drives for minutes", None),
     Rule(r"^python tests/benchmarks/(drive_check|motion_drives|ditch_drives)\.py", "drives for hours", None),
+    Rule(r"^python tests/benchmarks/(route|library)_drives\.py", "drives for hours", None),
+    Rule(r"^python tests/benchmarks/(tile_changes|thin_sweep|scan_checks)\.py", "takes minutes; tests run parts", None),
     Rule(r"^python tests/benchmarks/scene_book\.py", "surveys made-up scenes for minutes", None),
     Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file", None),
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
@@ -80,7 +81,7 @@ RULES = (
     Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),
     Rule(r"^bumpymap evaluate --scans --scenes", "made-up scenes", "--scenes 2"),
     Rule(r"^bumpymap evaluate --scans ", "takes some seconds for each frame", ""),
-    Rule(r"^bumpymap evaluate ", "an hour of drives", f"--total-patches 10 --min-starts 2 --skip {_PARTS}"),
+    Rule(r"^bumpymap evaluate ", "an hour of drives", "--total-patches 10 --min-starts 2"),
     Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
     Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--scenes 2 --epochs 1 --overwrite"),
     Rule(r"^bumpymap train ", "half an hour", "--patches-per-texture 30 --epochs 1"),

@@ -8,8 +8,8 @@ import pytest
 
 from bumpymap.core import CLASSES, BadInputError, Georeference, TextureMap
 from bumpymap.core.config import FeatureSettings
-from bumpymap.lab import ScanEffects, make_terrain
 from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import STEP_COLUMNS, RideModel, apply_steps, find_calibration, load_profile, rate, rate_as_paper
 from bumpymap.rating.calibration import Calibration

@@ -10,7 +10,7 @@ import pytest
 
 import bumpymap
 from bumpymap.core import NO_CLASS, PolarSettings, Scan, UsageError, sector_bounds
-from bumpymap.lab.worlds.scans import make_field
+from bumpymap.lab.worlds.scans.things import make_field
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, SectorRater, polar_sectors, scan_frames
 

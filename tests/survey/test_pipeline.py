@@ -494,7 +494,7 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
 
 
 def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
-    from bumpymap.lab import QuarrySite
+    from bumpymap.lab.worlds.sample import QuarrySite
 
     run("map", QUARRY, "--out", tmp_path / "layers")
     with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:

@@ -1,18 +1,194 @@
 """Make the calibration of a vehicle: drive it over textures of each z range and over the terrain library."""
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from time import perf_counter
+from typing import Any
 
-from bumpymap.lab.simulate.journal import Journal
-from bumpymap.lab.simulate.library import FitRide, FitThin
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
+from bumpymap.lab.simulate.drive import PatchDrives
+from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
-from bumpymap.lab.simulate.plan import CalibrationSettings, run_job
-from bumpymap.lab.simulate.pool import Progress, drive_jobs
-from bumpymap.lab.simulate.summary import summarise
-from bumpymap.rating import Calibration
+from bumpymap.lab.simulate.plan import (
+    CalibrationSettings,
+    FitRide,
+    FitThin,
+    driven_library,
+    library_ground,
+    library_record,
+    run_job,
+)
+from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain
 
-__all__ = ["calibrate_vehicle", "seconds_of_a_drive"]
+__all__ = ["calibrate_vehicle", "class_limits", "natural_breaks", "seconds_of_a_drive", "summarise"]
+
+_RULE = (
+    "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
+    "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
+    "1.2 times the vehicle's limit, all terrains on which at least 3/4 of the drives were completed; limits rounded to "
+    "0.001 rad/m"
+)
+
+
+def summarise(
+    settings: CalibrationSettings,
+    results: Mapping[Key, PatchDrives],
+    command: str = "",
+    fit: FitRide | None = None,
+    fit_thin: FitThin | None = None,
+) -> Calibration:
+    """Compute a calibration from the drives of all jobs.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    results : mapping
+        Key of a job -> its drives.
+    command : str
+        Stored in the calibration.
+    fit : callable, optional
+        Fits the ride model to the drives over the terrain library.
+    fit_thin : callable, optional
+        Fits the model of thin surveys to the ride model.
+    """
+    table = [
+        [
+            [results["table", texture, z, patch] for patch in range(settings.patches)]
+            for z in range(len(settings.z_range))
+        ]
+        for texture in range(len(TEXTURES))
+    ]
+    driven = driven_library(settings, results)
+    means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
+    p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
+    limits = class_limits(driven)
+    record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
+    record["library"] = library_record(driven)
+    ground = library_ground(settings, driven) if fit else []
+    ride = fit(settings.profile, ground, driven) if fit else None
+    return Calibration(
+        vehicle=record.pop("vehicle"),
+        tile_size=settings.tile_size,
+        pixels=settings.pixels,
+        textures=TEXTURES,
+        z_range=settings.z_range,
+        c_r=tuple(tuple(_mean(cell) for cell in line) for line in means),
+        c_r_log_sd=tuple(tuple(_log_sd(cell) for cell in line) for line in means),
+        p_fail=p_fail,
+        drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
+        class_limits=limits,
+        class_c_r=_class_means(driven, limits),
+        ride=ride,
+        thin=fit_thin(settings.profile, ground, ride, limits[0]) if fit_thin and ride else None,
+        settings=record,
+    )
+
+
+def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
+    """Return the three C_r limits between the classes, rad/m.
+
+    Parameters
+    ----------
+    driven : sequence
+        The terrains of the library.
+
+    Raises
+    ------
+    BumpymapError
+        The vehicle can cross too few of them, or hardly pitches on any.
+    """
+    crossable = [t.c_r for t in driven if t.c_r is not None and t.p_fail <= MAX_FAILED_SHARE]
+    if len(set(crossable)) < len(CLASS_NAMES):
+        raise BumpymapError(
+            f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
+            f"{len(CLASS_NAMES)} with different C_r. Check its profile for a wrong number with bumpymap calibrate "
+            "--check, or drive more terrains"
+        )
+    breaks = natural_breaks(np.array(crossable, dtype=np.float64), len(CLASS_NAMES))
+    low, middle, high = (round(limit, 3) for limit in breaks)
+    filled = set(np.searchsorted((low, middle, high), crossable, side="right").tolist())
+    if not 0 < low < middle < high or len(filled) < len(CLASS_NAMES):
+        raise BumpymapError(
+            f"the class limits are {low}, {middle}, {high} rad/m, too close together for four classes; "
+            "the vehicle hardly pitches on this ground"
+        )
+    return low, middle, high
+
+
+def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
+    """Return the limits of the split of numbers into groups with the least sum of squared deviations from group means.
+
+    Fisher's dynamic programming: the best split of the first i sorted numbers into k groups extends the best split of
+    the first j into k - 1. It is exact and needs no random start.
+
+    Parameters
+    ----------
+    values : array (n,)
+    groups : int
+        At least 2 and at most the number of distinct values.
+
+    Returns
+    -------
+    list of float, length groups - 1
+        Halfway between the means of neighbouring groups.
+    """
+    x = np.sort(values)
+    edges = _best_edges(x - x.mean(), groups)
+    centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
+    return [(a + b) / 2 for a, b in pairwise(centre)]
+
+
+def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
+    """Return the start index of each group of sorted numbers, and n: groups + 1 indices."""
+    n = len(x)
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    square = np.concatenate([[0.0], np.cumsum(x**2)])
+    best = np.full(n + 1, np.inf)
+    best[0] = 0.0
+    cut = np.zeros((groups, n + 1), dtype=np.int64)
+    for group in range(groups):
+        following = np.full(n + 1, np.inf)
+        for i in range(group + 1, n + 1):
+            j = np.arange(group, i)
+            spread = square[i] - square[j] - (total[i] - total[j]) ** 2 / (i - j)
+            cost = best[j] + np.maximum(spread, 0.0)
+            cut[group, i] = j[np.argmin(cost)]
+            following[i] = cost.min()
+        best = following
+    edges = [n]
+    for group in reversed(range(groups)):
+        edges.append(int(cut[group, edges[-1]]))
+    return edges[::-1]
+
+
+def _class_means(
+    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return the mean C_r of all terrains of each class, including those with few completed drives."""
+    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
+    class_id = np.searchsorted(limits, known, side="right")
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
+    return a, b, c, d
+
+
+def _mean(cell: list[float | None]) -> float | None:
+    known = [value for value in cell if value is not None]
+    return math.fsum(known) / len(known) if known else None
+
+
+def _log_sd(cell: list[float | None]) -> float | None:
+    logs = [math.log(value) for value in cell if value is not None]
+    return float(np.std(logs, ddof=1)) if len(logs) > 1 else None
+
+
+def _failed(cell: list[PatchDrives]) -> float:
+    return sum(patch.failed for patch in cell) / sum(len(patch.outcome) for patch in cell)
 
 
 def seconds_of_a_drive(settings: CalibrationSettings) -> float:

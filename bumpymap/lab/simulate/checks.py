@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Start, drive, drive_from
-from bumpymap.lab.simulate.pool import run_in_processes
+from bumpymap.lab.simulate.jobs import run_in_processes
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround
 from bumpymap.rating import Vehicle, make_textures
 

@@ -147,21 +147,6 @@ class DartVehicle:
             pitch_rate=float(self.chassis.getSpatialVelocity()[1]),
         )
 
-    def motion(self) -> NDArray[np.float64]:
-        """Return the whole motion of the chassis and its wheels.
-
-        Returns
-        -------
-        array (20,)
-            Rotation by rows (9; its columns are the forward, left and upward axis), place of the centre of mass (3, m),
-            angular velocity (3, rad/s) and velocity (3, m/s) in the chassis' own axes, speeds of the left and the right
-            wheels (2, m/s).
-        """
-        matrix = self.chassis.getWorldTransform().matrix()
-        sides = [sum(joint.getVelocity(0) for joint in self._wheels[side]) / 2 for side in ("left", "right")]
-        wheels = self._radius * np.array(sides)
-        return np.concatenate([matrix[:3, :3].ravel(), matrix[:3, 3], self.chassis.getSpatialVelocity(), wheels])
-
     def _make_world(self, physics: Physics) -> Any:
         world = self._dart.simulation.World()
         world.setGravity([0.0, 0.0, -_GRAVITY])

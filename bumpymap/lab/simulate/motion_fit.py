@@ -3,9 +3,12 @@
 ``python -m bumpymap.lab.simulate.motion_fit FILE...`` drives and adds ``motion`` to calibration files.
 """
 
+import math
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -13,18 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, UsageError, atomic
-from bumpymap.lab.simulate.journal import JobJournal
-from bumpymap.lab.simulate.motion import (
-    MotionEffort,
-    MotionRecord,
-    drive_library,
-    motion_jobs,
-    motion_journal,
-)
+from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, follow
+from bumpymap.lab.simulate.jobs import JobJournal, Key, Progress, drive_jobs
+from bumpymap.lab.simulate.model import DartVehicle, Pose, require_dart
 from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings, library_terrain
-from bumpymap.lab.simulate.pool import Progress
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
-from bumpymap.lab.worlds import KINDS, Terrain
+from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
+from bumpymap.lab.worlds.terrains import KINDS, Terrain
 from bumpymap.rating import (
     QUANTITIES,
     Calibration,
@@ -33,13 +31,254 @@ from bumpymap.rating import (
     MotionOperator,
     Motions,
     RideOperator,
+    Vehicle,
+    felt_response,
     motion_terms,
     move_over,
     plain_terms,
     roll_over,
 )
 
-__all__ = ["add_motion", "fit_motion", "refit_motion"]
+__all__ = [
+    "MotionDrive",
+    "MotionEffort",
+    "MotionJob",
+    "MotionRecord",
+    "add_motion",
+    "drive_library",
+    "drive_motion",
+    "fit_motion",
+    "motion_jobs",
+    "motion_journal",
+    "refit_motion",
+]
+
+_SETTLE_S = 0.02
+"""End of the record that the cut-off of the velocity changes."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionDrive:
+    """What one drive felt; NaN unless completed."""
+
+    outcome: Outcome
+    c_r: float
+    """Integral of the absolute pitch rate over the way, rad/m."""
+    c_roll: float
+    """The same of the roll rate, rad/m."""
+    a_w: float
+    """Root mean square of the weighted vertical acceleration, m/s2."""
+
+
+@dataclass(slots=True)
+class _Recorder:
+    """A vehicle that notes its motion while it is driven."""
+
+    vehicle: DartVehicle
+    roll_rate: list[float] = field(default_factory=list)
+    """rad/s, one for each call of `advance`."""
+    upward: list[float] = field(default_factory=list)
+    """Vertical velocity, m/s, one for each time step."""
+
+    def command(self, left_mps: float, right_mps: float) -> None:
+        """Set the speed of the tyres on either side."""
+        self.vehicle.command(left_mps, right_mps)
+
+    def advance(self, steps: int) -> None:
+        """Simulate and record time steps."""
+        for _ in range(steps):
+            self.vehicle.advance(1)
+            self.upward.append(float(self.vehicle.chassis.getCOMLinearVelocity()[2]))
+        self.roll_rate.append(float(self.vehicle.chassis.getSpatialVelocity()[0]))
+
+    def pose(self) -> Pose:
+        """Return the present state of the chassis."""
+        return self.vehicle.pose()
+
+
+def drive_motion(
+    profile: Vehicle, ground: DrivenGround, start: Start, speed: float, settings: DriveSettings | None = None
+) -> MotionDrive:
+    """Drive from a given start at a given speed and measure pitch, roll and weighted vertical acceleration.
+
+    Parameters
+    ----------
+    profile : Vehicle
+    ground : DrivenGround
+    start : Start
+    speed : float
+        m/s, in the place of the profile's. The measured way is as long as at the profile's speed.
+    settings : DriveSettings, optional
+        ``measure_s`` is the time of the measured way at the profile's speed.
+    """
+    settings = settings or DriveSettings()
+    settings = replace(settings, measure_s=settings.measure_s * profile.speed_mps / speed)
+    own = replace(profile, speed_mps=speed)
+    strip = Strip(
+        easting=start.easting,
+        northing=start.northing,
+        heading=start.heading,
+        length=speed * (settings.ramp_s / 2 + settings.cruise_s + settings.measure_s),
+        half_width=own.wheelbase_m / 2 + own.track_m / 2 + own.wheel.radius_m + settings.margin_m,
+    )
+    recorder = _Recorder(DartVehicle(own, ground, strip, settings.physics))
+    made = follow(recorder, strip, own, 0, settings)
+    if made.outcome != "completed":
+        return MotionDrive(made.outcome, math.nan, math.nan, math.nan)
+    return MotionDrive("completed", made.c_r, _rolled(recorder, settings) / made.path_m, _weighted(recorder, settings))
+
+
+def _rolled(recorder: _Recorder, settings: DriveSettings) -> float:
+    """Return the integral of the absolute roll rate over the measured time, rad."""
+    rates = np.abs(recorder.roll_rate[_samples(settings) - 1 :])
+    return float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
+
+
+def _weighted(recorder: _Recorder, settings: DriveSettings) -> float:
+    """Return the root mean square of the weighted acceleration over the measured time, m/s2."""
+    step = settings.physics.time_step
+    quiet = round(settings.settle_s / step)
+    first = _samples(settings) * settings.steps_per_sample - quiet
+    felt = weighted_acceleration(np.array(recorder.upward[quiet:]), step)
+    return float(np.sqrt(np.mean(felt[first : -round(_SETTLE_S / step)] ** 2)))
+
+
+def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """Return the weighted acceleration (n,) [m/s2] of a vertical velocity (n,) [m/s] every ``step`` s from rest on."""
+    long = 2 * len(velocity)
+    frequency = np.fft.rfftfreq(long, step)
+    to_velocity: NDArray[Any] = 2j * np.pi * np.maximum(frequency, frequency[1] / 2)  # 0 Hz weighs nothing
+    spectrum = np.fft.rfft(velocity, long) * felt_response(frequency) / to_velocity
+    return np.asarray(np.fft.irfft(spectrum, long)[: len(velocity)])
+
+
+def _samples(settings: DriveSettings) -> int:
+    """Return the number of samples before the measurement."""
+    return round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
+
+
+_STREAM = 102
+"""Number of the random stream of these drives."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionEffort:
+    """How much is driven."""
+
+    terrains: int = 6
+    """Terrains of each kind of the library."""
+    starts: int = 2
+    """Starts on each terrain."""
+    ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
+    """Speeds of each start over the profile's."""
+
+    @classmethod
+    def of(cls, settings: CalibrationSettings) -> "MotionEffort":
+        """Return the effort of a calibration: a quarter of its terrains, and of its drives over each."""
+        return cls(max(2, settings.terrains // 4), max(1, settings.terrain_starts // 4))
+
+    @property
+    def total(self) -> int:
+        """Number of all drives."""
+        return self.drives * self.terrains * len(KINDS)
+
+    @property
+    def drives(self) -> int:
+        """Drives over one terrain."""
+        return self.starts * len(self.ratios)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionJob:
+    """Drives over one terrain of the library."""
+
+    kind: str
+    index: int
+    starts: int
+    """Number of all drives."""
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("motion", self.kind, self.index)
+
+
+@dataclass(frozen=True, slots=True)
+class MotionRecord:
+    """Drives over one terrain: ``[start][speed]``; None unless completed."""
+
+    c_r: tuple[tuple[float | None, ...], ...]
+    """rad/m."""
+    c_roll: tuple[tuple[float | None, ...], ...]
+    """rad/m."""
+    a_w: tuple[tuple[float | None, ...], ...]
+    """m/s2."""
+
+    @classmethod
+    def of(cls, drives: list[list[MotionDrive]]) -> "MotionRecord":
+        """Collect drives, ``[start][speed]``."""
+        return cls(*(tuple(tuple(_known(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__))
+
+    @classmethod
+    def read(cls, fields: dict[str, Any]) -> "MotionRecord":
+        """Read the fields of a journal."""
+        return cls(*(tuple(tuple(row) for row in fields[name]) for name in cls.__slots__))
+
+
+def motion_jobs(effort: MotionEffort) -> list[MotionJob]:
+    """Return all jobs: the terrains of the library, index by index, so that a part of them has all kinds."""
+    return [MotionJob(kind, index, effort.drives) for index in range(effort.terrains) for kind in KINDS]
+
+
+def run_motion(settings: CalibrationSettings, effort: MotionEffort, job: MotionJob) -> MotionRecord:
+    """Drive over a terrain; every start has its own random stream, derived from the seed and the job."""
+    profile = settings.profile
+    heights = library_terrain(settings, job.kind, job.index).heights
+    ground = PatchGround.from_heights(heights, settings.tile_size)
+    made = []
+    for number in range(effort.starts):
+        stream = (_STREAM, KINDS.index(job.kind), job.index, number)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
+        easting, northing, turn = rng.random(3).tolist()
+        start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
+        made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in effort.ratios])
+    return MotionRecord.of(made)
+
+
+def drive_library(
+    settings: CalibrationSettings,
+    effort: MotionEffort,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: JobJournal[MotionRecord] | None = None,
+    discard_other: bool = False,
+) -> dict[Key, MotionRecord]:
+    """Drive over the first terrains of every kind; for the other parameters see `drive_jobs`."""
+    require_dart()
+    return drive_jobs(
+        partial(run_motion, settings, effort),
+        motion_jobs(effort),
+        progress,
+        workers=workers,
+        journal=journal,
+        discard_other=discard_other,
+    )
+
+
+def motion_journal(path: Path, settings: CalibrationSettings, effort: MotionEffort) -> JobJournal[MotionRecord]:
+    """Return the journal of such drives."""
+    versions = {name: version(name) for name in ("dartpy", "numpy")}
+    profile = settings.profile.to_dict()
+    about = {"seed": settings.seed, "tile_size": settings.tile_size, "pixels": settings.pixels, "vehicle": profile}
+    effort_record = {name: value for name, value in asdict(effort).items() if name != "terrains"}
+    plain = {**about, "effort": {k: list(v) if isinstance(v, tuple) else v for k, v in effort_record.items()}}
+    return JobJournal(path, plain | {"versions": versions}, MotionRecord.read)
+
+
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else float(f"{value:.6g}")
+
 
 Floats = NDArray[np.float64]
 SPEED_RANGE = (0.4, 2.5)

@@ -6,27 +6,33 @@ The ride model is fitted to the terrain library: ground of many kinds with a wid
 
 import math
 import platform
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
-from bumpymap.core import TEXTURES, UsageError
-from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.journal import Key
-from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
-from bumpymap.lab.worlds import KINDS, Terrain, make_terrain
-from bumpymap.rating import Calibration, Vehicle, make_textures
+from bumpymap.core import TEXTURES, BadInputError, UsageError
+from bumpymap.lab.simulate.drive import DriveSettings, Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.jobs import Key
+from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
+from bumpymap.rating import Calibration, DrivenTerrain, Vehicle, make_textures
 
 __all__ = [
     "CalibrationSettings",
+    "FitRide",
+    "FitThin",
     "LibraryJob",
     "TableJob",
     "calibrated_settings",
+    "driven_library",
+    "library_ground",
+    "library_record",
     "library_terrain",
+    "library_terrains",
     "log_spaced",
+    "read_library",
     "run_job",
 ]
 
@@ -188,3 +194,110 @@ def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchD
     return drive_patch(
         settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
     )
+
+
+_COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
+
+
+class FitRide(Protocol):
+    """Fits a ride model to driven terrains."""
+
+    def __call__(
+        self, profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
+    ) -> dict[str, Any]:
+        """Fit a ride model.
+
+        Parameters
+        ----------
+        profile : Vehicle
+        terrains : sequence, length n
+            The driven ground.
+        driven : sequence, length n
+            Results of the drives over it.
+
+        Returns
+        -------
+        dict
+            Plain JSON for the calibration's ``ride`` entry.
+        """
+
+
+class FitThin(Protocol):
+    """Fits a model of thin surveys to a ride model."""
+
+    def __call__(
+        self, profile: Vehicle, terrains: Sequence[Terrain], ride: dict[str, Any], first_limit: float
+    ) -> dict[str, Any]:
+        """Fit; see `bumpymap.lab.simulate.ride_fit.fit_thin_surveys`."""
+
+
+def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
+    """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
+    return tuple(
+        _driven(kind, index, results["library", kind, index]) for kind in KINDS for index in range(settings.terrains)
+    )
+
+
+def library_ground(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> list[Terrain]:
+    """Regenerate the ground of driven terrains."""
+    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
+
+
+def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
+    """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
+    record: dict[str, dict[str, list[Any]]] = {}
+    for terrain in driven:
+        columns = record.setdefault(terrain.kind, {name: [] for name in _COLUMNS})
+        values = asdict(terrain)
+        for name, column in columns.items():
+            column.append(values[name])
+    return record
+
+
+def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
+    """Read the driven terrains from a calibration.
+
+    Raises
+    ------
+    BadInputError
+        The record is damaged.
+    """
+    try:
+        return tuple(
+            DrivenTerrain(kind, index, **dict(zip(_COLUMNS, values, strict=True)))
+            for kind, columns in calibration.settings["library"].items()
+            for index, values in enumerate(zip(*(columns[name] for name in _COLUMNS), strict=True))
+        )
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        raise BadInputError(
+            f"the record of the terrain library in the calibration {calibration.id} is damaged: {error!r}. "
+            "Make it again with: bumpymap calibrate --vehicle FILE --out CALIBRATION.json"
+        ) from error
+
+
+def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
+    """Return the ground and the drives of the terrain library of a calibration, the inputs of `FitRide`.
+
+    Raises
+    ------
+    BadInputError
+        The record is damaged.
+    """
+    driven = library_terrains(calibration)
+    return library_ground(calibrated_settings(calibration), driven), driven
+
+
+def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:
+    return DrivenTerrain(
+        kind=kind,
+        index=index,
+        c_r=_six_digits(drives.mean_c_r),
+        c_r_error=_six_digits(drives.standard_error),
+        completed=len(drives.completed),
+        stuck=drives.outcome.count("stuck"),
+        rolled=drives.outcome.count("rolled"),
+    )
+
+
+def _six_digits(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.6g}")

@@ -11,10 +11,9 @@ from importlib.resources import files
 from pathlib import Path
 
 from bumpymap.core import UsageError, atomic
-from bumpymap.lab.simulate.library import read_library
-from bumpymap.lab.simulate.ride_fit import fit_ride
+from bumpymap.lab.simulate.plan import read_library
+from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.steps import rate_steps
-from bumpymap.lab.simulate.thin_surveys import fit_thin_surveys
 from bumpymap.rating import Calibration, Vehicle
 
 __all__ = ["refit", "refit_thin"]

@@ -17,11 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.drive import Drive, Start, drive_from
-from bumpymap.lab.simulate.journal import Journal, Key
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
+from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings
-from bumpymap.lab.simulate.pool import Progress, drive_jobs
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 

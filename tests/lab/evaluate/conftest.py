@@ -1,17 +1,21 @@
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.settings import EvaluateSettings
-from bumpymap.lab.evaluate.subject import Subject, Verdict
-from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.evaluate import survey_trial
+from bumpymap.lab.evaluate.rated_survey import Subject, Verdict
+from bumpymap.lab.evaluate.survey_trial import EvaluateSettings
+from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.texture_network import TextureModel
 from bumpymap.rating.vehicle_profile import load_profile
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))  # drivers of other evaluations
 
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 
@@ -42,7 +46,7 @@ def subject(ride_record):
 def settings():
     """Few and short drives."""
     drive = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
-    return EvaluateSettings(total_patches=10, min_starts=2, max_starts=2, densities=(500.0, 40.0), drive=drive)
+    return EvaluateSettings(total_patches=10, min_starts=2, max_starts=2, drive=drive)
 
 
 @pytest.fixture(scope="session")
@@ -77,3 +81,18 @@ def verdict_of(c_r, class_id=None, p_fail=None, spread=1.2):
 @pytest.fixture(name="verdict_of")
 def verdict_of_fixture():
     return verdict_of
+
+
+@pytest.fixture
+def fake_drives(monkeypatch):
+    """Drives that cost nothing: C_r is the relief. Returns the keys of those that were made."""
+    made = []
+
+    def run(_profile, _tile_size, _settings, job):
+        made.append(job.key)
+        c_r = 0.01 + float(np.std(job.heights))
+        return PatchDrives(("completed",) * 2, (c_r, 1.05 * c_r))
+
+    monkeypatch.setattr(survey_trial, "require_dart", lambda: None)
+    monkeypatch.setattr(survey_trial, "drive_job", run)
+    return made

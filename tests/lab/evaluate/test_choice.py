@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from scipy.stats import kstest
 
-from bumpymap.lab.evaluate.keyed_random import uniform_by_key
-from bumpymap.lab.evaluate.strata import BINS, choose_patches, strata
+from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, strata, uniform_by_key
 
 SEEDS = st.integers(0, 2**31)
 

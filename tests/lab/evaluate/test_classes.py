@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.classes import class_table
+from bumpymap.lab.evaluate.agreement import class_table
 
 KLASS = [0, 0, 1, 1, 2, 3]
 VARIANCE = np.array([1.0, 3.0, 4.0, 6.0, 7.0, 9.0])

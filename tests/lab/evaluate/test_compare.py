@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.compare import by_kind, compare, compare_order
-from bumpymap.lab.evaluate.drives import DriveStats
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.evaluate.agreement import DriveStats, compare, compare_order
+from bumpymap.lab.simulate.drive import PatchDrives
 
 LIMITS = (0.1, 0.3, 0.5)
 
@@ -67,13 +66,6 @@ def test_ground_that_nothing_crosses_leaves_only_failures_to_compare(verdict_of)
     assert np.isnan(found.agreement["ride"].median_error)
     assert found.agreement["ride"].confusion[3] == [3, 0, 0, 0]
     assert "height" not in found.agreement
-
-
-def test_kinds_are_told_apart(verdict_of):
-    driven = driven_of([0.1, 0.2, 0.1, 0.2], [0, 0, 0, 16])
-    rows = by_kind(["kerb", "kerb", "ruts", "ruts"], verdict_of([0.1, 0.2, 0.2, 0.2]), driven)
-    assert [(row.kind, row.compared, row.failed_share) for row in rows] == [("kerb", 2, 0.0), ("ruts", 1, 0.5)]
-    assert [row.median_error for row in rows] == pytest.approx([0.0, 1.0])
 
 
 def test_order_of_vehicles_counts_where_all_came_through(verdict_of):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.drives import driven_ground
-from bumpymap.lab.evaluate.survey import take_tiles
+from bumpymap.lab.evaluate.rated_survey import take_tiles
+from bumpymap.lab.evaluate.survey_trial import driven_ground
 
 
 @pytest.fixture(scope="module")

@@ -2,16 +2,14 @@
 
 import numpy as np
 import pytest
+from _tile_trials import MOVES, density_sweep, invariance, library_terrains, measure_all, moved_points, thin_points
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.progress import SilentProgress
-from bumpymap.lab import ScanEffects
-from bumpymap.lab.evaluate.density import density_sweep, thin_points
-from bumpymap.lab.evaluate.invariance import MOVES, invariance, moved_points
-from bumpymap.lab.evaluate.library import library_terrains, measure_all
-from bumpymap.lab.evaluate.survey import load_survey, open_readers
+from bumpymap.lab.evaluate.rated_survey import load_survey, open_readers
 from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.worlds.terrains import ScanEffects
 from bumpymap.patches.features import join_stacks, measure
 from bumpymap.readers import ReadOptions
 from bumpytiles import Grid, TileBuckets
@@ -147,8 +145,8 @@ def test_points_that_find_no_room_wait_on_disk(readers, tmp_path, monkeypatch):
             return waiting, join_stacks([survey.measured(points) for points in survey.points()]).heights
 
     none, at_once = heights()
-    monkeypatch.setattr("bumpymap.lab.evaluate.survey.MOST_BYTES", 280_000)
-    monkeypatch.setattr("bumpymap.lab.evaluate.survey.BLOCK_POINTS", 20_000)
+    monkeypatch.setattr("bumpymap.lab.evaluate.rated_survey.MOST_BYTES", 280_000)
+    monkeypatch.setattr("bumpymap.lab.evaluate.rated_survey.BLOCK_POINTS", 20_000)
     some, bit_by_bit = heights()
     assert not none
     assert some

@@ -1,23 +1,18 @@
-"""Whole evaluations: of a corner of the sample survey and of a little library, with short drives."""
+"""Whole evaluations of a corner of the sample survey, with short drives."""
 
 import json
 from dataclasses import asdict, replace
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.progress import SilentProgress
-from bumpymap.lab.evaluate.document import plain_record
-from bumpymap.lab.evaluate.run import evaluate_library, evaluate_survey
-from bumpymap.lab.evaluate.settings import EvaluateSettings
-from bumpymap.lab.evaluate.subject import Subject
-from bumpymap.lab.evaluate.survey import open_readers
-from bumpymap.lab.evaluate.trial import TrialOptions
-from bumpymap.lab.simulate import validate
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.evaluate import survey_trial
+from bumpymap.lab.evaluate.rated_survey import Subject, open_readers
+from bumpymap.lab.evaluate.report import plain_record
+from bumpymap.lab.evaluate.survey_trial import EvaluateSettings, TrialOptions, evaluate_survey
 from bumpymap.readers import ReadOptions
 
 pytestmark = pytest.mark.slow
@@ -32,54 +27,34 @@ def evaluate(quarry, subjects, settings, out):
     return evaluate_survey(open_readers([quarry], options, local=False), options, "all", subjects, settings, trial(out))
 
 
-@pytest.fixture
-def fake_drives(monkeypatch):
-    """Drives that cost nothing: C_r is the relief. Returns the keys of those that were made."""
-    made = []
-
-    def run(common, job):
-        made.append(job.key)
-        c_r = 0.01 + float(np.std(job.heights))
-        return PatchDrives(("completed",) * 2, (c_r, 1.05 * c_r))
-
-    monkeypatch.setattr(validate, "require_dart", lambda: None)
-    monkeypatch.setattr(validate, "drive_job", run)
-    return made
-
-
-def test_a_survey_is_driven_rated_thinned_moved_and_timed(quarry, subject, settings, tmp_path):
+def test_a_survey_is_driven_and_rated(quarry, subject, settings, tmp_path):
     pytest.importorskip("dartpy")
     found = evaluate(quarry, [subject], settings, tmp_path)
     own = found.comparisons["warthog"]
     assert own.patches == 10
     assert own.drives == 20
     assert set(own.agreement) >= {"ride", "ride_raw", "table"}
-    assert {row.density for row in found.densities} == {40.0}
-    assert [cost.step for cost in found.timing] == ["measure", "texture", "ride", "table"]
-    assert all(cost.peak_kb >= cost.result_kb * 0.9 for cost in found.timing)
     assert sum(row.tiles for row in found.classes["ride"].rows) == found.facts["judged_tiles"]
     assert [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
 
 
 def test_drives_are_not_made_twice_even_for_another_calibration(quarry, subject, settings, tmp_path, fake_drives):
-    quick = replace(settings, skip=frozenset({"density", "invariance", "timing"}))
-    first = evaluate(quarry, [subject], quick, tmp_path)
+    first = evaluate(quarry, [subject], settings, tmp_path)
     assert len(fake_drives) == 10
-    again = evaluate(quarry, [subject], quick, tmp_path)
+    again = evaluate(quarry, [subject], settings, tmp_path)
     assert len(fake_drives) == 10
     assert plain_record(asdict(again)) == plain_record(asdict(first))
     other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
-    evaluate(quarry, [Subject.of(other, subject.textures, "both")], quick, tmp_path)
+    evaluate(quarry, [Subject.of(other, subject.textures, "both")], settings, tmp_path)
     assert len(fake_drives) == 10
-    evaluate(quarry, [subject], replace(quick, total_patches=15), tmp_path)
+    evaluate(quarry, [subject], replace(settings, total_patches=15), tmp_path)
     assert len(fake_drives) == 15
 
 
 def test_vehicles_drive_the_same_patches_and_are_put_in_order(quarry, subject, settings, tmp_path, fake_drives):
     vehicle = dict(subject.calibration.vehicle) | {"name": "other"}
     other = Subject.of(replace(subject.calibration, vehicle=vehicle), subject.textures, "both")
-    quick = replace(settings, skip=frozenset({"density", "invariance", "timing"}))
-    found = evaluate(quarry, [subject, other], quick, tmp_path)
+    found = evaluate(quarry, [subject, other], settings, tmp_path)
     assert found.patches["warthog"].names == found.patches["other"].names
     assert [(order.rating, order.vehicles) for order in found.orders] == [
         ("ride", ("warthog", "other")),
@@ -99,28 +74,21 @@ def test_calibrations_for_different_tiles_are_refused(quarry, subject, settings,
         evaluate(quarry, [subject, other], settings, tmp_path)
 
 
-def test_the_library_is_driven_and_told_apart_by_kind(subject, settings, tmp_path, fake_drives):
-    found = evaluate_library([subject], replace(settings, skip=frozenset({"noise"})), trial(tmp_path))
-    assert len(fake_drives) == found.facts["terrains"] == 17
-    assert {row.kind for row in found.kinds} == set(found.facts["kinds"])
-    assert len(found.moves) == 8
-    assert not found.classes
-
-
 def cli(*words):
     return CliRunner().invoke(main, ["evaluate", *map(str, words)])
 
 
-def test_command_writes_a_report_without_drives(quarry, subject, tmp_path):
+def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives):
     out, calibration = tmp_path / "trust", tmp_path / "own.json"
     calibration.write_text(subject.calibration.to_json())
-    words = [quarry, "--out", out, "--calibration", calibration, "--rating", "table"]
-    words += ["--skip", "drives,density,invariance,timing"]
+    words = [quarry, "--out", out, "--calibration", calibration, "--rating", "table", "--total-patches", "10"]
+    words += ["--workers", "1"]
     result = cli(*words)
     assert result.exit_code == 0, result.output
     record = json.loads((out / "report.json").read_text())
     assert list(record["classes"]) == ["table"]
-    assert sorted(path.name for path in out.iterdir()) == ["report.json", "report.md"]
+    written = sorted(path.name for path in out.iterdir() if path.suffix != ".jsonl")
+    assert written == ["driven_warthog.png", "failures_warthog.png", "report.json", "report.md"]
     refused = cli(*words)
     assert refused.exit_code == 3
     assert "--overwrite" in refused.output
@@ -130,11 +98,7 @@ def test_command_writes_a_report_without_drives(quarry, subject, tmp_path):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "either surveys"),
-        (["site.laz", "--library"], "either surveys"),
-        (["site.laz", "--densities", "many"], "--densities is 'many'"),
-        (["site.laz", "--densities", "-4"], "positive"),
-        (["site.laz", "--skip", "lunch"], "--skip lunch"),
+        ([], "takes surveys"),
         (["site.laz", "--total-patches", "3"], "--total-patches is 3"),
         (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--rating", "table"], "twice"),
     ],
@@ -148,7 +112,7 @@ def test_wrong_usage_is_said_before_anything_is_read(words, said, tmp_path):
 
 def test_a_survey_that_is_not_there_leaves_no_folder(subject, tmp_path):
     (tmp_path / "own.json").write_text(subject.calibration.to_json())
-    words = ["--calibration", tmp_path / "own.json", "--skip", "drives", "--out", tmp_path / "o"]
+    words = ["--calibration", tmp_path / "own.json", "--out", tmp_path / "o"]
     result = cli(tmp_path / "gone.laz", *words)
     assert result.exit_code == 3
     assert "does not exist" in result.output
@@ -169,16 +133,15 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         "--workers",
         "1",
     ]
-    words += ["--skip", "density,invariance,timing"]
-    drive = validate.drive_job
+    drive = survey_trial.drive_job
 
-    def interrupted(common, job):
+    def interrupted(*job):
         if len(fake_drives) == 5:
             raise KeyboardInterrupt
-        return drive(common, job)
+        return drive(*job)
 
     with monkeypatch.context() as during:
-        during.setattr(validate, "drive_job", interrupted)
+        during.setattr(survey_trial, "drive_job", interrupted)
         result = cli(*words)
     assert result.exit_code == 130
     assert "same command again" in result.output

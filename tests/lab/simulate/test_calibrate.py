@@ -9,15 +9,21 @@ import pytest
 
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.types import TEXTURES
-from bumpymap.lab import KINDS
 from bumpymap.lab.simulate import calibrate as calibrate_module
-from bumpymap.lab.simulate.calibrate import calibrate_vehicle
-from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.journal import Journal
-from bumpymap.lab.simulate.library import library_terrains, read_library
-from bumpymap.lab.simulate.patch import PatchDrives
-from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob, TableJob, library_terrain, log_spaced, run_job
-from bumpymap.lab.simulate.summary import class_limits
+from bumpymap.lab.simulate.calibrate import calibrate_vehicle, class_limits
+from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
+from bumpymap.lab.simulate.jobs import Journal
+from bumpymap.lab.simulate.plan import (
+    CalibrationSettings,
+    LibraryJob,
+    TableJob,
+    library_terrain,
+    library_terrains,
+    log_spaced,
+    read_library,
+    run_job,
+)
+from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile
 

@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
+from driven_ways import RecordSettings, ReliefGround, Stop, record_way
+from sensed_drives import GRAVITY
 
-from bumpymap.lab.simulate.drive_log import RecordSettings, record_way
-from bumpymap.lab.simulate.relief import ReliefGround
-from bumpymap.lab.simulate.way import Stop
-from bumpymap.lab.worlds.drives import GRAVITY
 from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")

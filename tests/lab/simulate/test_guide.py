@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from driven_ways import GuideLine
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.simulate.guide import GuideLine
 
 CORNERS = np.array([[1.0, 2.0], [7.0, 2.0], [7.0, 10.0]])
 

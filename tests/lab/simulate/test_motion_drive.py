@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.lab.simulate.drive import Start
-from bumpymap.lab.simulate.motion_drive import drive_motion, weighted_acceleration
+from bumpymap.lab.simulate.motion_fit import drive_motion, weighted_acceleration
 from bumpymap.lab.simulate.terrain import PlaneGround, SineGround
 from bumpymap.rating import felt_response, load_profile
 

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.lab.simulate.motion import MotionEffort, MotionRecord, motion_jobs, motion_journal
-from bumpymap.lab.simulate.motion_fit import add_motion, fit_motion, refit_motion
+from bumpymap.lab.simulate.motion_fit import (
+    MotionEffort,
+    MotionRecord,
+    add_motion,
+    fit_motion,
+    motion_jobs,
+    motion_journal,
+    refit_motion,
+)
 from bumpymap.lab.simulate.plan import calibrated_settings
 from bumpymap.rating import Calibration, MotionModel
 from bumpymap.rating.calibration import shipped_calibrations
@@ -71,8 +78,8 @@ def test_drives_are_added_and_resumed(tmp_path, monkeypatch):
         means = invented()[len(asked) % 34]
         return MotionRecord(*(((tuple(means[:, number].tolist()),)) for number in range(3)))
 
-    monkeypatch.setattr("bumpymap.lab.simulate.motion.run_motion", instead)
-    monkeypatch.setattr("bumpymap.lab.simulate.motion.require_dart", lambda: None)
+    monkeypatch.setattr("bumpymap.lab.simulate.motion_fit.run_motion", instead)
+    monkeypatch.setattr("bumpymap.lab.simulate.motion_fit.require_dart", lambda: None)
     journal = motion_journal(tmp_path / "drives.jsonl", SETTINGS, effort)
     made = add_motion(WARTHOG, effort=effort, journal=journal)
     assert len(asked) == 17

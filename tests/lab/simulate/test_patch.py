@@ -1,21 +1,27 @@
 """Patches driven until they are known, one or many: made-up drives for the rules, a few real ones for the seams."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.simulate import patch as patch_module
-from bumpymap.lab.simulate.drive import Drive, DriveSettings
-from bumpymap.lab.simulate.journal import Journal
-from bumpymap.lab.simulate.patch import Effort, PatchDrives, drive_patch
-from bumpymap.lab.simulate.validate import DriveConditions, drive_patches
+from bumpymap.lab.evaluate.survey_trial import EvaluateSettings, _PatchJob, drive_job
+from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.rating.vehicle_profile import load_profile
 
 WARTHOG = load_profile("warthog")
 LEVEL = np.zeros((15, 15))
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
+
+
+def drive_patches(patches, starts, *, seed=1, drive=None, **how):
+    """Drive over patches of a survey, as an evaluation does."""
+    settings = EvaluateSettings(min_starts=starts, max_starts=starts, seed=seed, drive=drive or DriveSettings())
+    jobs = [_PatchJob(key, heights, starts) for key, heights in patches.items()]
+    return drive_jobs(partial(drive_job, WARTHOG, 3.0, settings), jobs, **how)
 
 
 @pytest.fixture
@@ -30,7 +36,7 @@ def fake_drive(monkeypatch):
         c_r = math.nan if failed else 0.1 * (1 + state["spread"] * rng.standard_normal())
         return Drive("rolled" if failed else "completed", c_r, 10.0, 10.0, seed)
 
-    monkeypatch.setattr(patch_module, "drive", drive)
+    monkeypatch.setattr("bumpymap.lab.simulate.drive.drive", drive)
     return state
 
 
@@ -91,25 +97,23 @@ def test_effort_that_cannot_be_is_refused(effort):
 
 def test_patches_do_not_depend_on_their_neighbours_or_their_order(fake_drive):
     patches = {(-3, 2): LEVEL, (7, 11): LEVEL, ("site", 4): LEVEL}
-    effort = Effort.fixed(3)
-    every = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), patches)
-    turned = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), dict(reversed(patches.items())))
+    every = drive_patches(patches, 3)
+    turned = drive_patches(dict(reversed(patches.items())), 3)
     assert every == turned
-    assert drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), {(7, 11): LEVEL})[7, 11] == every[7, 11]
+    assert drive_patches({(7, 11): LEVEL}, 3)[7, 11] == every[7, 11]
     assert len({drives.c_r for drives in every.values()}) == 3
-    assert drive_patches(DriveConditions(WARTHOG, 3.0, 2, effort), patches)[-3, 2] != every[-3, 2]
+    assert drive_patches(patches, 3, seed=2)[-3, 2] != every[-3, 2]
 
 
 def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     patches = {(col, -1): LEVEL for col in range(4)}
     journal = Journal(tmp_path / "j", {"survey": "x"})
-    effort = Effort.fixed(2)
-    first = drive_patches(DriveConditions(WARTHOG, 3.0, 1, effort), dict(list(patches.items())[:3]), journal=journal)
+    first = drive_patches(dict(list(patches.items())[:3]), 2, journal=journal)
     fake_drive["seeds"].clear()
     seen = []
     again = drive_patches(
-        DriveConditions(WARTHOG, 3.0, 1, effort),
         patches,
+        2,
         journal=journal,
         progress=lambda done, total: seen.append((done, total)),
     )
@@ -122,9 +126,6 @@ def test_real_drives_are_the_same_in_a_pool():
     pytest.importorskip("dartpy")
     rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))
     patches = {(0, 0): rough, (0, 1): rough.T.copy()}
-    alone, pooled = (
-        drive_patches(DriveConditions(WARTHOG, 3.0, 1, Effort.fixed(2), SHORT), patches, workers=workers)
-        for workers in (1, 2)
-    )
+    alone, pooled = (drive_patches(patches, 2, drive=SHORT, workers=workers) for workers in (1, 2))
     assert alone == pooled
     assert alone[0, 0].completed

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BumpymapError
-from bumpymap.lab.simulate.pool import drive_jobs
+from bumpymap.lab.simulate.jobs import drive_jobs
 
 pytestmark = pytest.mark.slow
 
@@ -33,7 +33,7 @@ def never(job):
 BEGIN = """
 import os, signal, sys
 from bumpymap.core.interrupts import interruptible
-from bumpymap.lab.simulate.pool import drive_jobs
+from bumpymap.lab.simulate.jobs import drive_jobs
 import pool_jobs
 
 seen, at = 0, int(sys.argv[1])
@@ -58,7 +58,7 @@ INSTANTS = 12
 CUT = """
 import sys
 from contextlib import contextmanager
-import bumpymap.lab.simulate.pool as pool
+import bumpymap.lab.simulate.jobs as pool
 import pool_jobs
 
 shielded, entered = pool.shielded, 0
@@ -141,7 +141,7 @@ def test_a_signal_before_the_clearing_up_leaves_nobody_waiting(jobs):
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
 def test_workers_end_with_a_main_process_that_was_killed(jobs):
     code = (
-        "from bumpymap.lab.simulate.pool import drive_jobs\n"
+        "from bumpymap.lab.simulate.jobs import drive_jobs\n"
         "import pool_jobs\n"
         "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
     )

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from driven_ways import ReliefGround, corridor_triangles, fill_gaps
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.lab.simulate.relief import ReliefGround, corridor_triangles, fill_gaps
 
 
 def plane(rows, cols, size=0.2):

@@ -7,11 +7,11 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError
 from bumpymap.core.types import TEXTURES
-from bumpymap.lab import KINDS
-from bumpymap.lab.simulate import summary
-from bumpymap.lab.simulate.patch import PatchDrives
+from bumpymap.lab.simulate import calibrate
+from bumpymap.lab.simulate.calibrate import class_limits, natural_breaks
+from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.plan import CalibrationSettings
-from bumpymap.lab.simulate.summary import class_limits, natural_breaks
+from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import DrivenTerrain
 from bumpymap.rating.vehicle_profile import load_profile
 
@@ -27,7 +27,7 @@ def summarise(cells, command=""):
     results = {("table", t, z, patch): d for (t, z), cell in cells.items() for patch, d in enumerate(cell)}
     names = [("library", kind, index) for kind in KINDS for index in range(4)]
     results |= {name: drives(0.01 * (1 + i), 0.01 * (1 + i)) for i, name in enumerate(names)}
-    return summary.summarise(SETTINGS, results, command)
+    return calibrate.summarise(SETTINGS, results, command)
 
 
 def terrain(c_r, completed=8, failed=0):

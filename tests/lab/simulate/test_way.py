@@ -6,13 +6,11 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+from driven_ways import GuideLine, ReliefGround, Stop, WayDrive, drive_way, follow_guide
 
 from bumpymap.lab.simulate.checks import sine_c_r
 from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.guide import GuideLine
 from bumpymap.lab.simulate.model import Pose
-from bumpymap.lab.simulate.relief import ReliefGround
-from bumpymap.lab.simulate.way import Stop, WayDrive, drive_way, follow_guide
 from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")

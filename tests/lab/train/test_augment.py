@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
 from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
-from bumpymap.lab.train.augment import (
+from bumpymap.lab.train.texture_data import (
     ALL,
     KINDS,
     NONE,

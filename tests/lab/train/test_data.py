@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from bumpymap.lab.train import data
-from bumpymap.lab.train.augment import NONE
-from bumpymap.lab.train.data import (
+from bumpymap.lab.train import texture_data
+from bumpymap.lab.train.texture_data import (
     LIGHT_EVERY,
+    NONE,
     SHORT_WAVES,
     augmented_copies,
     epoch_samples,
@@ -57,7 +57,7 @@ def test_short_waves_come_on_top_of_the_rubble():
 def test_one_patch_in_a_few_is_altered_lightly(monkeypatch):
     training = training_patches(1, 100, 15)
     full = epoch_samples(training, 1, 0)
-    monkeypatch.setattr(data, "LIGHT", NONE)
+    monkeypatch.setattr(texture_data, "LIGHT", NONE)
     bare = epoch_samples(training, 1, 0)
     lightly = np.any(full.patches != bare.patches, axis=(1, 2))
     assert set(np.flatnonzero(lightly) % LIGHT_EVERY) == {0}

@@ -16,13 +16,17 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'"
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.cli import main  # noqa: E402
-from bumpymap.lab.train import make  # noqa: E402
-from bumpymap.lab.train.data import unseen_patches  # noqa: E402
-from bumpymap.lab.train.evaluate import predict, score  # noqa: E402
-from bumpymap.lab.train.export import to_onnx  # noqa: E402
-from bumpymap.lab.train.model import NetworkSettings  # noqa: E402
-from bumpymap.lab.train.score import Score  # noqa: E402
-from bumpymap.lab.train.train import TrainSettings, train  # noqa: E402
+from bumpymap.lab.train import textures  # noqa: E402
+from bumpymap.lab.train.model_files import Score  # noqa: E402
+from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
+from bumpymap.lab.train.textures import (  # noqa: E402
+    NetworkSettings,
+    TrainSettings,
+    predict,
+    score,
+    to_onnx,
+    train,
+)
 from bumpymap.rating.texture_network import TextureModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -48,7 +52,7 @@ def small():
 
 @pytest.fixture
 def few_scored(monkeypatch):
-    monkeypatch.setattr(make, "UNSEEN_PER_TEXTURE", 10)
+    monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 10)
 
 
 def test_a_short_training_learns():
@@ -185,7 +189,7 @@ def test_command_writes_model_and_card(tmp_path):
 def test_the_same_command_gives_the_same_bytes(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-        make.make_model(SMALL, tmp_path / name / "m.onnx")
+        textures.make_model(SMALL, tmp_path / name / "m.onnx")
     assert (tmp_path / "a/m.onnx").read_bytes() == (tmp_path / "b/m.onnx").read_bytes()
     assert (tmp_path / "a/m.md").read_bytes() == (tmp_path / "b/m.md").read_bytes()
 
@@ -224,8 +228,8 @@ def test_a_failed_write_leaves_nothing_but_the_checkpoint(tmp_path, monkeypatch)
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
-    monkeypatch.setattr(make, "UNSEEN_PER_TEXTURE", 5)
+    monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 5)
     with pytest.raises(OutputError, match="No space left"):
-        make.make_model(TrainSettings(epochs=1, patches_per_texture=8), tmp_path / "m.onnx")
+        textures.make_model(TrainSettings(epochs=1, patches_per_texture=8), tmp_path / "m.onnx")
     # The training itself is kept, so that the same command can go on.
     assert [path.name for path in tmp_path.iterdir()] == ["m.onnx.checkpoint"]

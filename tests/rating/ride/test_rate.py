@@ -9,8 +9,8 @@ import pytest
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import NO_CLASS, Georeference
-from bumpymap.lab import ScanEffects, make_terrain
 from bumpymap.lab.simulate.ride_fit import survey_terrains
+from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration

@@ -7,9 +7,8 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import NO_CLASS, Reason
-from bumpymap.lab import FINE, ScanEffects, Terrain, make_terrain
-from bumpymap.lab.simulate.ride_fit import relief_and_slope
-from bumpymap.lab.simulate.thin_surveys import survey_columns
+from bumpymap.lab.simulate.ride_fit import relief_and_slope, survey_columns
+from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction

@@ -1,5 +1,1 @@
 """Labelled outdoor scenes and a simulated LiDAR. Only ``lidar`` imports open3d."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

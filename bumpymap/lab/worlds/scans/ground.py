@@ -1,15 +1,238 @@
 """The ground of a scene: heights and labels at any position, and a mesh for ray casting."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.worlds.scans._fields import Field, Floats, smoothstep
-from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.regions import Bank, Region, Road
+from bumpymap.lab.worlds.scans.things import Field, Floats, Label, log_uniform, smoothstep
 
-__all__ = ["GroundSample", "SceneGround", "ground_mesh"]
+__all__ = [
+    "Bank",
+    "Blob",
+    "GroundSample",
+    "Region",
+    "Road",
+    "SceneGround",
+    "ground_mesh",
+    "make_blob",
+    "make_road",
+    "ruts",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Blob:
+    """A patch of ground with a wavy margin: water, puddle, mud, rubble, bare dirt, a field of grass."""
+
+    label: Label
+    centre: tuple[float, float]
+    """m."""
+    radius_m: float
+    waves: tuple[tuple[float, float], ...]
+    """Amplitude (share of the radius) and phase of 2, 3, .. waves around the margin."""
+    rough_m: float
+    """Standard deviation of waves shorter than 2 m."""
+    level_m: float | None = None
+    """Height of a level surface such as water; None for ground."""
+    pool_m: float = math.inf
+    """Depth below the surrounding ground from which hollows contain water."""
+    tracks: tuple[tuple[float, float, float, float], ...] = ()
+    """Wheel tracks through it: bearing, distance from the centre [m], depth [m], width of a rut [m]."""
+
+    def reach(self, x: Floats, y: Floats) -> Floats:
+        """Distance from the centre divided by the radius in that direction; approximate beyond twice the radius."""
+        east, north = x - self.centre[0], y - self.centre[1]
+        away: Floats = np.hypot(east, north) / self.radius_m
+        near = away < 2.0 + sum(amplitude for amplitude, _ in self.waves)
+        bearing = np.arctan2(north[near], east[near])
+        size = np.ones_like(bearing)
+        for number, (amplitude, phase) in enumerate(self.waves, start=2):
+            size += amplitude * np.cos(number * bearing + phase)
+        away[near] /= size
+        return away
+
+    def relief(self, x: Floats, y: Floats) -> Floats:
+        """Return the relief of the wheel tracks, m; they fade out at the margin."""
+        whole = np.zeros_like(x)
+        if not self.tracks:
+            return whole
+        reach = self.reach(x, y)
+        near = reach < 1.15
+        x, y = x[near], y[near]
+        surface = np.zeros_like(x)
+        for bearing, offset, depth, width in self.tracks:
+            across = (x - self.centre[0]) * np.cos(bearing) + (y - self.centre[1]) * np.sin(bearing) - offset
+            along = (y - self.centre[1]) * np.cos(bearing) - (x - self.centre[0]) * np.sin(bearing)
+            surface += ruts(across + 0.8 * np.sin(along / 6.0 + offset), depth, width)
+        whole[near] = surface * np.clip((1.15 - reach[near]) / 0.25, 0.0, 1.0)
+        return whole
+
+
+@dataclass(frozen=True, slots=True)
+class Road:
+    """A road or a track that winds across the scene."""
+
+    label: Label
+    bearing: tuple[float, float]
+    """Cosine and sine of its direction."""
+    offset_m: float
+    """Distance of its centreline from the origin."""
+    bends: tuple[tuple[float, float, float], ...]
+    """Amplitude [m], wave number [rad/m] and phase of its bends."""
+    half_width_m: float
+    rough_m: float
+    crown_m: float = 0.0
+    """Height of the centreline above the sides."""
+    rut_m: float = 0.0
+    """Depth of the two wheel ruts."""
+    kerb_m: float = 0.0
+    """Height of concrete kerbs on both sides; 0 without kerbs."""
+    pavement_m: float = 0.0
+    """Width of the pavements behind the kerbs; the ground beyond is as high as they are."""
+    ditch_m: float = 0.0
+    """Depth of the ditches on both sides."""
+    verge_m: float = 3.0
+    """Distance of the middle of the ditches, and of the foot of the banks, from the margin."""
+    banks_m: tuple[float, float] = (0.0, 0.0)
+    """Height of the ground beyond the verge, to the right and to the left, above that of the road."""
+    bank_width_m: float = 6.0
+
+    def across(self, x: Floats, y: Floats) -> Floats:
+        """Signed distance from the centreline, m."""
+        along = x * self.bearing[0] + y * self.bearing[1]
+        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
+        slope = np.zeros_like(x)
+        for amplitude, number, phase in self.bends:
+            side = side - amplitude * np.sin(number * along + phase)
+            slope += amplitude * number * np.cos(number * along + phase)
+        away: Floats = side / np.hypot(1.0, slope)
+        return away
+
+    def reach(self, x: Floats, y: Floats) -> Floats:
+        """Distance from the centreline divided by half the width."""
+        return np.abs(self.across(x, y)) / self.half_width_m
+
+    def relief(self, x: Floats, y: Floats) -> Floats:
+        """Return the relief of crown, ruts and kerbs, m."""
+        across = self.across(x, y)
+        surface = self.crown_m * np.clip(1 - (across / self.half_width_m) ** 2, 0.0, 1.0)
+        if self.rut_m > 0:
+            surface += ruts(across, self.rut_m, 0.22)
+        beyond = np.abs(across) - self.half_width_m
+        if self.pavement_m > 0:
+            surface += self.kerb_m * (beyond >= 0)
+        elif self.kerb_m > 0:
+            surface += self.kerb_m * self.on_kerb(across)
+        if self.ditch_m > 0:
+            surface -= self.ditch_m * smoothstep(1.0 - np.abs(beyond / self.verge_m - 1.0))
+        for side, height in zip((-1.0, 1.0), self.banks_m, strict=True):
+            past = (beyond - self.verge_m) / self.bank_width_m
+            surface += np.where(across * side > 0, height * smoothstep(past), 0.0)
+        return surface
+
+    def places(self, along: Floats, across: Floats) -> Floats:
+        """Return positions (n, 2) at distances along the road and to the left of its centreline, and headings.
+
+        Returns
+        -------
+        (n, 3) array
+            x and y [m], heading [rad].
+        """
+        side, slope = np.full_like(along, self.offset_m), np.zeros_like(along)
+        for amplitude, number, phase in self.bends:
+            side += amplitude * np.sin(number * along + phase)
+            slope += amplitude * number * np.cos(number * along + phase)
+        side = side + across * np.hypot(1.0, slope)
+        cos, sin = self.bearing
+        heading = np.arctan2(sin, cos) + np.arctan(slope)
+        return np.stack([along * cos - side * sin, along * sin + side * cos, heading], axis=-1)
+
+    def on_kerb(self, across: Floats) -> Floats:
+        """Return 1 on a kerb or pavement, 0 elsewhere."""
+        beyond = np.abs(across) - self.half_width_m
+        on: Floats = ((beyond >= 0) & (beyond < max(0.25, self.pavement_m))).astype(np.float64)
+        return on if self.kerb_m > 0 else np.zeros_like(across)
+
+
+@dataclass(frozen=True, slots=True)
+class Bank:
+    """A change of height along a wavy line: a terrace, an embankment, the foot of a hill."""
+
+    bearing: tuple[float, float]
+    """Cosine and sine of the direction of its line."""
+    offset_m: float
+    """Distance of its foot from the origin, to the left of the line's direction."""
+    height_m: float
+    width_m: float
+    wave: tuple[float, float, float]
+    """Amplitude [m], wave number [rad/m] and phase of the line's waves."""
+
+    def rise(self, x: Floats, y: Floats) -> Floats:
+        """Return what the bank adds to the height of the ground, m."""
+        along = x * self.bearing[0] + y * self.bearing[1]
+        amplitude, number, phase = self.wave
+        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
+        side = side - amplitude * np.sin(number * along + phase)
+        return self.height_m * smoothstep(side / self.width_m)
+
+
+Region = Blob | Road
+
+
+def ruts(across: Floats, depth_m: float, width_m: float) -> Floats:
+    """Return the relief of two grooves 1.5 m apart with low banks, m."""
+    surface = np.zeros_like(across)
+    for middle in (-0.75, 0.75):
+        away = (across - middle) / width_m
+        surface += depth_m * (0.35 * np.exp(-((np.abs(away) - 2.0) ** 2)) - np.exp(-(away**2)))
+    return surface
+
+
+def make_blob(
+    rng: np.random.Generator,
+    label: Label,
+    centre: tuple[float, float],
+    radius_m: float,
+    rough_m: float,
+    level_m: float | None = None,
+) -> Blob:
+    """Draw a random blob; mud gets wheel tracks all over, with water in the deepest ones."""
+    waves = tuple((float(rng.uniform(0, 0.3 / n)), float(rng.uniform(0, 2 * np.pi))) for n in (2, 3, 4, 5))
+    pool = math.inf
+    tracks: tuple[tuple[float, float, float, float], ...] = ()
+    if label == Label.MUD:
+        deepest, pool = log_uniform(rng, 0.15, 0.4), float(rng.uniform(0.08, 0.25))
+        count = int(np.clip(radius_m * rng.uniform(0.8, 1.4), 2, 20))
+        main = rng.uniform(0, np.pi)
+        tracks = tuple(
+            (
+                main + float(rng.normal(0, 0.3)),
+                float(rng.uniform(-0.9, 0.9)) * radius_m,
+                deepest * float(rng.uniform(0.4, 1.0)),
+                float(rng.uniform(0.15, 0.3)),
+            )
+            for _ in range(count)
+        )
+    return Blob(label, centre, radius_m, waves, rough_m, level_m, pool, tracks)
+
+
+def make_road(rng: np.random.Generator, label: Label, offset_m: float) -> Road:
+    """Draw a random road of asphalt or concrete, or a dirt track."""
+    bearing = rng.uniform(0, 2 * np.pi)
+    bends = tuple(
+        (float(rng.uniform(0, 5)), 2 * np.pi / float(rng.uniform(60, 150)), float(rng.uniform(0, 2 * np.pi)))
+        for _ in range(2)
+    )
+    line = (float(np.cos(bearing)), float(np.sin(bearing)))
+    if label == Label.DIRT:
+        width, rough = float(rng.uniform(1.3, 2.5)), log_uniform(rng, 0.004, 0.025)
+        return Road(label, line, offset_m, bends, width, rough, 0.0, log_uniform(rng, 0.01, 0.07))
+    kerb = float(rng.uniform(0.08, 0.16)) if rng.uniform() < 0.4 else 0.0
+    width, rough = float(rng.uniform(2.5, 5.5)), log_uniform(rng, 0.001, 0.005)
+    return Road(label, line, offset_m, bends, width, rough, float(rng.uniform(0.02, 0.1)), 0.0, kerb)
+
 
 _HILLSIDE_M = 40.0
 """Distance from the origin at which the hillside ends and its height stays the same."""

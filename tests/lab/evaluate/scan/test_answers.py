@@ -5,8 +5,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.scan.answers import DEVIATION, accuracy_of, all_answers, best_limits
-from bumpymap.lab.evaluate.scan.class_stats import ClassedSectorTable
+from bumpymap.lab.evaluate.scans import DEVIATION, ClassedSectorTable, accuracy_of, all_answers, best_limits
 
 TABLE = ClassedSectorTable(
     class_id={"filter": np.array([0, 0, 1, 2, 2, 2, 255], np.uint8)},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import Scan
-from bumpymap.lab.evaluate.scan.class_stats import ClassedSectorTable, class_rows, join_sectors, z_deviation
+from bumpymap.lab.evaluate.scans import ClassedSectorTable, class_rows, join_sectors, z_deviation
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, polar_sectors
 

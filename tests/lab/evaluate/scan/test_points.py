@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import ClassedSectors, Scan
-from bumpymap.lab.evaluate.scan.points import GroundScore, ground_score, mean_ground, obstacle_score, sum_obstacles
+from bumpymap.lab.evaluate.scans import GroundScore, ground_score, mean_ground, obstacle_score, sum_obstacles
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import polar_sectors
 

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import ClassedSectors
-from bumpymap.lab.evaluate.scan.points import ground_score, mean_ground, obstacle_score, sum_obstacles
-from bumpymap.lab.evaluate.scan.run import labels_of
+from bumpymap.lab.evaluate.scans import ground_score, labels_of, mean_ground, obstacle_score, sum_obstacles
 from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import polar_sectors
 

@@ -5,12 +5,12 @@ from dataclasses import fields
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from rellis_folder import write_folder
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
-from bumpymap.lab import Sensor, write_folder
-from bumpymap.lab.train.scan import data
-from bumpymap.lab.train.scan.data import (
+from bumpymap.lab.train import scan_sectors as data
+from bumpymap.lab.train.scan_sectors import (
     GRIDS,
     SWAPPED_MEASURES,
     Sectors,
@@ -24,6 +24,7 @@ from bumpymap.lab.train.scan.data import (
     overhead_sectors,
     simulated_sectors,
 )
+from bumpymap.lab.worlds.scans.lidar import Sensor
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan.learned import CHANNELS, MEASURES
 from bumpymap.scan.polar import polar_sectors
@@ -128,7 +129,7 @@ def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
 
 @pytest.mark.open3d
 def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.draw_sensor", lambda _rng: SMALL)
+    monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.draw_sensor", lambda _rng: SMALL)
     frames = [folder / "00000" / "os1_cloud_node_kitti_bin" / f"00000{k}.bin" for k in range(2)]
     told = []
     read = folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
@@ -155,7 +156,7 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
 
 @pytest.mark.open3d
 def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.draw_sensor", lambda _rng: SMALL)
+    monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.draw_sensor", lambda _rng: SMALL)
     first = simulated_sectors(1, [2, 3], 1, tmp_path / "keep")
     assert len(list((tmp_path / "keep").iterdir())) == 2
     monkeypatch.setattr(data, "scene_scan", None)

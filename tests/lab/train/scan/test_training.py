@@ -11,13 +11,11 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
-from bumpymap.lab import count_answers, predict  # noqa: E402
-from bumpymap.lab.train.scan import make  # noqa: E402
-from bumpymap.lab.train.scan.data import Sectors  # noqa: E402
-from bumpymap.lab.train.scan.evaluate import evaluate  # noqa: E402
-from bumpymap.lab.train.scan.export import to_onnx  # noqa: E402
-from bumpymap.lab.train.scan.make import make_scan_model  # noqa: E402
-from bumpymap.lab.train.scan.train import ScanTrainSettings, train  # noqa: E402
+from bumpymap.lab.train import scan_net  # noqa: E402
+from bumpymap.lab.train.model_files import count_answers  # noqa: E402
+from bumpymap.lab.train.scan_net import ScanTrainSettings, evaluate, make_scan_model, to_onnx, train  # noqa: E402
+from bumpymap.lab.train.scan_sectors import Sectors  # noqa: E402
+from bumpymap.lab.train.textures import predict  # noqa: E402
 from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -154,7 +152,9 @@ def test_scores():
 
 @pytest.mark.open3d
 def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
-    from bumpymap.lab import Sensor, write_folder
+    from rellis_folder import write_folder
+
+    from bumpymap.lab.worlds.scans.lidar import Sensor
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
@@ -174,8 +174,8 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
 
 
 def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(make, "UNSEEN_SCENES", 2)
-    monkeypatch.setattr(make, "simulated_sectors", lambda _seed, scenes, *_rest: _sectors(scenes[0]))
+    monkeypatch.setattr(scan_net, "UNSEEN_SCENES", 2)
+    monkeypatch.setattr(scan_net, "simulated_sectors", lambda _seed, scenes, *_rest: _sectors(scenes[0]))
     made = make_scan_model(replace(SMALL, scenes=3), tmp_path / "m.onnx")
     assert "3 synthetic scenes" in made.card.read_text(encoding="utf-8")
     assert made.evaluation.scans == 2

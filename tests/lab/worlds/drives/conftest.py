@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-from bumpymap.lab.worlds.drives import TrueDrive
+from sensed_drives import TrueDrive
 
 RATE_HZ = 500.0
 ORIGIN = np.array([480_000.0, 2_136_000.0, 2300.0])

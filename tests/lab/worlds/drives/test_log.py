@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from pyproj import Transformer
 from scipy.signal import butter, sosfiltfilt, welch
-
-from bumpymap.lab.worlds.drives import (
+from sensed_drives import (
     GNSS,
     GRAVITY,
     IMUS,
@@ -17,12 +16,13 @@ from bumpymap.lab.worlds.drives import (
     GnssGrade,
     SensorGrade,
     Vibration,
+    band_noise,
+    mount_rotation,
     sense_drive,
+    sense_places,
+    slow_noise,
     write_drive_files,
 )
-from bumpymap.lab.worlds.drives.imu import mount_rotation
-from bumpymap.lab.worlds.drives.places import sense_places
-from bumpymap.lab.worlds.drives.random_series import band_noise, slow_noise
 
 PERFECT = DriveSensors(IMUS["perfect"], GNSS["perfect"], vibration=None)
 NONE = SensorGrade(0, 0, 0, 0, 0, 0)

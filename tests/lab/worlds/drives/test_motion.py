@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from sensed_drives import GRAVITY, TrueDrive, read_motion, save_motion
 
 from bumpymap.core import BadInputError
-from bumpymap.lab.worlds.drives import GRAVITY, TrueDrive, read_motion, save_motion
 
 
 def test_a_vehicle_at_rest_on_a_slope_feels_gravity_turned_by_the_slope(standing):

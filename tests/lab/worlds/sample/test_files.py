@@ -9,9 +9,7 @@ import pytest
 from ply_files import read_vertices
 
 from bumpymap.core.errors import OutputError
-from bumpymap.lab import QuarrySite, make_quarry_survey, sample_survey
-from bumpymap.lab.worlds.sample.__main__ import main
-from bumpymap.lab.worlds.sample.files import part_bounds
+from bumpymap.lab.worlds.sample import QuarrySite, main, make_quarry_survey, part_bounds, sample_survey
 
 pytestmark = pytest.mark.slow
 
@@ -123,7 +121,7 @@ def test_failed_write_leaves_nothing_half_done(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("bumpymap.lab.worlds.sample.files.write_ply", full)
+    monkeypatch.setattr("bumpymap.lab.worlds.sample.write_ply", full)
     with pytest.raises(OutputError, match="No space left"):
         make_quarry_survey(tmp_path, density=1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["quarry.laz"]
@@ -131,7 +129,7 @@ def test_failed_write_leaves_nothing_half_done(tmp_path, monkeypatch):
 
 def test_command_writes_in_silence_and_fails_with_its_code(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
-        "bumpymap.lab.worlds.sample.__main__.make_quarry_survey",
+        "bumpymap.lab.worlds.sample.make_quarry_survey",
         lambda folder, seed: make_quarry_survey(folder, seed, density=1.0),
     )
     main(["--out", str(tmp_path / "out"), "--seed", "2"])

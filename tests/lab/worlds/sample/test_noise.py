@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.worlds.sample import BlockLayer, WaveField, smooth_step, uniform
+from bumpymap.lab.worlds.quarry import BlockLayer, WaveField, smooth_step, uniform
 
 
 def test_smooth_step_is_exact_at_and_beyond_its_ends_and_may_fall():

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab import CROWN, KERB_HEIGHT, RAMP_SLOPE_DEG, WASHBOARD_AMPLITUDE, WASHBOARD_LENGTH, ZONES, QuarrySite
+from bumpymap.lab.worlds.quarry import CROWN, KERB_HEIGHT, RAMP_SLOPE_DEG, WASHBOARD_AMPLITUDE, WASHBOARD_LENGTH
+from bumpymap.lab.worlds.sample import ZONES, QuarrySite
 from bumpytiles import Grid
 
 SITE = QuarrySite(1)

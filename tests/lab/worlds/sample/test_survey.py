@@ -1,8 +1,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab import NOISE_SIGMA, QuarrySite, sample_survey
-from bumpymap.lab.worlds.sample.survey import NOISE_POINTS, STRAYS, WITHHELD_POINTS
+from bumpymap.lab.worlds.sample import NOISE_POINTS, NOISE_SIGMA, STRAYS, WITHHELD_POINTS, QuarrySite, sample_survey
 from bumpytiles import Bounds
 
 SITE = QuarrySite(1)

@@ -5,15 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from rellis_folder import LABELS, POINTS, write_folder
 
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.scans import ground
-from bumpymap.lab.worlds.scans.folder import LABELS, POINTS, write_folder
-from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.lidar import simulate_scan
-from bumpymap.lab.worlds.scans.regions import Blob
+from bumpymap.lab.worlds.scans.ground import Blob
+from bumpymap.lab.worlds.scans.lidar import SENSORS, Sensor, draw_sensor, simulate_scan
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
-from bumpymap.lab.worlds.scans.sensor import SENSORS, Sensor, draw_sensor
+from bumpymap.lab.worlds.scans.things import Label
 
 pytestmark = pytest.mark.slow
 

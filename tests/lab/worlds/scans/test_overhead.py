@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.overhead import overhead_scan
-from bumpymap.lab.worlds.scans.regions import Blob
+from bumpymap.lab.worlds.scans.ground import Blob
+from bumpymap.lab.worlds.scans.lidar import overhead_scan
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
+from bumpymap.lab.worlds.scans.things import Label
 
 
 @pytest.fixture(scope="module")

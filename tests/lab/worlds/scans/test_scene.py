@@ -7,14 +7,20 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.worlds.scans import boxes, leaves, make_field, ribbon, stones, tube
-from bumpymap.lab.worlds.scans.ground import ground_mesh
-from bumpymap.lab.worlds.scans.labels import REFLECTIONS, Label
-from bumpymap.lab.worlds.scans.objects import block_field
-from bumpymap.lab.worlds.scans.plants import herb
-from bumpymap.lab.worlds.scans.regions import make_blob, make_road
-from bumpymap.lab.worlds.scans.roadside import ROADSIDES, make_street
-from bumpymap.lab.worlds.scans.scene import THEMES, make_scene
+from bumpymap.lab.worlds.scans.ground import ground_mesh, make_blob, make_road
+from bumpymap.lab.worlds.scans.scene import ROADSIDES, THEMES, make_scene, make_street
+from bumpymap.lab.worlds.scans.things import (
+    REFLECTIONS,
+    Label,
+    block_field,
+    boxes,
+    herb,
+    leaves,
+    make_field,
+    ribbon,
+    stones,
+    tube,
+)
 
 pytestmark = pytest.mark.slow
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from made_street import LANES_M, drive_street, make_street, noisy_poses
 from scipy.ndimage import binary_dilation
 
-from bumpymap.lab.worlds.scans.labels import Label
-from bumpymap.lab.worlds.scans.sensor import Sensor
-from bumpymap.lab.worlds.scans.street import LANES_M, drive_street, make_street, noisy_poses
+from bumpymap.lab.worlds.scans.lidar import Sensor
+from bumpymap.lab.worlds.scans.things import Label
 from bumpymap.scan import ScanConfig, scan_frames
 
 pytestmark = pytest.mark.slow

@@ -9,9 +9,7 @@ import pytest
 
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import TEXTURES
-from bumpymap.lab import KINDS, Terrain, make_terrain
-from bumpymap.lab.worlds.terrains import fractal
-from bumpymap.lab.worlds.terrains.library import FINE
+from bumpymap.lab.worlds.terrains import FINE, KINDS, Terrain, fractal, make_terrain
 
 pytestmark = pytest.mark.slow
 
@@ -47,7 +45,7 @@ def test_same_seed_and_index_give_the_same_bits_and_others_do_not(kind):
 
 def test_another_process_gives_the_same_bits():
     code = (
-        "from bumpymap.lab import KINDS, make_terrain\n"
+        "from bumpymap.lab.worlds.terrains import KINDS, make_terrain\n"
         "print(*(make_terrain(kind, 5, 1).surface.sum().hex() for kind in KINDS))"
     )
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab import KINDS, ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain, make_terrain, survey_terrain
 
 LEVEL = Terrain("plane", np.zeros((60, 60)), 3.0)
 

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
+from made_woods import GROUND, plant_wood, survey_wood, swept_tiles, true_pixels
 from scipy.ndimage import binary_dilation
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import OBSTACLE, Barred, VehicleBody
-from bumpymap.lab.worlds.woods.survey import GROUND, survey_wood
-from bumpymap.lab.worlds.woods.sweep import swept_tiles, true_pixels
-from bumpymap.lab.worlds.woods.wood import plant_wood
 from bumpymap.patches.features import measure
 from bumpymap.patches.objects import find_objects, settle_solids
 from bumpymap.rating.passable import find_passable, settle_objects

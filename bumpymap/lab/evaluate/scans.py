@@ -1,0 +1,475 @@
+"""Compare the classes, ground and obstacles of scans with labels, by both methods and by answers that need none."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    CLASSES,
+    NOT_TRAVERSABLE,
+    BadInputError,
+    ClassedSectors,
+    Progress,
+    Scan,
+    SectorStack,
+    UsageError,
+)
+from bumpymap.lab.evaluate.agreement import confusion
+from bumpymap.lab.train.scan_sectors import UNSEEN, crowns_as_bushes, scene_scan
+from bumpymap.readers import LABEL_SETS, LabelSet, label_set, read_scan, require_label_set, tell_label_set
+from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
+
+__all__ = [
+    "DEVIATION",
+    "RANGE_M",
+    "Accuracy",
+    "ClassedSectorTable",
+    "GroundScore",
+    "ObstacleScore",
+    "ScanClassRow",
+    "ScanEvaluateSettings",
+    "ScanFindings",
+    "ScanMethods",
+    "accuracy_of",
+    "all_answers",
+    "best_limits",
+    "class_rows",
+    "evaluate_scans",
+    "ground_score",
+    "join_sectors",
+    "labels_of",
+    "mean_ground",
+    "obstacle_score",
+    "read_frames",
+    "simulated_scans",
+    "sum_obstacles",
+    "z_deviation",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEvaluateSettings:
+    """All settings that affect the numbers, apart from the scans."""
+
+    scenes: int = 44
+    """Number of synthetic scenes if no scans are given; none of them is used in training."""
+    seed: int = 7
+    """Seed of the scenes."""
+
+    def __post_init__(self) -> None:
+        for name, least in (("scenes", 1), ("seed", 0)):
+            if getattr(self, name) < least:
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")
+
+
+Floats = NDArray[np.float64]
+_MEASURES = ("stripes", "variance", "residual")
+
+
+@dataclass(frozen=True, slots=True)
+class ClassedSectorTable:
+    """The sectors of many scans, one row each."""
+
+    class_id: dict[str, NDArray[np.uint8]]
+    """Method -> (n,) class."""
+    truth: NDArray[np.int16]
+    """(n,) class of the most frequent label; -1 without a label."""
+    traversable: NDArray[np.bool_]
+    """(n,) whether the sector has ground, and so a class."""
+    stripes: Floats
+    """(n,)"""
+    variance: Floats
+    """(n,) m^2"""
+    residual: Floats
+    """(n,) m"""
+    deviation: Floats
+    """(n,) standard deviation of z over all points of the sector, ground or not, m"""
+
+
+@dataclass(frozen=True, slots=True)
+class ScanClassRow:
+    """Statistics of the sectors that one method assigns to a class."""
+
+    class_id: int
+    sectors: int
+    share: float
+    """Share of the traversable sectors, 0..1."""
+    stripes: tuple[float, float]
+    """Median and mean; NaN without sectors."""
+    variance: tuple[float, float]
+    """m^2"""
+    residual: tuple[float, float]
+    """m"""
+
+
+def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
+    """Return the standard deviation of z over all points of each sector (n,), m."""
+    inside = stack.point_sector >= 0
+    place, z = stack.point_sector[inside], scan.points[inside, 2].astype(np.float64)
+    count = np.maximum(np.bincount(place, minlength=len(stack.zone)), 1)
+    off = z - (np.bincount(place, z, len(stack.zone)) / count)[place]
+    deviation: Floats = np.sqrt(np.bincount(place, off**2, len(stack.zone)) / count)
+    return deviation
+
+
+def join_sectors(
+    classed: Sequence[dict[str, ClassedSectors]], deviations: Sequence[Floats], labels: LabelSet | None
+) -> ClassedSectorTable:
+    """Collect the sectors of one or more scans, classified by the same methods, one of them the filter.
+
+    Parameters
+    ----------
+    classed : sequence of dict
+        Method -> sectors, for each scan.
+    deviations : sequence of arrays
+        ``z_deviation`` of each scan.
+    labels : LabelSet or None
+        The meaning of the labels of the scans; None if they have none.
+    """
+    stacks = [next(iter(methods.values())).sectors for methods in classed]
+    label = np.concatenate([stack.label for stack in stacks])
+
+    def gathered(values: Sequence[NDArray[np.generic]]) -> NDArray[np.float64]:
+        return np.concatenate(values).astype(np.float64)
+
+    return ClassedSectorTable(
+        class_id={method: np.concatenate([methods[method].class_id for methods in classed]) for method in classed[0]},
+        truth=np.full(len(label), -1, np.int16) if labels is None else labels.classes_of(label),
+        traversable=np.concatenate([stack.traversable for stack in stacks]),
+        stripes=gathered([_stripes(methods) for methods in classed]),
+        variance=gathered([stack.variance for stack in stacks]),
+        residual=gathered([stack.residual for stack in stacks]),
+        deviation=gathered(deviations),
+    )
+
+
+def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
+    """Return the stripe counts of the method that counts them."""
+    return next(found.stripes for found in methods.values() if found.stripes is not None)
+
+
+def class_rows(table: ClassedSectorTable, method: str) -> list[ScanClassRow]:
+    """Summarise the traversable sectors of each class."""
+    class_id = table.class_id[method]
+    total = int(table.traversable.sum())
+    rows = []
+    for number in range(CLASSES):
+        own = table.traversable & (class_id == number)
+        values = [_middle(getattr(table, name)[own]) for name in _MEASURES]
+        rows.append(ScanClassRow(number, int(own.sum()), float(own.sum() / total) if total else float("nan"), *values))
+    return rows
+
+
+def _middle(values: Floats) -> tuple[float, float]:
+    return (float(np.median(values)), float(values.mean())) if len(values) else (float("nan"), float("nan"))
+
+
+Ints = NDArray[np.int64]
+DEVIATION = "deviation of z"
+"""Name of the answers from two limits on the standard deviation of z of all points of a sector."""
+_ROUGHEST = CLASSES - 1
+_LIMITS = 40
+"""Number of limits that are tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class Accuracy:
+    """Agreement of classes with labels."""
+
+    confusion: list[list[int]]
+    """``[class of the label][predicted class]``, number of sectors."""
+    right: float
+    """Accuracy; NaN without labels."""
+    even: float
+    """Balanced accuracy over the classes that occur; NaN without labels."""
+    recall: list[float]
+    """Share of the sectors of each class that are found, 0..1; NaN for a class that does not occur."""
+
+
+def all_answers(table: ClassedSectorTable) -> dict[str, Ints]:
+    """Return the class (n,) of every sector by each method, and by rules that need none.
+
+    A sector without ground is answered by the roughest class, except by the constant answers.
+    """
+    answers = {
+        method: np.where(class_id == NOT_TRAVERSABLE, _ROUGHEST, class_id).astype(np.int64)
+        for method, class_id in table.class_id.items()
+    }
+    for number in range(CLASSES):
+        answers[f"always {number}"] = np.full(len(table.truth), number, np.int64)
+    known = table.traversable & (table.truth >= 0)
+    limits = best_limits(table.deviation[known], table.truth[known])
+    below = np.searchsorted(limits, table.deviation, side="right")
+    answers[DEVIATION] = np.where(table.traversable, below, _ROUGHEST)
+    return answers
+
+
+def best_limits(values: NDArray[np.float64], truth: NDArray[np.int16]) -> NDArray[np.float64]:
+    """Return the two limits on values (n,) whose three classes agree best with the truth (n,), in balanced accuracy.
+
+    They are fitted to the sectors that are judged, which no method in use can do.
+    """
+    if not len(values):
+        return np.full(2, np.inf)
+    limits = np.unique(np.quantile(values, np.linspace(0, 1, _LIMITS)))
+    below = np.stack([np.searchsorted(np.sort(values[truth == k]), limits) for k in range(CLASSES)])
+    share = below / np.maximum(np.bincount(truth, minlength=CLASSES), 1)[:, None]
+    low, high = np.triu_indices(len(limits))
+    even = share[0, low] + share[1, high] - share[1, low] - share[2, high]
+    best = int(np.argmax(even))
+    return limits[[low[best], high[best]]]
+
+
+def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer]) -> Accuracy:
+    """Compare answers (n,) with the truth (n,) over the sectors that have one (0 or above)."""
+    known = truth >= 0
+    counts = confusion(truth[known].astype(np.int64), answer[known].astype(np.int64), CLASSES)
+    totals = counts.sum(axis=1)
+    there = totals > 0
+    recall = np.divide(np.diag(counts), totals, out=np.full(CLASSES, np.nan), where=there)
+    right = float(np.trace(counts) / totals.sum()) if there.any() else float("nan")
+    even = float(recall[there].mean()) if there.any() else float("nan")
+    return Accuracy(counts.tolist(), right, even, recall.tolist())
+
+
+RANGE_M = (4.0, 80.0)
+"""Horizontal distances of the points that are judged."""
+_FREE = CLASSES - 1
+"""A sector of a class below this without an obstacle is called free."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroundScore:
+    """Ground points that are found in one frame."""
+
+    frame: str
+    points: int
+    """Labelled points within the range."""
+    precision: float
+    """Share of the points found as ground that are ground, 0..1; NaN if none is found."""
+    recall: float
+    """Share of the ground points that are found; NaN if there are none."""
+    f1: float
+
+
+@dataclass(frozen=True, slots=True)
+class ObstacleScore:
+    """Points of obstacles that lie in sectors called free: of class 0 or 1, without an obstacle."""
+
+    points: int
+    """Points of obstacles within the range."""
+    in_free: int
+    in_free_low: int
+    """Those of them that are not known to be higher than the vehicle."""
+    in_free_class: int
+    """Those in sectors of class 0 or 1, whether they have an obstacle or not."""
+
+
+def _judged(scan: Scan, labels: LabelSet) -> tuple[NDArray[np.bool_], NDArray[np.uint16]]:
+    """Return which points (n,) have a known label and are within the range, and all labels (n,)."""
+    label = np.zeros(len(scan.points), np.uint16) if scan.label is None else scan.label
+    away = np.hypot(scan.points[:, 0], scan.points[:, 1])
+    return (label > 0) & labels.is_known(label) & (away >= RANGE_M[0]) & (away < RANGE_M[1]), label
+
+
+def ground_score(scan: Scan, ground: NDArray[np.bool_], labels: LabelSet) -> GroundScore:
+    """Compare points (n,) found as ground with the labels of a scan; points without a label are left out."""
+    judged, label = _judged(scan, labels)
+    truth, found = labels.is_ground(label[judged]), ground[judged]
+    both, all_found, all_true = (float(part.sum()) for part in (truth & found, found, truth))
+    f1 = _share(2 * both, all_found + all_true)
+    return GroundScore(scan.name, int(judged.sum()), _share(both, all_found), _share(both, all_true), f1)
+
+
+def _share(part: float, whole: float) -> float:
+    return part / whole if whole else float("nan")
+
+
+def mean_ground(scores: Sequence[GroundScore]) -> GroundScore:
+    """Return the mean over the frames that have ground, of each figure."""
+    known = [score for score in scores if score.points and not np.isnan(score.recall)]
+    points = sum(score.points for score in known)
+    if not known:
+        return GroundScore("mean", points, float("nan"), float("nan"), float("nan"))
+    mean = [float(np.nanmean([getattr(score, name) for score in known])) for name in ("precision", "recall", "f1")]
+    return GroundScore("mean", points, *mean)
+
+
+def obstacle_score(scan: Scan, classed: ClassedSectors, labels: LabelSet) -> ObstacleScore:
+    """Count the points of obstacles that lie in sectors called free."""
+    stack = classed.sectors
+    judged, label = _judged(scan, labels)
+    rows = np.flatnonzero(judged & labels.is_obstacle(label))
+    smooth = classed.class_id < _FREE
+    place, high = stack.point_sector[rows], stack.point_height[rows] > stack.settings.height_m
+    in_class = np.append(smooth, False)[place]
+    in_free = np.append(smooth & ~stack.obstacle, False)[place]
+    counts = (in_free, in_free & ~high, in_class)
+    return ObstacleScore(len(rows), *(int(np.count_nonzero(part)) for part in counts))
+
+
+def sum_obstacles(scores: Sequence[ObstacleScore]) -> ObstacleScore:
+    """Add the counts of many frames."""
+    names = ("points", "in_free", "in_free_low", "in_free_class")
+    return ObstacleScore(*(sum(getattr(score, name) for score in scores) for name in names))
+
+
+_LOOKED_AT = 20
+"""Number of frames whose labels decide of which set they are."""
+
+
+@dataclass(slots=True)
+class ScanFindings:
+    """All results of an evaluation of scans."""
+
+    facts: dict[str, Any]
+    settings: dict[str, Any]
+    classes: dict[str, list[ScanClassRow]] = field(default_factory=dict)
+    """Method -> the paper's Tables IV and V."""
+    accuracy: dict[str, Accuracy] = field(default_factory=dict)
+    """Method or rule -> agreement with the labels of the sectors with ground; empty without labels."""
+    accuracy_all: dict[str, Accuracy] = field(default_factory=dict)
+    """The same over all sectors; without ground the answer of a method is the roughest class."""
+    ground: list[GroundScore] = field(default_factory=list)
+    """Frame by frame, and then their mean; empty without labels."""
+    obstacles: dict[str, ObstacleScore] = field(default_factory=dict)
+    """Method -> points of obstacles in sectors called free; empty without labels."""
+
+
+def simulated_scans(settings: ScanEvaluateSettings) -> Iterator[Scan]:
+    """Simulate scans of scenes that are never used in training."""
+    for index in range(settings.scenes):
+        yield crowns_as_bushes(scene_scan(settings.seed, UNSEEN + index))
+
+
+def read_frames(frames: Sequence[Path], labels: LabelSet | None = None) -> Iterator[Scan]:
+    """Read scans one after another.
+
+    Raises
+    ------
+    BadInputError
+        The labels of a scan are not those of ``labels``.
+    """
+    for frame in frames:
+        scan = read_scan(frame)
+        if labels is not None and scan.label is not None:
+            require_label_set(scan.label, labels, str(frame))
+        yield scan
+
+
+def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
+    """Return the label set of frames: the one that is named, or else the one that fits the ids of their labels.
+
+    Parameters
+    ----------
+    frames : paths
+        Frames; without any, scenes are simulated, whose labels are those of RELLIS-3D.
+    name : str, optional
+        A built-in set, or a file.
+
+    Returns
+    -------
+    LabelSet or None
+        None if no frame has labels.
+
+    Raises
+    ------
+    BadInputError, UsageError
+        As from `label_set` and `tell_label_set`; a set is named and no frame has labels.
+    """
+    if not frames:
+        return LABEL_SETS["rellis"]
+    found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
+    there = [label for label in found if label is not None]
+    if name is not None:
+        if not there:
+            raise BadInputError(
+                f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in "
+                "a folder labels next to its folder, or in a field named label of a PLY or PCD file"
+            )
+        return label_set(name)
+    return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
+
+
+class ScanMethods:
+    """Both methods of classification, by name."""
+
+    def __init__(self, stripes: StripeModel, network: ScanModel) -> None:
+        self.stripes = stripes
+        self.network = network
+        self.by_sectors: dict[str, Callable[[SectorStack], ClassedSectors]] = {
+            "filter": lambda stack: classify_filter(stack, stripes),
+            "learned": lambda stack: classify_learned(stack, network),
+        }
+
+
+def evaluate_scans(
+    scans: Iterator[Scan],
+    count: int,
+    settings: ScanEvaluateSettings,
+    methods: ScanMethods,
+    progress: Progress,
+    labels: LabelSet | None = None,
+) -> ScanFindings:
+    """Evaluate both methods on scans.
+
+    Parameters
+    ----------
+    scans : iterator of Scan, length ``count``
+    count : int
+    settings : ScanEvaluateSettings
+    methods : ScanMethods
+    progress : Progress
+    labels : LabelSet, optional
+        The meaning of the labels of the scans; None if they have none.
+
+    Raises
+    ------
+    BadInputError
+        No scan has a sector that can be classified.
+    """
+    classed, deviations = [], []
+    ground: list[GroundScore] = []
+    obstacles = dict[str, list[ObstacleScore]]({name: [] for name in methods.by_sectors})
+    progress.start("classing scans", count)
+    for scan in scans:
+        stack = polar_sectors(scan)
+        found = {name: classifier(stack) for name, classifier in methods.by_sectors.items()}
+        if labels is not None and scan.label is not None:
+            ground.append(ground_score(scan, stack.point_ground, labels))
+            for name, own in found.items():
+                obstacles[name].append(obstacle_score(scan, own, labels))
+        deviations.append(z_deviation(scan, stack))
+        classed.append({name: _without_points(own) for name, own in found.items()})
+        progress.advance(1)
+    table = join_sectors(classed, deviations, labels) if classed else None
+    if table is None or not table.traversable.any():
+        raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
+    drivable, labelled = table.traversable, table.truth >= 0
+    answers = all_answers(table) if labelled.any() else {}
+    facts: dict[str, Any] = {
+        "scans": count,
+        "sectors": int(drivable.sum()),
+        "labelled": int((labelled & drivable).sum()),
+    }
+    facts |= {"all_sectors": len(drivable), "all_labelled": int(labelled.sum())}
+    facts |= {"labels": labels.name if labels and labelled.any() else None}
+    return ScanFindings(
+        facts=facts | {"filter": asdict(methods.stripes), "network": methods.network.id},
+        settings=asdict(settings),
+        classes={name: class_rows(table, name) for name in methods.by_sectors},
+        accuracy={name: accuracy_of(table.truth[drivable], answer[drivable]) for name, answer in answers.items()},
+        accuracy_all={name: accuracy_of(table.truth, answer) for name, answer in answers.items()},
+        ground=[*ground, mean_ground(ground)] if ground else [],
+        obstacles={name: sum_obstacles(scores) for name, scores in obstacles.items() if scores},
+    )
+
+
+def _without_points(classed: ClassedSectors) -> ClassedSectors:
+    """Drop what is known of each point to save memory."""
+    none = {name: getattr(classed.sectors, name)[:0] for name in ("point_sector", "point_ground", "point_height")}
+    return replace(classed, sectors=replace(classed.sectors, **none))

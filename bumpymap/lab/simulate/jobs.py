@@ -1,0 +1,294 @@
+"""Drive jobs in processes, recorded in a progress file for resuming."""
+
+import errno
+import json
+import logging
+import os
+import stat
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
+from dataclasses import asdict
+from multiprocessing.connection import wait
+from pathlib import Path
+from typing import Any, Generic, Protocol, TextIO, TypeVar
+
+from bumpymap.core import BumpymapError, Child, ChildDiedError, OutputError, atomic, parse_json, shielded
+from bumpymap.lab.simulate.drive import PatchDrives
+
+__all__ = ["Job", "JobJournal", "Journal", "Key", "Progress", "attempt", "drive_jobs", "run_in_processes"]
+
+_FORMAT = "bumpymap-drives-progress"
+_LOG = logging.getLogger(__name__)
+
+Key = tuple[str | int, ...]
+"""Identifies a patch in a run."""
+
+Record = TypeVar("Record")
+
+
+class JobJournal(Generic[Record]):
+    """The file of finished jobs. The first line holds the settings; drives with other settings are not reused.
+
+    Only settings and versions are compared, so a code change that does not affect the numbers keeps the journal valid.
+
+    Parameters
+    ----------
+    path : Path
+    settings : dict
+        Plain JSON.
+    read : callable
+        Makes a record, a dataclass, from the dict of its fields; raises ValueError, KeyError or TypeError if it cannot.
+    """
+
+    def __init__(self, path: Path, settings: dict[str, Any], read: Callable[[dict[str, Any]], Record]) -> None:
+        self._path = path
+        self._read = read
+        self._header = json.dumps({"format": _FORMAT, "settings": settings}, sort_keys=True)
+
+    def resume(self, *, discard_other: bool) -> dict[Key, Record]:
+        """Open the file and return the patches that an earlier run with the same settings drove.
+
+        An incomplete line, for example after a power cut, is dropped with all lines that follow it.
+
+        Raises
+        ------
+        OutputError
+            The file has other settings and ``discard_other`` is False, or the folder cannot be written.
+        """
+        try:
+            lines = self._lines()
+            if lines and lines[0] != self._header:
+                if not discard_other:
+                    raise OutputError(
+                        f"{self._path} holds the progress of a run with other settings or versions; "
+                        "use those settings, or start again with --overwrite"
+                    )
+                lines = []
+            driven = self._records(lines[1:])
+            kept = [self._header, *(_line(key, drives) for key, drives in driven.items())]
+            with atomic(self._path) as temporary:  # a full disk must not lose driven patches
+                temporary.write_text("\n".join(kept) + "\n", encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise OutputError(f"cannot use the progress file {self._path}: {error}") from error
+        if driven:
+            _LOG.info("continuing with %d driven patches of %s", len(driven), self._path)
+        return driven
+
+    def add(self, key: Key, drives: Record) -> None:
+        """Append a driven patch and flush it to disk."""
+        try:
+            with self._open_file(os.O_WRONLY | os.O_APPEND) as file:
+                file.write(_line(key, drives) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise OutputError(f"cannot write the progress file {self._path}: {error}") from error
+
+    def remove(self) -> None:
+        """Delete the file: the run is complete."""
+        self._path.unlink(missing_ok=True)
+
+    def _lines(self) -> list[str]:
+        try:
+            with self._open_file(os.O_RDONLY) as file:
+                return file.read().splitlines()
+        except FileNotFoundError:
+            return []
+
+    def _open_file(self, flags: int) -> TextIO:
+        """Open the file; raise OutputError for a link, because its target would be overwritten."""
+        try:
+            descriptor = os.open(self._path, flags | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
+        except OSError as error:
+            if error.errno != errno.ELOOP:
+                raise
+            raise OutputError(
+                f"{self._path} is a link and was not touched: the run would write its progress there. Remove it, or "
+                "choose another --out"
+            ) from error
+        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+            os.close(descriptor)
+            raise OutputError(f"{self._path} is not a file. Remove it, or choose another --out")
+        return os.fdopen(descriptor, "a" if flags & os.O_APPEND else "r", encoding="utf-8")
+
+    def _records(self, lines: list[str]) -> dict[Key, Record]:
+        driven: dict[Key, Record] = {}
+        for line in lines:
+            try:
+                fields = parse_json(line)
+                key = tuple(fields.pop("patch"))
+                driven[key] = self._read(fields)
+            except (ValueError, KeyError, TypeError, AttributeError):
+                text = "the progress file ends in a damaged line; %d driven patches before it are kept"
+                _LOG.warning(text, len(driven))
+                break
+        return driven
+
+
+class Journal(JobJournal[PatchDrives]):
+    """The file of driven patches."""
+
+    def __init__(self, path: Path, settings: dict[str, Any]) -> None:
+        super().__init__(path, settings, _patch_drives)
+
+
+def _line(key: Key, drives: Any) -> str:
+    return json.dumps({"patch": key, **asdict(drives)}, allow_nan=False)
+
+
+def _patch_drives(fields: dict[str, Any]) -> PatchDrives:
+    return PatchDrives(tuple(fields["outcome"]), tuple(fields["c_r"]))
+
+
+Progress = Callable[[int, int], None]
+"""Called with the number of finished drives and the number of all drives."""
+
+
+class Job(Protocol):
+    """A patch to drive over."""
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+
+    @property
+    def starts(self) -> int:
+        """Number of drives that it counts for in the progress."""
+
+
+JobType = TypeVar("JobType", bound=Job)
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+
+def drive_jobs(
+    task: Callable[[JobType], Result],
+    jobs: Sequence[JobType],
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: JobJournal[Result] | None = None,
+    discard_other: bool = False,
+) -> dict[Key, Result]:
+    """Drive all jobs that are not in the journal yet.
+
+    Parameters
+    ----------
+    task : callable
+        Runs one job; it and the jobs must be picklable.
+    jobs : sequence
+        Each with its own key.
+    progress : callable, optional
+        Called with (finished drives, all drives) at the start and after every job.
+    workers : int
+        Number of processes; the result does not depend on it.
+    journal : JobJournal, optional
+        Records finished jobs; jobs already in it are not run again.
+    discard_other : bool
+        Discard a journal written with other settings instead of raising an error.
+
+    Returns
+    -------
+    dict
+        Key of every job -> its drives, in the order of the jobs.
+    """
+    driven = journal.resume(discard_other=discard_other) if journal else {}
+    left = [job for job in jobs if job.key not in driven]
+    total = sum(job.starts for job in jobs)
+    done = total - sum(job.starts for job in left)
+    report = progress or (lambda _done, _total: None)
+    report(done, total)
+    with _results(task, left, min(workers, len(left))) as results:
+        for job, drives in zip(left, results, strict=True):
+            driven[job.key] = drives
+            if journal:
+                journal.add(job.key, drives)
+            done += job.starts
+            report(done, total)
+    return {job.key: driven[job.key] for job in jobs}
+
+
+def _results(
+    task: Callable[[JobType], Result], jobs: Sequence[JobType], workers: int
+) -> AbstractContextManager[Iterator[Result]]:
+    """Run jobs in this process (one worker) or in child processes; return an iterator of results in order."""
+    if workers <= 1:
+        return nullcontext(map(task, jobs))
+    return closing(run_in_processes(task, jobs, workers))
+
+
+def run_in_processes(
+    task: Callable[[Task], Result], jobs: Sequence[Task], workers: int
+) -> Generator[Result, None, None]:
+    """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
+
+    This process uses no threads, because a thread would outlive an interruption and print a message. Closing the
+    generator ends the workers.
+
+    Parameters
+    ----------
+    task : callable
+        Runs one job; it, the jobs and the results must be picklable.
+    jobs : sequence
+    workers : int
+
+    Raises
+    ------
+    BumpymapError
+        A worker died.
+    Exception
+        Whatever ``task`` raises.
+    """
+    children: list[Child] = []
+    try:
+        for _ in range(workers):
+            with shielded():
+                children.append(Child("for the simulation", __name__))
+        finished: dict[int, Result] = {}
+        wanted = 0
+        for number, result in _completed_jobs(task, jobs, children):
+            finished[number] = result
+            while wanted in finished:
+                yield finished.pop(wanted)
+                wanted += 1
+    except ChildDiedError as error:
+        raise BumpymapError(
+            f"a simulation process {error}, perhaps because memory ran out; run the same command again to continue, "
+            "with fewer --workers if it happens again"
+        ) from error
+    finally:
+        # Results of running jobs are no longer needed, and the jobs would go on for many seconds.
+        with shielded():
+            for child in children:
+                child.close()
+
+
+def _completed_jobs(
+    task: Callable[[Task], Result], jobs: Sequence[Task], children: Sequence[Child]
+) -> Generator[tuple[int, Result], None, None]:
+    """Yield number and result of each job as it completes."""
+    waiting = iter(enumerate(jobs))
+    idle = list(children)
+    busy: dict[Any, tuple[Child, int]] = {}
+    while True:
+        for child, (number, job) in zip(idle.copy(), waiting, strict=False):
+            child.begin("attempt", task, job)
+            idle.remove(child)
+            busy[child.link] = child, number
+        if not busy:
+            return
+        for link in wait(list(busy)):
+            child, number = busy.pop(link)
+            result, error = child.finish()
+            if error is not None:
+                raise error
+            idle.append(child)
+            yield number, result
+
+
+def attempt(task: Callable[[Task], Result], job: Task) -> tuple[Result | None, Exception | None]:
+    """Run a job in a worker; return its result, or the exception for the parent to raise."""
+    try:
+        return task(job), None
+    except Exception as error:  # noqa: BLE001 (the parent raises it)
+        return None, error

@@ -1,0 +1,230 @@
+"""The files of a trained network: ONNX with reproducible bytes, and the scores for its card."""
+
+import json
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from onnx import TensorProto, helper, numpy_helper
+from torch import nn
+
+import bumpymap
+from bumpymap.core import OutputError, atomic, locked
+
+__all__ = [
+    "ModelFiles",
+    "OnnxGraph",
+    "Score",
+    "TrainedModel",
+    "count_answers",
+    "model_files",
+    "model_metadata",
+    "percent",
+    "score_table",
+]
+
+Scores = TypeVar("Scores")
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedModel(Generic[Scores]):
+    """The files of a trained model and its scores."""
+
+    model: Path
+    card: Path
+    evaluation: Scores
+    parameters: int
+    """Number of trained parameters."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelFiles:
+    """Paths of the files of one training."""
+
+    model: Path
+    """The ONNX file."""
+
+    @property
+    def card(self) -> Path:
+        """The model card, in Markdown."""
+        return self.model.with_suffix(".md")
+
+    @property
+    def checkpoint(self) -> Path:
+        """The file from which an interrupted training resumes."""
+        return self.model.with_name(self.model.name + ".checkpoint")
+
+    def write(self, content: bytes, card: str) -> None:
+        """Write network and card; delete the checkpoint."""
+        with atomic(self.model) as beside:
+            beside.write_bytes(content)
+        with atomic(self.card) as beside:
+            beside.write_text(card, encoding="utf-8")
+        self.checkpoint.unlink(missing_ok=True)
+
+
+@contextmanager
+def model_files(out: Path) -> Iterator[ModelFiles]:
+    """Lock the output folder against a second training of the same network.
+
+    Raises
+    ------
+    OutputError
+        The folder cannot be written, or another training holds the lock.
+    """
+    if not (out.parent.is_dir() and os.access(out.parent, os.W_OK)):
+        raise OutputError(f"cannot write {out}: {out.parent} is not a writable folder. Choose another --out")
+    with locked(out.parent, f".{out.name}.lock"):
+        yield ModelFiles(out)
+
+
+def model_metadata(
+    kind: str, network: Mapping[str, object], training: Mapping[str, object], scores: Mapping[str, Any]
+) -> dict[str, object]:
+    """Return the metadata of the ONNX file.
+
+    Parameters
+    ----------
+    kind : str
+        Format name of the file.
+    network, training, scores : mappings
+        Description of the network, of its training and its scores.
+    """
+    import torch
+
+    versions = {"format": kind, "bumpymap": bumpymap.__version__, "torch": torch.__version__}
+    return {**versions, **network, **training, **scores}
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Confusion matrix of a network."""
+
+    confusion: tuple[tuple[int, ...], ...]
+    """``[true class][predicted class]``, number of patches."""
+
+    @property
+    def count(self) -> int:
+        """Number of patches."""
+        return sum(sum(line) for line in self.confusion)
+
+    @property
+    def accuracy(self) -> float:
+        """Share of right answers, 0..1."""
+        return sum(line[i] for i, line in enumerate(self.confusion)) / self.count
+
+    @property
+    def balanced_accuracy(self) -> float:
+        """Balanced accuracy: mean of the share of right answers over the classes that occur, 0..1."""
+        shares = [line[i] / sum(line) for i, line in enumerate(self.confusion) if sum(line)]
+        return sum(shares) / len(shares)
+
+
+def count_answers(truth: NDArray[np.integer[Any]], answer: NDArray[np.integer[Any]], classes: int) -> Score:
+    """Make the confusion matrix of classes (n,), 0..classes - 1."""
+    counts = np.bincount(truth * classes + answer, minlength=classes * classes).reshape(classes, classes)
+    return Score(tuple(tuple(int(n) for n in line) for line in counts))
+
+
+def percent(share: float) -> str:
+    """Format a share of 0..1 as per cent, for a model card."""
+    return f"{100 * share:.2f} %"
+
+
+def score_table(score: Score, names: Sequence[str]) -> str:
+    """Return the confusion matrix as a Markdown table; ``names`` of the classes, in order."""
+    head = ["| true \\ predicted | " + " | ".join(names) + " |", "|---" * (len(names) + 1) + "|"]
+    lines = zip(names, score.confusion, strict=True)
+    return "\n".join([*head, *(f"| {name} | " + " | ".join(map(str, line)) + " |" for name, line in lines)])
+
+
+_OPSET = 17
+_IR_VERSION = 8
+
+
+class OnnxGraph:
+    """Nodes and weights in the order in which they are added; each method returns the name of its output.
+
+    Batch normalisation is folded into the convolutions. Operators are those of opset 17, so that old versions of ONNX
+    Runtime can read the file.
+    """
+
+    def __init__(self, name: str, output_name: Callable[[int], str]) -> None:
+        """Start a graph; ``output_name`` returns the name of the output of the n-th node."""
+        self._name, self._output_name = name, output_name
+        self._nodes: list[onnx.NodeProto] = []
+        self._weights: list[onnx.TensorProto] = []
+
+    def constant(self, name: str, value: NDArray[np.generic] | np.generic) -> str:
+        """Add a stored value."""
+        self._weights.append(numpy_helper.from_array(np.asarray(value), name))
+        return name
+
+    def add(self, kind: str, inputs: Sequence[str], output: str | None = None, **attributes: Any) -> str:
+        """Add one operator."""
+        name = output or self._output_name(len(self._nodes))
+        self._nodes.append(helper.make_node(kind, inputs, [name], **attributes))
+        return name
+
+    def conv(
+        self, layer: nn.Conv2d, norm: nn.BatchNorm2d | None, source: str, name: str | None = None, **attributes: Any
+    ) -> str:
+        """Add a convolution with ``norm`` folded in. Its weights are named ``name``.weight and ``name``.bias."""
+        name = name or f"conv{len(self._nodes)}"
+        weight, bias = _folded_weights(layer, norm)
+        inputs = [source, self.constant(f"{name}.weight", weight), self.constant(f"{name}.bias", bias)]
+        return self.add("Conv", inputs, pads=[int(layer.padding[0])] * 4, **attributes)
+
+    def to_bytes(
+        self, inputs: Mapping[str, Sequence[int]], output: tuple[str, int], metadata: Mapping[str, object]
+    ) -> bytes:
+        """Check the graph and serialise it.
+
+        Parameters
+        ----------
+        inputs : mapping
+            Name -> shape of one sample.
+        output : tuple
+            Name of the output with the probabilities, and number of classes.
+        metadata : mapping
+            Written as ``metadata_props``: text as it is, everything else as JSON.
+        """
+        given = [_value_info(name, shape) for name, shape in inputs.items()]
+        name, classes = output
+        graph = helper.make_graph(self._nodes, self._name, given, [_value_info(name, [classes])], self._weights)
+        model = helper.make_model(
+            graph, producer_name="bumpymap", opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
+        )
+        helper.set_model_props(model, {k: v if isinstance(v, str) else json.dumps(v) for k, v in metadata.items()})
+        onnx.checker.check_model(model, full_check=True)
+        content: bytes = model.SerializeToString(deterministic=True)
+        return content
+
+
+def _value_info(name: str, shape: Sequence[int]) -> onnx.ValueInfoProto:
+    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
+
+
+def _folded_weights(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Fold ``norm(conv(x))`` into one weight and bias: w g / s and b - m g / s, s = sqrt(var + eps)."""
+    if norm is None:
+        return _double(conv.weight).astype(np.float32), _double(conv.bias).astype(np.float32)
+    gain = _double(norm.weight) / np.sqrt(_double(norm.running_var) + norm.eps)
+    weight = _double(conv.weight) * gain[:, None, None, None]
+    bias = _double(norm.bias) - _double(norm.running_mean) * gain
+    return weight.astype(np.float32), bias.astype(np.float32)
+
+
+def _double(tensor: torch.Tensor | None) -> NDArray[np.float64]:
+    """Return a tensor as float64; raise TypeError for None."""
+    if tensor is None:
+        raise TypeError("a layer of the network lacks its weights")
+    values: NDArray[np.float64] = tensor.detach().double().numpy()
+    return values

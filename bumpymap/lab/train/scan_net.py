@@ -1,0 +1,491 @@
+"""Train the scan network, score it on unseen scans, and write it as ONNX with its model card."""
+
+import math
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from bumpymap.core import CLASSES, PolarSettings, UsageError
+from bumpymap.lab.train.model_files import (
+    OnnxGraph,
+    Score,
+    TrainedModel,
+    count_answers,
+    model_files,
+    model_metadata,
+    percent,
+    score_table,
+)
+from bumpymap.lab.train.scan_sectors import (
+    UNSEEN,
+    ScanProgress,
+    Sectors,
+    draw_epoch,
+    folder_frames,
+    folder_sectors,
+    join,
+    overhead_sectors,
+    simulated_sectors,
+)
+from bumpymap.lab.train.textures import predict
+from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Training
+from bumpymap.readers import LABEL_SETS
+from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
+
+__all__ = [
+    "UNSEEN_SCENES",
+    "CardFacts",
+    "InvertedResidual",
+    "ScanEvaluation",
+    "ScanNet",
+    "ScanNetSettings",
+    "ScanTrainSettings",
+    "convolution",
+    "evaluate",
+    "make_scan_model",
+    "model_card",
+    "to_onnx",
+    "train",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class ScanNetSettings:
+    """Architecture of the network."""
+
+    stem: int = 16
+    """Filters of the first convolution, which halves the resolution."""
+    widths: tuple[int, ...] = (16, 24, 24, 24)
+    """Channels after each inverted residual; where they increase, the resolution is halved."""
+    expansion: int = 4
+    """Expansion factor inside an inverted residual."""
+    measure_channels: int = 16
+    """Channels of the layer that takes the measures."""
+    hidden: int = 48
+    """Channels of the last hidden layer."""
+
+
+def convolution(source: int, target: int, size: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
+    """Make a convolution without bias, followed by batch normalisation."""
+    return nn.Sequential(
+        nn.Conv2d(source, target, size, stride, size // 2, groups=groups, bias=False), nn.BatchNorm2d(target)
+    )
+
+
+class InvertedResidual(nn.Module):
+    """Widen by 1 x 1, filter each channel by 3 x 3, narrow by 1 x 1; add the input if the shapes match."""
+
+    def __init__(self, source: int, target: int, stride: int, expansion: int) -> None:
+        super().__init__()
+        inner = expansion * source
+        self.widen = convolution(source, inner, 1)
+        self.filter = convolution(inner, inner, 3, stride, groups=inner)
+        self.narrow = convolution(inner, target, 1)
+        self.adds = stride == 1 and source == target
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Map shape (n, source, h, w) to (n, target, h / stride, w / stride)."""
+        inner = nn.functional.relu6(self.widen(x))
+        inner = nn.functional.relu6(self.filter(inner))
+        narrow: torch.Tensor = self.narrow(inner)
+        return x + narrow if self.adds else narrow
+
+
+class ScanNet(nn.Module):
+    """Inverted residuals over the images of a sector; its measures join before the output layer."""
+
+    def __init__(self, settings: ScanNetSettings) -> None:
+        super().__init__()
+        self.settings = settings
+        widths = (settings.stem, *settings.widths)
+        self.stem = convolution(CHANNELS, settings.stem, 3, 2)
+        self.blocks = nn.ModuleList(
+            InvertedResidual(a, b, 2 if b > a else 1, settings.expansion) for a, b in pairwise(widths)
+        )
+        self.measures = convolution(len(MEASURES), settings.measure_channels, 1)
+        self.hidden = convolution(widths[-1] + settings.measure_channels, settings.hidden, 1)
+        self.head = nn.Conv2d(settings.hidden, CLASSES, 1)
+
+    def forward(self, patches: torch.Tensor, measures: torch.Tensor) -> torch.Tensor:
+        """Return logits (n, CLASSES) of images (n, CHANNELS, pixels, pixels) and measures (n, len(MEASURES))."""
+        x = nn.functional.relu6(self.stem(patches))  # (n, 16, 8, 8)
+        for block in self.blocks:
+            x = block(x)  # (n, 16, 8, 8), then (n, 24, 4, 4) three times
+        x = x.mean(dim=(2, 3), keepdim=True)  # (n, 24, 1, 1)
+        joined = nn.functional.relu6(self.measures(measures[:, :, None, None]))  # (n, 16, 1, 1)
+        x = nn.functional.relu6(self.hidden(torch.cat((x, joined), dim=1)))  # (n, 48, 1, 1)
+        logits: torch.Tensor = self.head(x).flatten(1)  # (n, 3)
+        return logits
+
+    def parameter_count(self) -> int:
+        """Return the number of trained parameters."""
+        return sum(p.numel() for p in self.parameters())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanTrainSettings(LoopSettings):
+    """All settings that affect a training; the scans come in addition."""
+
+    epochs: int = 20
+    scenes: int = 440
+    """Number of synthetic training scenes; not used with a data set on disk."""
+    turns: int = 2
+    """Number of additional cuts of each scan, each after a random rotation."""
+    sectors_per_class: int = 10_000
+    """Sectors of each class in every epoch."""
+    batch: int = 128
+    learning_rate: float = 4e-3
+    weight_decay: float = 2e-2
+    smoothing: float = 0.05
+    """Label smoothing: share of each label that is spread over the other classes; labels at margins are uncertain."""
+    network: ScanNetSettings = field(default_factory=ScanNetSettings)
+
+    def __post_init__(self) -> None:
+        for name in ("epochs", "scenes", "sectors_per_class", "batch", "threads"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be at least 1")
+        if min(self.seed, self.turns) < 0:
+            raise UsageError(f"`seed` is {self.seed} and turns {self.turns}; they must be 0 or more")
+
+    @property
+    def options(self) -> str:
+        """The options of the command that repeats this training."""
+        names = ("seed", "epochs", "scenes", "sectors_per_class", "threads")
+        return " ".join(f"--{name.replace('_', '-')} {getattr(self, name)}" for name in names)
+
+
+def train(
+    settings: ScanTrainSettings,
+    sectors: Sectors,
+    checkpoint: Path | None = None,
+    progress: Callable[[EpochReport], None] | None = None,
+) -> ScanNet:
+    """Train a network.
+
+    Parameters
+    ----------
+    settings : ScanTrainSettings
+        The same settings and sectors give the same bits on the same machine and libraries.
+    sectors : Sectors
+        Training sectors.
+    checkpoint : Path, optional
+        Rewritten after every epoch; if it exists, training resumes from it.
+    progress : callable, optional
+        Called with a report after every epoch.
+
+    Returns
+    -------
+    ScanNet
+        In evaluation mode.
+    """
+    counts = np.bincount(sectors.class_id, minlength=3).tolist()
+    loop = Training(
+        settings,
+        lambda: ScanNet(settings.network),
+        lambda numbers: _epochs(settings, sectors, numbers),
+        lambda share: _learning_rate(share, settings.learning_rate),
+        smoothing=settings.smoothing,
+        record={"sectors": counts, "sector_version": SECTOR_VERSION},
+    )
+    return loop.run(checkpoint, progress)
+
+
+def _epochs(settings: ScanTrainSettings, sectors: Sectors, numbers: range) -> Iterator[EpochData]:
+    for epoch in numbers:
+        rng = np.random.default_rng([settings.seed, 4, epoch])
+        drawn = draw_epoch(sectors, settings.sectors_per_class, rng)
+        patches, measures, class_id = (torch.from_numpy(values) for values in drawn)
+        yield EpochData((patches, measures), class_id, [*range(0, len(class_id), settings.batch), len(class_id)])
+
+
+def _learning_rate(share: float, peak: float) -> float:
+    """Rise over the first twentieth, then fall along half a cosine to zero; ``share``: of the training, 0..1."""
+    rise = min(1.0, (share + 0.005) / 0.055)
+    return peak * rise * 0.5 * (1 + math.cos(math.pi * share))
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEvaluation:
+    """All scores of the model card, on unseen scans."""
+
+    every: Score
+    """All sectors with a class and ground, which are the ones classified in use."""
+    labels: dict[int, tuple[int, ...]]
+    """RELLIS-3D id -> number of sectors classified as 0, 1, 2."""
+    scans: int
+    """Number of scans."""
+
+
+def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
+    """Score a trained network on the sectors of ``scans`` unseen scans."""
+    probability = predict(net, torch.from_numpy(unseen.patches), torch.from_numpy(unseen.measures))
+    predicted = probability.argmax(axis=1)
+    labels = {
+        int(label): tuple(np.bincount(predicted[unseen.label == label], minlength=CLASSES).tolist())
+        for label in np.unique(unseen.label)
+    }
+    return ScanEvaluation(count_answers(unseen.class_id, predicted, CLASSES), labels, scans)
+
+
+_CLASS_NAMES = tuple(map(str, range(CLASSES)))
+_LABELS = LABEL_SETS["rellis"]
+"""What the labels of the scenes, and of data sets to train on, mean."""
+
+
+_LIMITS_OF_SIMULATION = """\
+- The accuracy is measured on *synthetic* scenes. The network has not seen anything that the simulator lacks (snow,
+  crops, rain, moving objects, reflections in water).
+- Mud and water are distinguished from dirt by ruts, churned ground and missing returns: mud as flat as dry dirt is
+  classified as dirt, and so is a puddle of which only the margin returns light.
+- Natural ground is simulated with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm.
+  Rougher ground is classified as class 1, whatever grows there.
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class CardFacts:
+    """Facts of a training on its card, in addition to settings and scores."""
+
+    learned: tuple[int, ...]
+    """Number of training sectors of each class."""
+    parameters: int
+    """Number of trained parameters."""
+    size: int
+    """Size of the ONNX file, bytes."""
+    command: str
+    """The command line of this training, without ``--out``."""
+    simulated: bool
+    """Whether the scans were simulated."""
+
+
+def model_card(settings: ScanTrainSettings, evaluation: ScanEvaluation, made: CardFacts) -> str:
+    """Return the text of the card of a training."""
+    limits = _LIMITS_OF_SIMULATION if made.simulated else ""
+    widths = ", ".join(map(str, settings.network.widths))
+    return f"""# Scan network
+
+Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (rough).
+
+- **Use**: `bumpymap scan --method learned`.
+- **Input**: `patches` (batch, 2, 15, 15) float32, the heights of a sector above its plane, in the sector's own polar
+  coordinates: once scaled by their own range, once by asinh(h / 5 cm); and `measures` (batch, {len(MEASURES)}):
+  {", ".join(MEASURES)} (sector version {SECTOR_VERSION}). `beside` is the ratio of the number of points to that
+  of the ground in the same ring.
+- **Output**: `probability` (batch, {CLASSES}) float32.
+- **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
+  {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
+  {made.parameters:,} trained parameters; {made.size:,} bytes of ONNX, opset 17.
+- **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
+- **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
+
+## Data
+
+{_data(settings, made.simulated)}
+Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
+{settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
+{settings.turns} more times after a random rotation, half of these times on another polar grid.
+
+{_accuracy(evaluation)}
+## Reproduce
+
+    pip install 'bumpymap[learn,o3d]'
+    {made.command} --out scan.onnx
+
+Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
+
+## Limits
+
+{limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
+  frequent label counts as true; many of the errors are such sectors.
+- Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
+"""
+
+
+def _accuracy(evaluation: ScanEvaluation) -> str:
+    return f"""## Accuracy
+
+On {evaluation.every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
+{percent(evaluation.every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
+{percent(evaluation.every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
+
+{score_table(evaluation.every, _CLASS_NAMES)}
+
+By label, number of sectors classified as 0, 1, 2:
+
+| label | class | 0 | 1 | 2 |
+|---|---|---|---|---|
+{_labels(evaluation)}
+"""
+
+
+def _data(settings: ScanTrainSettings, simulated: bool) -> str:
+    if not simulated:
+        return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
+    return f"""{settings.scenes} synthetic scenes with labels (`bumpymap.lab.worlds.scans`), each scanned once by a
+different sensor: 16 to 128 lines, evenly spaced or closer near the horizon, or a solid-state pattern of 60 to 360
+degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, with range noise of 0.8 to 3 cm, 0.1 to
+5 % of lost returns, stray returns and mirror images below wet ground. No real scan was used. The ground of every tenth
+scene is sampled once more from above, without shadows and with blocks piled on half of it.
+Unseen scenes have other numbers of the same seed.
+"""
+
+
+def _classes() -> str:
+    return "; ".join(
+        f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
+        for k in range(CLASSES)
+    )
+
+
+def _labels(evaluation: ScanEvaluation) -> str:
+    return "\n".join(
+        f"| {_LABELS.names[label]} | {_LABELS.class_of[label]} | " + " | ".join(map(str, counts)) + " |"
+        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (_LABELS.class_of[item[0]], item[0]))
+    )
+
+
+def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
+    """Write a network as an ONNX file.
+
+    Parameters
+    ----------
+    net : ScanNet
+        In evaluation mode.
+    metadata : mapping
+        Written as ``metadata_props``: text as it is, everything else as JSON.
+
+    Returns
+    -------
+    bytes
+        Inputs ``patches`` (batch, CHANNELS, pixels, pixels) and ``measures`` (batch, len(MEASURES)), output
+        ``probability`` (batch, CLASSES), all float32.
+    """
+    graph = OnnxGraph("scan", "x{}".format)
+    ends = [graph.constant("zero", np.float32(0.0)), graph.constant("six", np.float32(6.0))]
+    plane = graph.constant("plane", np.array([2, 3], np.int64))
+
+    def relu6(pair: Any, source: str) -> str:
+        return graph.add("Clip", [_convolution(graph, pair, source), *ends])
+
+    x = relu6(net.stem, "patches")
+    for block in net.blocks:
+        narrow = _convolution(graph, block.narrow, relu6(block.filter, relu6(block.widen, x)))
+        x = graph.add("Add", [x, narrow]) if block.adds else narrow
+    x = graph.add("GlobalAveragePool", [x])
+    joined = relu6(net.measures, graph.add("Unsqueeze", ["measures", plane]))
+    x = relu6(net.hidden, graph.add("Concat", [x, joined], axis=1))
+    x = graph.add("Flatten", [graph.conv(net.head, None, x, **_strides(net.head))], axis=1)
+    graph.add("Softmax", [x], "probability", axis=1)
+    pixels = PolarSettings().pixels
+    inputs = {"patches": (CHANNELS, pixels, pixels), "measures": (len(MEASURES),)}
+    return graph.to_bytes(inputs, ("probability", CLASSES), metadata)
+
+
+def _convolution(graph: OnnxGraph, pair: Any, source: str) -> str:
+    """Add a convolution with its normalisation."""
+    layer, norm = pair.children()
+    if not isinstance(layer, nn.Conv2d) or not isinstance(norm, nn.BatchNorm2d):
+        raise TypeError(f"expected a convolution and its normalisation, not {pair}")
+    return graph.conv(layer, norm, source, **_strides(layer))
+
+
+def _strides(layer: nn.Conv2d) -> dict[str, Any]:
+    return {"strides": [layer.stride[0]] * 2, "group": layer.groups}
+
+
+UNSEEN_SCENES = 110
+"""Number of synthetic scenes in the scores: ten of every theme."""
+
+
+def make_scan_model(
+    settings: ScanTrainSettings,
+    out: Path,
+    scans: Path | None = None,
+    progress: Callable[[EpochReport], None] | None = None,
+    scan_progress: ScanProgress | None = None,
+) -> TrainedModel[ScanEvaluation]:
+    """Train a network for the sectors of scans and write it.
+
+    Parameters
+    ----------
+    settings : ScanTrainSettings
+        Together with the scans they determine every byte of the file on one machine.
+    out : Path
+        The ONNX file. The model card is written next to it (``.md``), and while the job runs a folder of sectors
+        (``.sectors``) and a checkpoint (``.checkpoint``), from which the same call resumes after an interruption.
+    scans : Path, optional
+        A folder in the layout of RELLIS-3D. If None, scenes are simulated, which needs open3d.
+    progress : callable, optional
+        Called with a report after every epoch.
+    scan_progress : callable, optional
+        Called with (finished scans, all scans) after every scan that was cut into sectors.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    BadInputError
+        The folder contains no scans with labels.
+    UsageError
+        A checkpoint of another training exists.
+    """
+    keep = out.with_name(out.name + ".sectors")
+    command = f"bumpymap train --scans {'simulated' if scans is None else 'RELLIS_FOLDER'} {settings.options}"
+    with model_files(out) as files:
+        learn, unseen, unseen_scans = _collect_sectors(settings, scans, keep, scan_progress)
+        net = train(settings, learn, files.checkpoint, progress)
+        evaluation = evaluate(net, unseen, unseen_scans)
+        content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count(), command))
+        made = CardFacts(
+            learned=tuple(np.bincount(learn.class_id, minlength=3).tolist()),
+            parameters=net.parameter_count(),
+            size=len(content),
+            command=command,
+            simulated=scans is None,
+        )
+        files.write(content, model_card(settings, evaluation, made))
+        shutil.rmtree(keep, ignore_errors=True)
+    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
+
+
+def _collect_sectors(
+    settings: ScanTrainSettings, scans: Path | None, keep: Path, scan_progress: ScanProgress | None
+) -> tuple[Sectors, Sectors, int]:
+    """Return training sectors, test sectors and the number of scans of the test sectors."""
+    if scans is not None:
+        learn, unseen = folder_frames(scans)
+        return (
+            folder_sectors(learn, settings.turns, settings.seed, scan_progress),
+            folder_sectors(unseen, progress=scan_progress),
+            len(unseen),
+        )
+    unseen_scenes = range(UNSEEN, UNSEEN + UNSEEN_SCENES)
+    learned = [simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, scan_progress)]
+    overhead = range(0, settings.scenes - 9, 10)  # every tenth, in every theme
+    if overhead:
+        learned.append(overhead_sectors(settings.seed, overhead))
+    return (
+        join(learned),
+        simulated_sectors(settings.seed, unseen_scenes, 0, keep, scan_progress),
+        UNSEEN_SCENES,
+    )
+
+
+def _metadata(
+    settings: ScanTrainSettings, evaluation: ScanEvaluation, parameters: int, command: str
+) -> dict[str, object]:
+    network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
+    training = {"parameters": parameters, "seed": settings.seed, "command": command}
+    scores = {
+        "accuracy_even": evaluation.every.balanced_accuracy,
+        "accuracy_unseen": evaluation.every.accuracy,
+        "confusion_unseen": evaluation.every.confusion,
+    }
+    return model_metadata("bumpymap-scan", network, training, scores)

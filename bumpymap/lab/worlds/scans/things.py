@@ -1,0 +1,481 @@
+"""."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "REFLECTIONS",
+    "Field",
+    "Floats",
+    "Height",
+    "Label",
+    "Reflection",
+    "Triangles",
+    "barrier",
+    "block_field",
+    "boxes",
+    "bush",
+    "fence",
+    "fence_along",
+    "guard_rail",
+    "hedge",
+    "herb",
+    "leaves",
+    "log_uniform",
+    "make_field",
+    "person",
+    "pole",
+    "ribbon",
+    "smoothstep",
+    "stone_field",
+    "stones",
+    "tree",
+    "tube",
+    "vehicle",
+    "wall",
+]
+
+Floats = NDArray[np.float64]
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number with a uniform logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def smoothstep(t: Floats) -> Floats:
+    """Rise from 0 to 1 for t from 0 to 1, with level ends."""
+    t = np.clip(t, 0.0, 1.0)
+    risen: Floats = t * t * (3.0 - 2.0 * t)
+    return risen
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """Self-affine noise of standard deviation 1."""
+
+    values: NDArray[np.float32]
+    """(n, n) one period; n is a power of two."""
+    step_m: float
+    """Distance between values, m."""
+    turn: tuple[float, float]
+    """Cosine and sine of the angle by which the square is rotated."""
+
+    def at(self, x: Floats, y: Floats) -> Floats:
+        """Return bilinear values at positions in metres."""
+        last = len(self.values) - 1
+        u = (self.turn[0] * x + self.turn[1] * y) / self.step_m
+        v = (self.turn[0] * y - self.turn[1] * x) / self.step_m
+        i, j = np.floor(u).astype(np.int32), np.floor(v).astype(np.int32)
+        right, up = u - i, v - j
+        i, j = i & last, j & last
+        i_next, j_next = (i + 1) & last, (j + 1) & last
+        low = self.values[j, i] * (1 - right) + self.values[j, i_next] * right
+        high = self.values[j_next, i] * (1 - right) + self.values[j_next, i_next] * right
+        found: Floats = low * (1 - up) + high * up
+        return found
+
+
+def make_field(rng: np.random.Generator, size: int, step_m: float, hurst: float, waves_m: tuple[float, float]) -> Field:
+    """Make a field of ``size`` x ``size`` values (a power of two), with waves between two lengths.
+
+    Its power spectral density falls as k^-(2 hurst + 2); natural ground has a Hurst exponent of 0.3 to 0.9.
+    """
+    k = np.hypot(np.fft.fftfreq(size, step_m)[:, None], np.fft.rfftfreq(size, step_m)[None, :])
+    inside = (k >= 1 / waves_m[1]) & (k <= 1 / waves_m[0])
+    gain = np.where(inside, np.maximum(k, 1e-9) ** -(hurst + 1), 0.0)
+    values = np.fft.irfft2(np.fft.rfft2(rng.standard_normal((size, size))) * gain, s=(size, size))
+    angle = rng.uniform(0, 2 * np.pi)
+    return Field((values / values.std()).astype(np.float32), step_m, (float(np.cos(angle)), float(np.sin(angle))))
+
+
+class Label(IntEnum):
+    """Ids of the ``.label`` files of the data set."""
+
+    VOID = 0
+    DIRT = 1
+    GRASS = 3
+    TREE = 4
+    WATER = 6
+    VEHICLE = 8
+    ASPHALT = 10
+    PERSON = 17
+    FENCE = 18
+    BUSH = 19
+    CONCRETE = 23
+    BARRIER = 27
+    PUDDLE = 31
+    MUD = 33
+    RUBBLE = 34
+
+
+@dataclass(frozen=True, slots=True)
+class Reflection:
+    """Reflection of a laser pulse by a surface."""
+
+    reflectivity: tuple[float, float]
+    """Range of the reflectivity, 0..1; each scene draws its own value."""
+    specular_loss: tuple[float, float] = (0.0, 0.0)
+    """Range of the share of pulses that a smooth wet or painted surface reflects away from the sensor."""
+
+
+REFLECTIONS = {
+    Label.DIRT: Reflection((0.2, 0.4)),
+    Label.GRASS: Reflection((0.3, 0.6)),
+    Label.TREE: Reflection((0.3, 0.6)),
+    Label.WATER: Reflection((0.05, 0.2), (0.75, 0.97)),
+    Label.VEHICLE: Reflection((0.2, 0.7), (0.05, 0.35)),
+    Label.ASPHALT: Reflection((0.1, 0.25)),
+    Label.PERSON: Reflection((0.2, 0.6)),
+    Label.FENCE: Reflection((0.2, 0.5)),
+    Label.BUSH: Reflection((0.3, 0.6)),
+    Label.CONCRETE: Reflection((0.25, 0.5)),
+    Label.BARRIER: Reflection((0.25, 0.5)),
+    Label.PUDDLE: Reflection((0.05, 0.25), (0.7, 0.95)),
+    Label.MUD: Reflection((0.1, 0.25), (0.05, 0.4)),
+    Label.RUBBLE: Reflection((0.2, 0.45)),
+}
+"""Open water returns little light at the low angles of a ground robot, wet mud less than dry dirt."""
+
+
+Triangles = NDArray[np.float32]
+
+_BOX = np.array(
+    [
+        [[0, 0, 0], [1, 1, 0], [1, 0, 0]], [[0, 0, 0], [0, 1, 0], [1, 1, 0]],
+        [[0, 0, 1], [1, 0, 1], [1, 1, 1]], [[0, 0, 1], [1, 1, 1], [0, 1, 1]],
+        [[0, 0, 0], [1, 0, 0], [1, 0, 1]], [[0, 0, 0], [1, 0, 1], [0, 0, 1]],
+        [[0, 1, 0], [1, 1, 1], [1, 1, 0]], [[0, 1, 0], [0, 1, 1], [1, 1, 1]],
+        [[0, 0, 0], [0, 0, 1], [0, 1, 1]], [[0, 0, 0], [0, 1, 1], [0, 1, 0]],
+        [[1, 0, 0], [1, 1, 0], [1, 1, 1]], [[1, 0, 0], [1, 1, 1], [1, 0, 1]],
+    ],
+    float,
+) - np.array([0.5, 0.5, 0.0])  # fmt: skip
+
+
+def _icosahedron() -> Floats:
+    """Return the 20 faces of an icosahedron inscribed in the unit sphere."""
+    golden = (1 + np.sqrt(5)) / 2
+    corners = np.array([[s, t * golden, 0] for s in (-1, 1) for t in (-1, 1)])
+    corners = np.concatenate([np.roll(corners, shift, axis=1) for shift in range(3)]) / np.hypot(1, golden)
+    side = 2 / np.hypot(1, golden)
+    near = np.abs(np.linalg.norm(corners[:, None] - corners[None], axis=-1) - side) < 1e-6
+    index = range(len(corners))
+    faces = [
+        (a, b, c)
+        for a in index
+        for b in index[a + 1 :]
+        for c in index[b + 1 :]
+        if near[a, b] and near[b, c] and near[a, c]
+    ]
+    shape: Floats = corners[np.array(faces)]
+    return shape
+
+
+_BALL = _icosahedron()
+
+
+def boxes(sizes: Floats, bases: Floats, turns: Floats) -> Triangles:
+    """Make boxes of ``sizes`` (n, 3) standing on ``bases`` (n, 3), rotated about z by ``turns`` (n,)."""
+    shaped = _BOX[None] * sizes[:, None, None, :]
+    return (_turn(shaped, turns) + bases[:, None, None, :]).reshape(-1, 3, 3).astype(np.float32)
+
+
+def _turn(shapes: Floats, turns: Floats) -> Floats:
+    """Rotate shapes (n, ..., 3) about z by angles (n,)."""
+    cos, sin = (part.reshape(-1, *[1] * (shapes.ndim - 2)) for part in (np.cos(turns), np.sin(turns)))
+    x, y = shapes[..., 0], shapes[..., 1]
+    return np.stack([cos * x - sin * y, sin * x + cos * y, shapes[..., 2]], axis=-1)
+
+
+def tube(start: Floats, end: Floats, start_radius: float, end_radius: float, sides: int = 8) -> Triangles:
+    """Make a round bar between two points (3,), open at its ends."""
+    along = end - start
+    across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.7 * np.linalg.norm(along) else [0.0, 1.0, 0.0])
+    across /= np.linalg.norm(across)
+    other = np.cross(along, across)
+    other /= np.linalg.norm(other)
+    angle = 2 * np.pi * np.arange(sides + 1) / sides
+    circle = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
+    low, high = start + start_radius * circle, end + end_radius * circle
+    first = np.stack([low[:-1], low[1:], high[:-1]], axis=1)
+    second = np.stack([low[1:], high[1:], high[:-1]], axis=1)
+    return np.concatenate([first, second]).astype(np.float32)
+
+
+def ribbon(points: Floats, height_m: float) -> Triangles:
+    """Make an upright band along ``points`` (n, 3), which form its lower edge."""
+    top = points + np.array([0.0, 0.0, height_m])
+    first = np.stack([points[:-1], points[1:], top[:-1]], axis=1)
+    second = np.stack([points[1:], top[1:], top[:-1]], axis=1)
+    return np.concatenate([first, second]).astype(np.float32)
+
+
+def stones(rng: np.random.Generator, middles: Floats, radii: Floats) -> Triangles:
+    """Make angular stones with centres ``middles`` (n, 3) and half axes ``radii`` (n, 3)."""
+    count = len(middles)
+    corners, face = np.unique(np.round(_BALL.reshape(-1, 3), 9), axis=0, return_inverse=True)
+    shaken = corners[None] * rng.uniform(0.75, 1.25, (count, len(corners), 1))
+    shapes = shaken[:, face.ravel()].reshape(count, len(_BALL), 3, 3) * radii[:, None, None, :]
+    return (_turn(shapes, rng.uniform(0, 2 * np.pi, count)) + middles[:, None, None, :]).reshape(-1, 3, 3).astype("f4")
+
+
+def leaves(rng: np.random.Generator, middle: Floats, radii: Floats, count: int, free_path_m: float) -> Triangles:
+    """Scatter leaves, as separate triangles, in an ellipsoid, denser towards its surface.
+
+    Their size gives beams a mean free path of ``free_path_m``. For randomly oriented flat triangles the mean free path
+    is 1 / (number per cubic metre x half their area).
+    """
+    way = rng.standard_normal((count, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    place = middle + way * rng.uniform(0, 1, (count, 1)) ** 0.25 * radii
+    area = 2 / (free_path_m * count / (4 / 3 * np.pi * float(np.prod(radii))))
+    side = np.sqrt(area / 0.433)
+    one = rng.standard_normal((count, 3))
+    one /= np.linalg.norm(one, axis=1, keepdims=True)
+    two = np.cross(one, rng.standard_normal((count, 3)))
+    two /= np.linalg.norm(two, axis=1, keepdims=True)
+    size = side * rng.uniform(0.6, 1.4, (count, 1))
+    corners = [place + size * (np.cos(a) * one + np.sin(a) * two) / np.sqrt(3) for a in (0.0, 2.094, 4.189)]
+    return np.stack(corners, axis=1).astype(np.float32)
+
+
+Height = Callable[[Floats, Floats], Floats]
+"""Function of eastings and northings (n,) [m] that returns heights of the ground (n,) [m]."""
+
+
+def person(rng: np.random.Generator, base: Floats) -> Triangles:
+    """Make a standing or walking person: legs, body, arms, head."""
+    tall, turn, stride = rng.uniform(1.5, 1.95), rng.uniform(0, 2 * np.pi), rng.uniform(0, 0.3)
+    ahead = np.array([np.cos(turn), np.sin(turn), 0.0])
+    side = np.array([-np.sin(turn), np.cos(turn), 0.0])
+    up = np.array([0.0, 0.0, tall])
+    hip, shoulder = base + 0.5 * up, base + 0.82 * up
+    parts = [tube(hip - 0.05 * up, shoulder, 0.17, 0.2, 10)]
+    for way in (-1.0, 1.0):
+        foot = base + way * (0.1 * side + stride * ahead)
+        parts.append(tube(foot, hip + 0.09 * way * side, 0.07, 0.1, 8))
+        hand = base + 0.48 * up + way * (0.28 * side - 0.6 * stride * ahead)
+        parts.append(tube(shoulder + 0.2 * way * side, hand, 0.06, 0.04, 6))
+    parts.append(stones(rng, (base + 0.93 * up)[None], np.array([[0.1, 0.1, 0.13]])))
+    return np.concatenate(parts)
+
+
+_MOST_BLOCKS = 8000
+_MODELS = np.array(
+    [  # length, width, height; cabin from, to (shares of the length), height of the body (share), clearance [m]
+        [4.4, 1.8, 1.5, 0.2, 0.85, 0.55, 0.18],
+        [4.8, 1.9, 1.8, 0.05, 0.8, 0.6, 0.22],
+        [5.4, 2.0, 1.9, 0.4, 0.75, 0.55, 0.28],
+        [5.6, 2.1, 2.4, 0.0, 0.85, 0.5, 0.2],
+        [7.5, 2.4, 3.0, 0.0, 1.0, 0.4, 0.45],
+        [2.6, 1.4, 1.8, 0.2, 0.7, 0.45, 0.3],
+    ]
+)
+
+
+def vehicle(rng: np.random.Generator, base: Floats, heading: float | None = None) -> Triangles:
+    """Make a car, jeep, pickup, van, truck or buggy on four wheels; at a random heading [rad] if None is given."""
+    long, wide, tall, back, front, body, clear = _MODELS[rng.integers(len(_MODELS))] * rng.uniform(0.93, 1.07, 7)
+    turn = rng.uniform(0, 2 * np.pi) if heading is None else heading
+    ahead, side = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
+    up = np.array([0.0, 0.0, 1.0])
+    low = base + clear * up
+    cabin = low + 0.98 * (body * tall - clear) * up + ((back + front) / 2 - 0.5) * long * ahead
+    sizes = np.array(
+        [[long, wide, body * tall - clear], [(front - back) * long, 0.9 * wide, (1 - body) * tall]],
+    )
+    parts = [boxes(sizes, np.stack([low, cabin]), np.full(2, turn))]
+    radius = max(0.3, 0.8 * clear + 0.1)
+    for along in (-0.3, 0.3):
+        for way in (-1.0, 1.0):
+            middle = base + radius * up + along * long * ahead + 0.5 * way * wide * side
+            parts.append(tube(middle - 0.12 * side, middle + 0.12 * side, radius, radius, 12))
+            hub = np.array([[1.2 * radius, 0.2, 1.2 * radius]])
+            parts.append(boxes(hub, (middle - 0.6 * radius * up)[None], np.array([turn])))
+    return np.concatenate(parts)
+
+
+def _line(rng: np.random.Generator, middle: Floats, length_m: float, step_m: float) -> Floats:
+    """Return points (n, 2) along a slightly bent line through ``middle`` (2,)."""
+    count = max(3, int(length_m / step_m) + 1)
+    bearing = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.03, count - 1))
+    steps = step_m * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
+    places: Floats = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    moved: Floats = places - places[count // 2] + middle
+    return moved
+
+
+def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:
+    """Make a fence: posts with boards, pickets or wire between them, 8 to 40 m long."""
+    return fence_along(rng, _line(rng, middle, rng.uniform(8, 40), rng.uniform(1.8, 3.0)), height)
+
+
+def fence_along(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make a fence with posts at ``places`` (n, 2)."""
+    feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
+    tall, thick = rng.uniform(0.9, 2.0), rng.uniform(0.03, 0.07)
+    up = np.array([0.0, 0.0, 1.0])
+    parts = [tube(foot - 0.1 * up, foot + tall * up, thick, thick, 6) for foot in feet]
+    style = rng.integers(3)
+    if style == 0:  # boards along it
+        band = rng.uniform(0.08, 0.18)
+        parts += [ribbon(feet + low * up, band) for low in np.arange(0.2, tall - band, rng.uniform(0.25, 0.45))]
+        return np.concatenate(parts)
+    gap, width = (rng.uniform(0.11, 0.2), rng.uniform(0.06, 0.1)) if style == 1 else (0.06, 0.012)
+    share = np.arange(0, len(feet) - 1, gap / np.linalg.norm(places[1] - places[0]))
+    first = np.minimum(share.astype(np.int64), len(feet) - 2)
+    at = feet[first] + (share - first)[:, None] * (feet[first + 1] - feet[first])
+    along = feet[first + 1] - feet[first]
+    turn = np.arctan2(along[:, 1], along[:, 0])
+    low = 0.05 if style == 1 else 0.02
+    size = np.broadcast_to([width, 0.015, tall - low - 0.05], (len(at), 3))
+    parts.append(boxes(np.asarray(size), at + low * up, turn))
+    band, apart = (0.06, 0.4) if style == 1 else (0.015, 0.12)
+    parts += [ribbon(feet + z * up, band) for z in np.arange(0.15, tall, apart)]
+    return np.concatenate(parts)
+
+
+def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:
+    """Make a row of low concrete blocks with a wide base, or a crash rail on posts, 6 to 30 m long."""
+    step = rng.uniform(1.5, 3.5)
+    places = _line(rng, middle, rng.uniform(6, 30), step)
+    feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
+    along = np.diff(places, axis=0)
+    turn = np.arctan2(along[:, 1], along[:, 0])
+    base = (feet[:-1] + feet[1:]) / 2
+    up = np.array([0.0, 0.0, 1.0])
+    count = len(base)
+    if rng.uniform() < 0.25:
+        return guard_rail(feet)
+    tall, wide, gap = rng.uniform(0.7, 1.1), rng.uniform(0.5, 0.9), rng.uniform(0.0, 0.4)
+    parts = [
+        boxes(np.tile([step - gap, wide, 0.3 * tall], (count, 1)), base - 0.05 * up, turn),
+        boxes(np.tile([step - gap, 0.6 * wide, 0.35 * tall], (count, 1)), base + 0.24 * tall * up, turn),
+        boxes(np.tile([step - gap, 0.35 * wide, 0.45 * tall], (count, 1)), base + 0.55 * tall * up, turn),
+    ]
+    return np.concatenate(parts)
+
+
+def guard_rail(feet: Floats) -> Triangles:
+    """Make a crash rail on posts at ``feet`` (n, 3)."""
+    along = np.diff(feet, axis=0)
+    base = (feet[:-1] + feet[1:]) / 2
+    parts = [boxes(np.tile([0.12, 0.12, 0.8], (len(base), 1)), base, np.arctan2(along[:, 1], along[:, 0]))]
+    parts += [ribbon(feet + low * np.array([0.0, 0.0, 1.0]), 0.15) for low in (0.45, 0.62)]
+    return np.concatenate(parts)
+
+
+def pole(rng: np.random.Generator, base: Floats, heading: float) -> Triangles:
+    """Make a lamp post, or a traffic sign whose face looks along the road."""
+    up = np.array([0.0, 0.0, 1.0])
+    if rng.uniform() < 0.5:
+        tall, thick = rng.uniform(4.0, 9.0), rng.uniform(0.06, 0.12)
+        return tube(base - 0.1 * up, base + tall * up, thick, 0.6 * thick, 8)
+    tall, wide = rng.uniform(1.8, 3.2), rng.uniform(0.5, 1.2)
+    face = boxes(np.array([[0.03, wide, wide * rng.uniform(0.6, 1.3)]]), (base + tall * up)[None], np.array([heading]))
+    return np.concatenate([tube(base - 0.1 * up, base + (tall + 0.2) * up, 0.04, 0.04, 8), face])
+
+
+def wall(rng: np.random.Generator, feet: Floats) -> Triangles:
+    """Make the wall of a house or garden along ``feet`` (n, 3)."""
+    tall = rng.uniform(3.0, 10.0) if rng.uniform() < 0.7 else rng.uniform(0.6, 2.2)
+    top = float(feet[:, 2].max()) + tall
+    low = feet - np.array([0.0, 0.0, 0.5])
+    return np.concatenate([ribbon(low[k : k + 2], top - float(low[k : k + 2, 2].max())) for k in range(len(low) - 1)])
+
+
+def stone_field(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make partly buried stones at ``places`` (n, 2): many small ones, few large ones."""
+    largest = log_uniform(rng, 0.3, 0.8)
+    size = largest * np.clip(rng.pareto(2.0, len(places)) * 0.25 + 0.25, 0.0, 1.0)
+    radii = size[:, None] * rng.uniform([0.6, 0.6, 0.4], [1.2, 1.2, 0.9], (len(places), 3))
+    z = height(places[:, 0], places[:, 1]) + rng.uniform(-0.1, 0.6, len(places)) * radii[:, 2]
+    return stones(rng, np.column_stack([places, z]), radii)
+
+
+def block_field(rng: np.random.Generator, places: Floats, height: Height) -> Triangles:
+    """Make rubble like that of a demolished wall: adjacent blocks of one width of 0.2 to 0.8 m and random heights."""
+    if not len(places):
+        return np.empty((0, 3, 3), np.float32)
+    low, high = places.min(axis=0), places.max(axis=0)
+    wide = max(log_uniform(rng, 0.2, 0.8), float(np.sqrt(np.prod(high - low) / _MOST_BLOCKS)))
+    cells = np.unique(np.floor(places / wide), axis=0)  # occupied cells only, so that gaps remain
+    middle = (cells + 0.5) * wide + rng.uniform(-0.1, 0.1, cells.shape) * wide
+    sizes = np.full((len(cells), 3), 1.05 * wide)
+    sizes[:, 2] = rng.uniform(0.0, log_uniform(rng, 0.25, 0.9), len(cells)) + 0.1
+    z = height(middle[:, 0], middle[:, 1]) - 0.1
+    return boxes(sizes, np.column_stack([middle, z]), rng.uniform(-0.3, 0.3, len(cells)))
+
+
+def _leaf_count(base: Floats, volume_m3: float) -> int:
+    """Return the number of leaves to draw; fewer at distances at which the sensor cannot resolve them."""
+    distance = float(np.hypot(base[0], base[1]))
+    dense, most = (700.0, 7000) if distance < 15 else (150.0, 2500) if distance < 35 else (40.0, 900)
+    return int(np.clip(dense * volume_m3, 60, most))
+
+
+def _cloud(rng: np.random.Generator, middle: Floats, radii: Floats, base: Floats, free_path_m: float) -> Triangles:
+    volume = 4 / 3 * np.pi * float(np.prod(radii))
+    return leaves(rng, middle, radii, _leaf_count(base, volume), free_path_m)
+
+
+def bush(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
+    """Make a bush on ``base`` (3,): a few lobes of leaves down to the ground, on thin stems."""
+    width = height_m * rng.uniform(0.35, 0.75)
+    path = log_uniform(rng, 0.12, 0.45)
+    parts = []
+    for _ in range(int(rng.integers(2, 6))):
+        tall = height_m * rng.uniform(0.5, 1.0) / 2
+        away, where = width * rng.uniform(0, 0.8), rng.uniform(0, 2 * np.pi)
+        middle = base + np.array([away * np.cos(where), away * np.sin(where), tall * rng.uniform(0.75, 1.0)])
+        wide = width * rng.uniform(0.5, 0.9)
+        parts.append(_cloud(rng, middle, np.array([wide, wide, tall]), base, path))
+        parts.append(tube(base, middle, 0.015, 0.008, 4))
+    return np.concatenate(parts)
+
+
+def herb(rng: np.random.Generator, base: Floats, height_m: float) -> Triangles:
+    """Make a low plant on ``base`` (3,): a fern, a seedling, a tussock."""
+    wide = height_m * rng.uniform(0.4, 1.0)
+    middle = base + np.array([0.0, 0.0, 0.5 * height_m])
+    return leaves(rng, middle, np.array([wide, wide, 0.5 * height_m]), 60, log_uniform(rng, 0.1, 0.5))
+
+
+def hedge(rng: np.random.Generator, feet: Floats) -> Triangles:
+    """Make a dense row of shrubs at ``feet`` (n, 3), 0.5 to 2.5 m high."""
+    tall, path = log_uniform(rng, 0.5, 2.5) / 2, log_uniform(rng, 0.08, 0.25)
+    apart = float(np.linalg.norm(feet[1, :2] - feet[0, :2]))
+    radii, up = np.array([0.7 * apart, 0.7 * apart, tall]), np.array([0.0, 0.0, tall])
+    return np.concatenate([_cloud(rng, foot + up * rng.uniform(0.85, 1.0), radii, foot, path) for foot in feet])
+
+
+def tree(rng: np.random.Generator, base: Floats, height_m: float, clear_m: float | None = None) -> Triangles:
+    """Make a tree on ``base`` (3,): broad-leaved with a crown on a trunk, or a conifer with lower branches.
+
+    With ``clear_m`` it is broad-leaved and its crown starts at this height, as over a road.
+    """
+    thick = height_m * rng.uniform(0.012, 0.028) + 0.03
+    lean = np.array([rng.normal(0, 0.04), rng.normal(0, 0.04), 1.0]) * height_m
+    foot = base - np.array([0.0, 0.0, 0.2])
+    parts = [tube(foot, base + 0.85 * lean, thick, 0.3 * thick, 10)]
+    path = log_uniform(rng, 0.3, 1.2)
+    conifer = rng.uniform() < 0.35 and clear_m is None
+    lobes = int(rng.integers(3, 7))
+    start = rng.uniform(0.05, 0.25) if conifer else rng.uniform(0.2, 0.5)
+    start = start if clear_m is None else clear_m / height_m
+    widest = height_m * (rng.uniform(0.12, 0.22) if conifer else rng.uniform(0.18, 0.38))
+    for k in range(lobes):
+        share = start + (1 - start) * (k + 0.5) / lobes
+        wide = widest * ((1.15 - share) if conifer else rng.uniform(0.5, 0.8))
+        tall = height_m * (1 - start) / lobes * rng.uniform(0.7, 1.1)
+        away = 0.0 if conifer else widest * rng.uniform(0, 0.6)
+        where = rng.uniform(0, 2 * np.pi)
+        middle = base + share * lean + away * np.array([np.cos(where), np.sin(where), 0.0])
+        parts.append(_cloud(rng, middle, np.array([wide, wide, tall]), base, path))
+        parts.append(tube(base + 0.8 * share * lean, middle, 0.25 * thick, 0.1 * thick, 5))
+    return np.concatenate(parts)

@@ -1,0 +1,375 @@
+"""."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from bumpymap.core import TEXTURES, Texture, UsageError
+from bumpymap.rating import make_textures
+
+__all__ = [
+    "FINE",
+    "KINDS",
+    "ON_ROUGH_GROUND",
+    "SHAPES",
+    "ScanEffects",
+    "Terrain",
+    "TerrainPoints",
+    "fractal",
+    "log_uniform",
+    "make_terrain",
+    "survey_terrain",
+]
+
+Floats = NDArray[np.float64]
+Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
+"""(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""
+
+_LONGEST_WAVE = 6.0
+"""Longest wave of fractal ground, m; longer ones would be removed with the tile's plane."""
+
+
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number with a uniform logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def fractal(rng: np.random.Generator, x: Floats, hurst: float, rms: float) -> Floats:
+    """Make self-affine ground: power spectral density k^-(2 H + 2), standard deviation ``rms`` [m] about its plane.
+
+    It is a corner of a square four times as wide, so that opposite edges are independent.
+    """
+    n = x.shape[0]
+    wide, step = 4 * n, float(x[0, 1] - x[0, 0])
+    waves = np.fft.fftfreq(wide, step)
+    k = np.hypot(*np.meshgrid(waves, waves))
+    gain = np.where(k > 1 / _LONGEST_WAVE, np.maximum(k, 1e-9) ** -(hurst + 1), 0.0)
+    white = np.fft.fft2(rng.standard_normal((wide, wide)))
+    surface = np.fft.ifft2(white * gain).real[:n, :n]
+    axis = np.arange(n) - (n - 1) / 2
+    norm = n * float(axis @ axis)
+    surface = surface - surface.mean()
+    surface -= np.outer(np.ones(n), axis) * (surface.sum(axis=0) @ axis / norm)
+    surface -= np.outer(axis, np.ones(n)) * (surface.sum(axis=1) @ axis / norm)
+    scaled: Floats = surface * (rms / surface.std())
+    return scaled
+
+
+def _across(rng: np.random.Generator, x: Floats, y: Floats) -> Floats:
+    """Return the distance from a line through the centre at a random bearing, m."""
+    turn = rng.uniform(0, 2 * np.pi)
+    away: Floats = np.cos(turn) * x + np.sin(turn) * y
+    return away
+
+
+def _spots(rng: np.random.Generator, count: int, x: Floats) -> Floats:
+    """Draw random positions in and just outside the tile, (count, 2), m."""
+    half = 1.1 * float(np.abs(x).max())
+    return rng.uniform(-half, half, (count, 2))
+
+
+def _texture(name: Texture) -> Shape:
+    """One of the paper's four forms, bilinear between its pixels; relief 0.02 to 3 m."""
+
+    def shape(rng: np.random.Generator, x: Floats, _y: Floats, fine: int) -> Floats:
+        pixels = x.shape[0] // fine
+        patch = make_textures(name, 1, rng, pixels)[0].astype(np.float64)
+        place = (np.arange(x.shape[0]) + 0.5) / fine - 0.5
+        low = np.clip(np.floor(place).astype(np.int64), 0, pixels - 2)
+        part = np.clip(place - low, 0.0, 1.0)
+        rows = patch[low] * (1 - part)[:, None] + patch[low + 1] * part[:, None]
+        surface: Floats = rows[:, low] * (1 - part) + rows[:, low + 1] * part
+        return surface * log_uniform(rng, 0.02, 3.0)
+
+    return shape
+
+
+def _fractal(hurst: float) -> Shape:
+    """Natural ground of one roughness exponent; standard deviation 3 mm to 0.5 m."""
+    return lambda rng, x, _y, _fine: fractal(rng, x, hurst, log_uniform(rng, 0.003, 0.5))
+
+
+def _washboard(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Transverse waves with an amplitude of 4 to 60 mm, no steeper than traffic makes them."""
+    length = log_uniform(rng, 0.4, 1.6)
+    height = log_uniform(rng, 0.004, min(0.06, 0.08 * length))
+    phase = 2 * np.pi * _across(rng, x, y) / length + rng.uniform(0, 2 * np.pi)
+    waves: Floats = np.sin(phase) + rng.uniform(0, 0.3) * np.sin(2 * phase + rng.uniform(0, 2 * np.pi))
+    return height * waves
+
+
+def _ruts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two grooves with low banks, 3 cm to 0.6 m deep."""
+    away = _across(rng, x, y)
+    gap, width, depth = rng.uniform(1.2, 1.8), rng.uniform(0.1, 0.2), log_uniform(rng, 0.03, 0.6)
+    middle = rng.uniform(-0.6, 0.6)
+    surface = np.zeros_like(x)
+    for side in (middle - gap / 2, middle + gap / 2):
+        for place, height in ((side, -1.0), (side - 2 * width, 0.3), (side + 2 * width, 0.3)):
+            surface += depth * height * np.exp(-(((away - place) / width) ** 2))
+    return surface
+
+
+def _potholes(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """One to five holes with steep sides, 0.15 to 0.6 m in radius, 3 cm to 0.7 m deep."""
+    surface = np.zeros_like(x)
+    for east, north in _spots(rng, int(rng.integers(1, 6)), x):
+        radius, depth = log_uniform(rng, 0.15, 0.6), log_uniform(rng, 0.03, 0.7)
+        surface -= depth * np.exp(-((np.hypot(x - east, y - north) / radius) ** 4))
+    return surface
+
+
+def _stones(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Half ellipsoids on flat ground, the largest 6 cm to 0.8 m in radius."""
+    surface = np.zeros_like(x)
+    largest = log_uniform(rng, 0.06, 0.8)
+    for east, north in _spots(rng, 1 + int(rng.poisson(rng.uniform(3, 30))), x):
+        radius = largest * rng.uniform(0.3, 1.0)
+        height, wide = radius * rng.uniform(0.4, 0.9), radius * rng.uniform(0.7, 1.3)
+        inside = 1 - ((x - east) / radius) ** 2 - ((y - north) / wide) ** 2
+        surface = np.maximum(surface, height * np.sqrt(np.maximum(inside, 0.0)))
+    return surface
+
+
+def _rise(away: Floats, height: float, place: float) -> Floats:
+    """One step up, some centimetres wide."""
+    step: Floats = height / (1 + np.exp(-np.clip((away - place) / 0.015, -50, 50)))
+    return step
+
+
+def _kerb(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """One step of 3 cm to 0.8 m."""
+    return _rise(_across(rng, x, y), log_uniform(rng, 0.03, 0.8), rng.uniform(-1, 1))
+
+
+def _steps(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two to four parallel steps of one height, up or down."""
+    away, height = _across(rng, x, y), log_uniform(rng, 0.03, 0.5)
+    surface = np.zeros_like(x)
+    for place in rng.uniform(-1.5, 1.5, int(rng.integers(2, 5))):
+        surface += _rise(away, height * float(rng.choice([-1, 1])), place)
+    return surface
+
+
+def _furrows(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Ploughed ground: parallel ridges of 2 cm to 0.4 m with clods on them."""
+    away = _across(rng, x, y)
+    length, height = rng.uniform(0.4, 1.0), log_uniform(rng, 0.02, 0.4)
+    ridge = np.abs(np.mod(away / length + rng.uniform(), 1) - 0.5) * 4 - 1
+    surface: Floats = height / 2 * np.sin(np.pi / 2 * ridge) + fractal(rng, x, 0.4, 0.15 * height)
+    return surface
+
+
+def _tufts(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Tussocks of grass, 8 to 25 cm wide, the tallest 4 cm to 0.7 m."""
+    surface = np.zeros_like(x)
+    tallest = log_uniform(rng, 0.04, 0.7)
+    for east, north in _spots(rng, 1 + int(rng.poisson(rng.uniform(5, 45))), x):
+        width, height = rng.uniform(0.08, 0.25), tallest * rng.uniform(0.3, 1.0)
+        tuft = height * np.exp(-((x - east) ** 2 + (y - north) ** 2) / width**2)
+        surface = np.maximum(surface, tuft)
+    return surface
+
+
+def _margin(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Border between smooth and rough ground inside one tile."""
+    away = _across(rng, x, y)
+    rough = 1 / (1 + np.exp(-np.clip((away - rng.uniform(-0.8, 0.8)) / rng.uniform(0.05, 0.4), -50, 50)))
+    wild = fractal(rng, x, rng.uniform(0.2, 0.8), log_uniform(rng, 0.02, 0.5))
+    smooth = fractal(rng, x, 0.5, log_uniform(rng, 0.002, 0.02))
+    surface: Floats = rough * wild + (1 - rough) * smooth
+    return surface
+
+
+def _ditch(rng: np.random.Generator, x: Floats, y: Floats, _fine: int) -> Floats:
+    """Two slopes that meet in a bottom or on a crest, more or less rounded."""
+    away = _across(rng, x, y)
+    bend = float(np.subtract(*rng.uniform(-0.5, 0.5, 2))) * log_uniform(rng, 0.1, 2.5)
+    surface: Floats = bend / 2 * np.hypot(away - rng.uniform(-1, 1), rng.uniform(0.05, 0.5))
+    return surface
+
+
+SHAPES: dict[str, Shape] = {
+    **{name: _texture(name) for name in TEXTURES},
+    "fractal_2": _fractal(0.2),
+    "fractal_5": _fractal(0.5),
+    "fractal_8": _fractal(0.8),
+    "washboard": _washboard,
+    "ruts": _ruts,
+    "potholes": _potholes,
+    "stones": _stones,
+    "kerb": _kerb,
+    "steps": _steps,
+    "furrows": _furrows,
+    "tufts": _tufts,
+    "margin": _margin,
+    "ditch": _ditch,
+}
+"""Name -> shape function."""
+
+ON_ROUGH_GROUND = frozenset({"washboard", "ruts", "potholes", "stones", "kerb", "steps", "tufts", "ditch"})
+"""Kinds that describe a feature only; fractal ground of 1 to 12 mm is added to them."""
+
+
+KINDS = tuple(SHAPES)
+"""All kinds of ground, starting with the paper's four textures."""
+FINE = 4
+"""Number of samples of the surface along the side of a pixel."""
+_GENTLE_DEG = 8.0
+_STEEP = 1.2
+"""Half of the terrains lie on slopes up to this multiple of ``slope_limit_deg``, the others on gentle ones."""
+
+
+@dataclass(frozen=True, slots=True)
+class Terrain:
+    """The ground of one tile."""
+
+    kind: str
+    surface: Floats
+    """(pixels * FINE, pixels * FINE) heights, m; north row first."""
+    tile_size: float
+    """m."""
+
+    @property
+    def pixels(self) -> int:
+        """Pixels along a side."""
+        return len(self.surface) // FINE
+
+    @property
+    def heights(self) -> Floats:
+        """(pixels, pixels) mean height of each pixel, m; north row first; as from a perfect, noise-free survey."""
+        means: Floats = self.surface.reshape(self.pixels, FINE, self.pixels, FINE).mean(axis=(1, 3))
+        return means
+
+
+def make_terrain(
+    kind: str,
+    seed: int,
+    index: int,
+    *,
+    height_scale: float = 1.0,
+    slope_limit_deg: float = 30.0,
+    tile_size: float = 3.0,
+    pixels: int = 15,
+) -> Terrain:
+    """Make one terrain.
+
+    The same arguments give the same bits.
+
+    Parameters
+    ----------
+    kind : str
+        One of ``KINDS``.
+    seed, index : int
+        Seed of the library, and number of the terrain in its kind.
+    height_scale : float
+        Factor on all heights; a small vehicle is calibrated on lower ground.
+    slope_limit_deg : float
+        Slope limit of the vehicle, degrees; slopes of half of the terrains range to slightly beyond it.
+    tile_size : float
+        m.
+    pixels : int
+        Along a side, at least 4.
+
+    Raises
+    ------
+    UsageError
+        The kind is unknown, or there are too few pixels.
+    """
+    if kind not in SHAPES:
+        raise UsageError(f"terrain kind is '{kind}'; it must be one of {', '.join(KINDS)}")
+    if pixels < 4:
+        raise UsageError(f"a terrain of {pixels} pixels; it must have 4 at least")
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(KINDS.index(kind), index)))
+    samples = pixels * FINE
+    axis = (np.arange(samples) + 0.5) * tile_size / samples - tile_size / 2
+    x, y = np.meshgrid(axis, axis[::-1])
+    surface = SHAPES[kind](rng, x, y, FINE)
+    if kind in ON_ROUGH_GROUND:
+        surface = surface + fractal(rng, x, rng.uniform(0.3, 0.8), log_uniform(rng, 0.001, 0.012))
+    slope = rng.uniform(0.0, _GENTLE_DEG if rng.random() < 0.5 else _STEEP * slope_limit_deg)
+    bearing = rng.uniform(0, 2 * np.pi)
+    plane = np.tan(np.radians(slope)) * (np.cos(bearing) * x + np.sin(bearing) * y)
+    return Terrain(kind, surface * height_scale + plane, tile_size)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEffects:
+    """The errors of a survey."""
+
+    density: float = 100.0
+    """Points per m2."""
+    noise_m: float = 0.0
+    """Standard deviation of the heights."""
+    noise_length_m: float = 0.0
+    """Correlation length of the errors (photogrammetry, flight lines); 0: errors are independent."""
+    hole_share: float = 0.0
+    """Share of the tile without points, in round holes of 0.2 to 0.5 m radius; 0..1."""
+    smoothing_m: float = 0.0
+    """Standard deviation of the Gaussian that blurs the surface before it is sampled, as photogrammetry does."""
+
+    def __post_init__(self) -> None:
+        for name in ("noise_m", "noise_length_m", "smoothing_m"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"{name} is {getattr(self, name)}; it must be 0 m or more")
+        if not self.density > 0:
+            raise UsageError(f"density is {self.density}; it must be above 0 points per m2")
+        if not 0 <= self.hole_share < 1:
+            raise UsageError(f"hole_share is {self.hole_share}; it must be 0 or more, and below 1")
+
+
+@dataclass(frozen=True, slots=True)
+class TerrainPoints:
+    """Points (n,) of a tile with its south-west corner at the origin, m."""
+
+    easting: Floats
+    northing: Floats
+    upward: Floats
+
+
+def survey_terrain(terrain: Terrain, effects: ScanEffects, rng: np.random.Generator) -> TerrainPoints:
+    """Draw the points of a survey; the same generator state gives the same bits."""
+    side, surface = terrain.tile_size, terrain.surface
+    step = side / len(surface)
+    if effects.smoothing_m > 0:
+        surface = gaussian_filter(surface, effects.smoothing_m / step, mode="nearest")
+    count = int(rng.poisson(effects.density * side**2))
+    place = rng.uniform(0.0, side, (2, count))
+    kept = ~_in_holes(place, effects.hole_share, side, rng)
+    easting, northing = place[:, kept]
+    where = np.array([(side - northing) / step - 0.5, easting / step - 0.5])
+    upward: Floats = map_coordinates(surface, where, order=1, mode="nearest")
+    return TerrainPoints(easting, northing, upward + _noise(where, surface.shape, step, effects, rng))
+
+
+def _noise(
+    where: Floats, shape: tuple[int, ...], step: float, effects: ScanEffects, rng: np.random.Generator
+) -> Floats:
+    """Draw height errors of points at ``where`` (2, n), in samples of the surface."""
+    if effects.noise_length_m <= 0:
+        return np.asarray(effects.noise_m * rng.standard_normal(where.shape[1]))
+    sigma = effects.noise_length_m / step
+    margin = int(np.ceil(4 * sigma))
+    white = rng.standard_normal([side + 2 * margin for side in shape])
+    field = gaussian_filter(white, sigma, mode="wrap")[margin : margin + shape[0], margin : margin + shape[1]]
+    errors: Floats = map_coordinates(field, where, order=1, mode="nearest")
+    return errors * (effects.noise_m / _blurred_sd(sigma))
+
+
+def _blurred_sd(sigma: float) -> float:
+    """Return the standard deviation of unit white noise after the blur, computed from the kernel."""
+    impulse = np.zeros(2 * int(np.ceil(4 * sigma)) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    return float((gaussian_filter(impulse, sigma, mode="constant") ** 2).sum())
+
+
+def _in_holes(place: Floats, share: float, side: float, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which points (2, n) lie in holes; holes are added until they cover about ``share`` of the points."""
+    gone = np.zeros(place.shape[1], np.bool_)
+    while share > 0 and gone.size and gone.mean() < share:
+        middle, radius = rng.uniform(0.0, side, (2, 1)), rng.uniform(0.2, 0.5)
+        gone |= ((place - middle) ** 2).sum(axis=0) < radius**2
+    return gone

@@ -1,5 +1,0 @@
-"""A made-up wood with known obstacles, and an aerial survey of it."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,538 @@
+"""Drive along ways over the relief of a survey in DART, and record the motion as the truth of a drive log."""
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensed_drives import TrueDrive
+
+from bumpymap.core import OBSTACLE, BadInputError, UsageError
+from bumpymap.lab.simulate.drive import DriveSettings, Outcome
+from bumpymap.lab.simulate.model import DartVehicle, Pose, VehicleModel
+from bumpymap.lab.simulate.terrain import Strip, cell_triangles, fit_plane
+from bumpymap.rating import Vehicle
+
+_Floats = NDArray[np.float64]
+_STEP_M = 0.05
+_SEARCH_M = 3.0
+"""How far ahead of its last place along the line a vehicle is looked for."""
+_SMOOTH_M = 1.0
+"""Length over which the normal of a line that is moved sideways is averaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class GuideLine:
+    """A line as points 5 cm apart."""
+
+    points: _Floats
+    """(n, 2) easting and northing, m."""
+    step: float
+    """Distance between points along the line, m."""
+
+    @classmethod
+    def along(cls, corners: _Floats, offset: float = 0.0) -> "GuideLine":
+        """Make the line through corners (m, 2), in m, moved to the left by ``offset`` m.
+
+        Raises
+        ------
+        UsageError
+            The line has no length.
+        """
+        distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
+        if not distance[-1] > 0:
+            raise UsageError("the way has no length: start and goal must be different places")
+        count = max(math.ceil(float(distance[-1]) / _STEP_M), 2)
+        at = np.linspace(0.0, distance[-1], count + 1)
+        points = np.stack([np.interp(at, distance, corners[:, axis]) for axis in (0, 1)], axis=1)
+        step = float(distance[-1]) / count
+        return cls(points + offset * _normals(points, step) if offset else points, step)
+
+    @property
+    def length(self) -> float:
+        """Length of the line, m; of the one before it was moved sideways."""
+        return self.step * (len(self.points) - 1)
+
+    @property
+    def heading(self) -> float:
+        """Direction in which it starts, radians from east to north."""
+        (x, y), (x_1, y_1) = self.points[:2]
+        return math.atan2(y_1 - y, x_1 - x)
+
+    def progress(self, easting: float, northing: float, before: int) -> tuple[int, float]:
+        """Return the number of the nearest point from ``before`` onwards, up to 3 m ahead, and its distance, m."""
+        ahead = self.points[before : before + round(_SEARCH_M / self.step)]
+        squared = (ahead[:, 0] - easting) ** 2 + (ahead[:, 1] - northing) ** 2
+        nearest = int(squared.argmin())
+        return before + nearest, math.sqrt(float(squared[nearest]))
+
+    def ahead(self, number: int, distance: float) -> tuple[float, float]:
+        """Return the place ``distance`` m after a point; the line goes on straight beyond its end."""
+        wanted = number + round(distance / self.step)
+        last = len(self.points) - 1
+        x, y = self.points[min(wanted, last)].tolist()
+        if wanted > last:
+            x_0, y_0 = self.points[last - 1].tolist()
+            x, y = x + (wanted - last) * (x - x_0), y + (wanted - last) * (y - y_0)
+        return x, y
+
+
+def _normals(points: _Floats, step: float) -> _Floats:
+    """Return the unit normals (n, 2) to the left, averaged along the line: at a corner they turn gradually."""
+    from scipy.ndimage import uniform_filter1d
+
+    forward = np.gradient(points, axis=0)
+    forward = uniform_filter1d(forward, max(round(_SMOOTH_M / step), 1), axis=0, mode="nearest")
+    forward /= np.maximum(np.hypot(forward[:, 0], forward[:, 1]), 1e-12)[:, None]
+    return np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+
+
+_OBSTACLE_M = 1.0
+_RINGS = 15
+"""Pixels from the rim of a hole inwards."""
+_SLOPE_PIXELS = 15
+"""Side of the square whose plane gives the slope at a place."""
+
+
+def fill_gaps(heights: NDArray[np.floating]) -> _Floats:
+    """Fill NaN pixels as the map does: with the mean of their known 8 neighbours, from the rim of a hole inwards.
+
+    What lies more than 15 pixels inside, such as all that is beyond the survey, gets the nearest height.
+
+    Parameters
+    ----------
+    heights : array (rows, cols)
+        m; some are known.
+
+    Returns
+    -------
+    array (rows, cols) float64
+
+    Raises
+    ------
+    BadInputError
+        No height is known.
+    """
+    from scipy.ndimage import convolve, distance_transform_edt
+
+    filled = heights.astype(np.float64)
+    missing = np.isnan(filled)
+    if missing.all():
+        raise BadInputError("no height is known in this window of the map, so there is no ground to drive over")
+    ring = np.ones((3, 3))
+    for _ in range(_RINGS):
+        if not missing.any():
+            return filled
+        total = convolve(np.where(missing, 0.0, filled), ring, mode="constant")
+        known = convolve((~missing).astype(np.float64), ring, mode="constant")
+        rim = missing & (known > 0.5)
+        filled[rim] = total[rim] / known[rim]
+        missing = missing & ~rim
+    nearest = distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return np.asarray(filled[tuple(nearest)], np.float64)
+
+
+def driven_heights(heights: NDArray[np.floating], objects: NDArray[np.uint8]) -> _Floats:
+    """Return the ground to drive over: gaps filled, pixels with an obstacle raised by more than any vehicle climbs.
+
+    Parameters
+    ----------
+    heights : array (rows, cols)
+        m, NaN where no point fell.
+    objects : uint8 (rows, cols)
+        States of the pixels, as `RouteMap.objects` gives them.
+    """
+    raised: _Floats = fill_gaps(heights) + _OBSTACLE_M * (objects == OBSTACLE)
+    return raised
+
+
+@dataclass(frozen=True, slots=True)
+class ReliefGround:
+    """Heights of a window of the map, bilinear between pixel centres and constant beyond the outermost ones."""
+
+    heights: _Floats
+    """(rows, cols) m, south row first, without NaN."""
+    pixel_size: float
+    """m."""
+    gradient: tuple[float, float] = (0.0, 0.0)
+    """Slope to the east and to the north where the vehicle starts, m/m."""
+
+    @classmethod
+    def from_heightmap(cls, heights: NDArray[np.floating], pixel_size: float) -> "ReliefGround":
+        """Make the ground of heights (rows, cols) in m, north row first; NaN are filled by `fill_gaps`."""
+        return cls(np.ascontiguousarray(fill_gaps(heights)[::-1]), pixel_size)
+
+    @property
+    def extent(self) -> float:
+        """Shorter side of the window, m."""
+        return float(self.pixel_size * min(self.heights.shape))
+
+    @property
+    def spacing(self) -> float:
+        """Half a pixel, m: pixel centres become vertices, as in the drives of a calibration."""
+        return self.pixel_size / 2
+
+    def sloped_at(self, easting: float, northing: float) -> "ReliefGround":
+        """Return the same ground with the slope of the plane through the pixels around a place."""
+        rows, cols = self.heights.shape
+        side = min(_SLOPE_PIXELS, rows, cols)
+        row, col = (
+            int(min(max(place / self.pixel_size - side / 2, 0), size - side))
+            for place, size in ((northing, rows), (easting, cols))
+        )
+        _, (east, north) = fit_plane(self.heights[row : row + side, col : col + side][::-1])
+        return replace(self, gradient=(east / self.pixel_size, north / self.pixel_size))
+
+    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
+        """Return the heights of points, m."""
+        rows, cols = self.heights.shape
+        col = np.clip(easting / self.pixel_size - 0.5, 0, cols - 1)
+        row = np.clip(northing / self.pixel_size - 0.5, 0, rows - 1)
+        west, south = np.floor(col).astype(np.int64), np.floor(row).astype(np.int64)
+        east, north = np.minimum(west + 1, cols - 1), np.minimum(south + 1, rows - 1)
+        right, up = col - west, row - south
+        below = self.heights[south, west] * (1 - right) + self.heights[south, east] * right
+        above = self.heights[north, west] * (1 - right) + self.heights[north, east] * right
+        bilinear: _Floats = below * (1 - up) + above * up
+        return bilinear
+
+
+def corridor_triangles(ground: ReliefGround, points: _Floats, half_width: float) -> NDArray[np.float32]:
+    """Triangulate the ground within ``half_width`` of a line.
+
+    Parameters
+    ----------
+    ground : ReliefGround
+    points : array (n, 2)
+        Points close together along the line, m.
+    half_width : float
+        m.
+
+    Returns
+    -------
+    array (m, 3, 3) float32
+        As from `strip_triangles`; cells have half the size of a pixel.
+    """
+    from scipy.ndimage import distance_transform_edt
+
+    step = ground.spacing
+    first = np.floor((points.min(axis=0) - half_width) / step).astype(np.int64) - 1
+    last = np.ceil((points.max(axis=0) + half_width) / step).astype(np.int64) + 1
+    easting, northing = np.meshgrid(*(np.arange(a, b + 1) * step for a, b in zip(first, last, strict=True)))
+    vertices = np.stack([easting, northing, ground.height(easting, northing)], axis=-1).astype(np.float32)
+    cells = (easting.shape[0] - 1, easting.shape[1] - 1)
+    apart = np.ones(cells, np.bool_)
+    col, row = (np.floor(points / step).astype(np.int64) - first).T
+    apart[row, col] = False
+    return cell_triangles(vertices, distance_transform_edt(apart) * step <= half_width + step)
+
+
+_LOOK_AHEAD = 1.0
+"""Distance to the point that is steered to, in wheelbases."""
+_YAW_GAIN = 2.0
+"""Yaw rate per angle between heading and that point, 1/s."""
+_MAX_STEERING = 0.5
+"""Largest speed difference that steering may command, as a share of the profile's speed."""
+_TURNING_RAD = math.radians(15)
+"""At a larger angle to the point ahead, the vehicle counts as turning."""
+_STUCK_WINDOW_S = 10.0
+"""A vehicle is stuck if it covers too little of the line in this time."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A stop on the way."""
+
+    at_m: float
+    """Distance along the line at which the vehicle begins to brake, m."""
+    seconds: float
+    """How long it stands, s."""
+
+
+@dataclass(slots=True)
+class WayDrive:
+    """Result of one drive along a way."""
+
+    outcome: Outcome
+    path_m: float = 0.0
+    """Horizontal length of the chassis' path during the measurement."""
+    pitched_rad: float = 0.0
+    """Integral of abs(omega_y) dt during the measurement."""
+    reached_m: float = 0.0
+    """Distance along the line at the end."""
+    aside_m: float = 0.0
+    """Largest distance from the line."""
+    turning_m: float = 0.0
+    """Part of ``path_m`` on which the vehicle was turning."""
+    turning_rad: float = 0.0
+    """Part of ``pitched_rad`` in which it was turning."""
+    seconds: float = 0.0
+    tiles: list[tuple[int, int, float, float]] = field(default_factory=list)
+    """Column and row in the window, from the south-west, with the path [m] and the pitch motion [rad] in each tile."""
+
+    @property
+    def c_r(self) -> float:
+        """Ride cost of the way, rad/m; NaN unless completed."""
+        return self.pitched_rad / self.path_m if self.outcome == "completed" and self.path_m > 0 else math.nan
+
+    @classmethod
+    def from_record(cls, fields: dict[str, Any]) -> "WayDrive":
+        """Make it of the fields that a journal holds."""
+        tiles = [(int(col), int(row), float(path), float(pitch)) for col, row, path, pitch in fields["tiles"]]
+        return cls(**(fields | {"tiles": tiles}))
+
+
+def drive_way(
+    profile: Vehicle,
+    ground: ReliefGround,
+    corners: NDArray[np.float64],
+    tile_size: float,
+    offset: float = 0.0,
+    settings: DriveSettings | None = None,
+) -> WayDrive:
+    """Drive along a line in DART; the same arguments give the same bits in any process.
+
+    Parameters
+    ----------
+    profile : Vehicle
+    ground : ReliefGround
+    corners : array (n, 2)
+        The line, m east and north of the ground's south-west corner.
+    tile_size : float
+        Side of the tiles by which the pitch is recorded, m.
+    offset : float
+        The vehicle drives this far to the left of the line, m.
+    settings : DriveSettings, optional
+        ``measure_s`` has no effect: a drive ends with the line, or when the vehicle is stuck.
+    """
+    settings = settings or DriveSettings()
+    guide = GuideLine.along(corners, offset)
+    return follow_guide(vehicle_on_way(profile, ground, guide, settings), guide, profile, tile_size, settings)
+
+
+def vehicle_on_way(profile: Vehicle, ground: ReliefGround, guide: GuideLine, settings: DriveSettings) -> DartVehicle:
+    """Return a vehicle in DART at the start of a line, with the ground along the line as a mesh."""
+    half_width = profile.wheelbase_m / 2 + profile.track_m / 2 + profile.wheel.radius_m + settings.margin_m
+    easting, northing = guide.points[0].tolist()
+    strip = Strip(easting, northing, guide.heading, guide.length, half_width)
+    # Beyond the end of the line there is ground too: the chassis' front reaches farther than its middle.
+    beyond = np.array([guide.ahead(len(guide.points) - 1, metres) for metres in np.arange(0.1, 1.0, 0.1)])
+    triangles = corridor_triangles(ground, np.concatenate([guide.points, beyond]), half_width)
+    return DartVehicle(profile, ground.sloped_at(easting, northing), strip, settings.physics, triangles)
+
+
+def follow_guide(
+    vehicle: VehicleModel,
+    guide: GuideLine,
+    profile: Vehicle,
+    tile_size: float,
+    settings: DriveSettings,
+    stops: Sequence[Stop] = (),
+) -> WayDrive:
+    """Drive a vehicle along a line and integrate its gyroscope readings; it stands at the start of the line.
+
+    ``stops`` are in the order of their distances.
+    """
+    period = 1 / settings.sample_hz
+    quiet = round((settings.settle_s + settings.ramp_s + settings.cruise_s) / period)
+    made = WayDrive("completed")
+    tiles: dict[tuple[int, int], list[float]] = {}
+    recent: deque[int] = deque(maxlen=round(_STUCK_WINDOW_S / period))
+    least = settings.stuck_share * profile.speed_mps * _STUCK_WINDOW_S
+    pose, speed, sample, at = vehicle.pose(), 0.0, 0, 0
+    halts = _Halts(stops)
+    while at < len(guide.points) - 1:
+        angle = _angle_to(guide.ahead(at, _LOOK_AHEAD * profile.wheelbase_m), pose)
+        held = sample * period < settings.settle_s or halts.hold(at * guide.step, speed, period)
+        speed = _next_speed(speed, 0.0 if held else max(math.cos(angle), 0.0) ** 2, profile, settings)
+        _command(vehicle, angle, speed, profile)
+        vehicle.advance(settings.steps_per_sample)
+        before, pose = pose, vehicle.pose()
+        sample += 1
+        at, aside = guide.progress(pose.easting, pose.northing, at)
+        made.aside_m = max(made.aside_m, aside)
+        if sample > quiet:
+            _record(made, tiles, before, pose, period, tile_size, turning=abs(angle) > _TURNING_RAD)
+            recent.append(at)
+        if held:
+            recent.clear()
+        if pose.tilt > math.radians(settings.rolled_deg):
+            made.outcome = "rolled"
+            break
+        crawls = len(recent) == recent.maxlen and (at - recent[0]) * guide.step < least
+        if crawls or aside > settings.margin_m:
+            made.outcome = "stuck"
+            break
+    made.reached_m, made.seconds = at * guide.step, sample * period
+    made.tiles = [(col, row, path, pitch) for (col, row), (path, pitch) in tiles.items()]
+    return made
+
+
+def _angle_to(place: tuple[float, float], pose: Pose) -> float:
+    """Return the angle from the heading to the direction of a place, radians."""
+    aim = math.atan2(place[1] - pose.northing, place[0] - pose.easting)
+    return math.remainder(aim - pose.heading, 2 * math.pi)
+
+
+def _next_speed(speed: float, share: float, profile: Vehicle, settings: DriveSettings) -> float:
+    """Return the commanded speed, m/s: towards a share of the profile's speed, changed as gently as on the ramp."""
+    wanted = profile.speed_mps * share
+    most = profile.speed_mps / (settings.ramp_s * settings.sample_hz) if settings.ramp_s > 0 else profile.speed_mps
+    return min(max(wanted, speed - most), speed + most)
+
+
+class _Halts:
+    """The stops that are still ahead, and how long the vehicle has stood at the present one."""
+
+    def __init__(self, stops: Sequence[Stop]) -> None:
+        self._ahead = deque(stops)
+        self._stood = 0.0
+
+    def hold(self, along: float, speed: float, period: float) -> bool:
+        """Return whether the vehicle brakes or stands now, ``along`` m after the start of the line."""
+        if not self._ahead or along < self._ahead[0].at_m:
+            return False
+        self._stood += period if speed == 0 else 0.0
+        if self._stood < self._ahead[0].seconds:
+            return True
+        self._ahead.popleft()
+        self._stood = 0.0
+        return False
+
+
+def _command(vehicle: VehicleModel, angle: float, speed: float, profile: Vehicle) -> None:
+    """Set the speeds of both sides; a vehicle at rest before its start does not turn either."""
+    most = _MAX_STEERING * profile.speed_mps if speed > 0 or abs(angle) >= math.pi / 2 else 0.0
+    difference = min(max(_YAW_GAIN * angle * profile.track_m / 2, -most), most)
+    vehicle.command(speed - difference, speed + difference)
+
+
+def _record(
+    made: WayDrive,
+    tiles: dict[tuple[int, int], list[float]],
+    before: Pose,
+    pose: Pose,
+    period: float,
+    tile_size: float,
+    *,
+    turning: bool,
+) -> None:
+    """Add one sample to the sums."""
+    path = math.hypot(pose.easting - before.easting, pose.northing - before.northing)
+    pitched = (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
+    made.path_m += path
+    made.pitched_rad += pitched
+    if turning:
+        made.turning_m += path
+        made.turning_rad += pitched
+    sums = tiles.setdefault((int(pose.easting // tile_size), int(pose.northing // tile_size)), [0.0, 0.0])
+    sums[0] += path
+    sums[1] += pitched
+
+
+_TILE_M = 3.0
+"""Side of the tiles of ``WayDrive.tiles``."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordSettings:
+    """How a recorded drive begins, pauses and ends."""
+
+    drive: DriveSettings = field(default_factory=DriveSettings)
+    stand_before_s: float = 10.0
+    """Standstill before the way, after the vehicle has settled."""
+    stand_after_s: float = 5.0
+    stops: Sequence[Stop] = ()
+    """In the order of their distances."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedWay:
+    """A recorded drive."""
+
+    result: WayDrive
+    motion: TrueDrive
+    """Places are in the coordinates of the ground."""
+
+
+def motion_of(vehicle: DartVehicle) -> NDArray[np.float64]:
+    """Return the whole motion of the chassis and its wheels.
+
+    Returns
+    -------
+    array (20,)
+        Rotation by rows (9; its columns are the forward, left and upward axis), place of the centre of mass (3, m),
+        angular velocity (3, rad/s) and velocity (3, m/s) in the chassis' own axes, speeds of the left and the right
+        wheels (2, m/s).
+    """
+    matrix = vehicle.chassis.getWorldTransform().matrix()
+    sides = [sum(joint.getVelocity(0) for joint in vehicle._wheels[side]) / 2 for side in ("left", "right")]
+    wheels = vehicle._radius * np.array(sides)
+    return np.concatenate([matrix[:3, :3].ravel(), matrix[:3, 3], vehicle.chassis.getSpatialVelocity(), wheels])
+
+
+class MotionRecorder:
+    """A vehicle in DART whose motion is recorded at every time step."""
+
+    def __init__(self, vehicle: DartVehicle, unrecorded_steps: int) -> None:
+        self._vehicle = vehicle
+        self._unrecorded = unrecorded_steps
+        self._rows: list[NDArray[np.float64]] = []
+
+    def command(self, left_mps: float, right_mps: float) -> None:
+        """Set the speed of the tyres on either side."""
+        self._vehicle.command(left_mps, right_mps)
+
+    def advance(self, steps: int) -> None:
+        """Simulate ``steps`` time steps and record the motion after each, but for the first ones of all."""
+        for _ in range(steps):
+            self._vehicle.advance(1)
+            if self._unrecorded:
+                self._unrecorded -= 1
+            else:
+                self._rows.append(motion_of(self._vehicle))
+
+    def pose(self) -> Pose:
+        """Return the present state of the chassis."""
+        return self._vehicle.pose()
+
+    def motion(self, time_step: float) -> TrueDrive:
+        """Return what was recorded."""
+        rows = np.array(self._rows).reshape(-1, 20)
+        return TrueDrive(
+            rate_hz=1 / time_step,
+            place=rows[:, 9:12],
+            rotation=rows[:, :9].reshape(-1, 3, 3),
+            rates=rows[:, 12:15],
+            velocity=rows[:, 15:18],
+            wheels=rows[:, 18:],
+        )
+
+
+def record_way(
+    profile: Vehicle, ground: ReliefGround, corners: NDArray[np.float64], settings: RecordSettings | None = None
+) -> RecordedWay:
+    """Drive along a line in DART and record the motion; the same arguments give the same bits in any process.
+
+    Parameters
+    ----------
+    profile : Vehicle
+    ground : ReliefGround
+    corners : array (n, 2)
+        The line, m east and north of the ground's south-west corner.
+    settings : RecordSettings, optional
+    """
+    settings = settings or RecordSettings()
+    drive, physics = settings.drive, settings.drive.physics
+    guide = GuideLine.along(corners)
+    recorder = MotionRecorder(vehicle_on_way(profile, ground, guide, drive), round(drive.settle_s / physics.time_step))
+    standing = replace(drive, settle_s=drive.settle_s + settings.stand_before_s)
+    result = follow_guide(recorder, guide, profile, _TILE_M, standing, settings.stops)
+    brake = np.linspace(1.0, 0.0, max(round(drive.ramp_s * drive.sample_hz), 1))
+    for share in np.append(brake, np.zeros(round(settings.stand_after_s * drive.sample_hz))):
+        recorder.command(share * profile.speed_mps, share * profile.speed_mps)
+        recorder.advance(drive.steps_per_sample)
+    return RecordedWay(result, recorder.motion(physics.time_step))

@@ -1,0 +1,508 @@
+"""Simulated drive logs: the true motion of a vehicle, the faults of its sensors, the files of its logger."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
+from scipy.spatial.transform import Rotation
+
+from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceTrack, WheelTrack, atomic
+
+Floats = NDArray[np.float64]
+
+GRAVITY = 9.80665
+"""m/s2."""
+_SAMPLED_HZ = 100.0
+"""Rate at which pitch motion is summed, as in the drives of a calibration."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueDrive:
+    """The motion of a chassis, sample by sample, in the chassis' own axes: x forward, y left, z up."""
+
+    rate_hz: float
+    """Samples in a second; the first is at 0 s."""
+    place: Floats
+    """(n, 3) easting, northing and height of the centre of mass, m."""
+    rotation: Floats
+    """(n, 3, 3) from the chassis' axes to east, north and up."""
+    rates: Floats
+    """(n, 3) angular velocity, rad/s."""
+    velocity: Floats
+    """(n, 3) velocity of the centre of mass, m/s."""
+    wheels: Floats
+    """(n, 2) speed of the left and of the right wheels, m/s."""
+
+    @property
+    def time(self) -> Floats:
+        """(n,) s."""
+        return np.arange(len(self.place)) / self.rate_hz
+
+    @property
+    def sampled(self) -> tuple[Floats, Floats, Floats]:
+        """Time [s], way [m] and pitch motion [rad] since the start, at 100 Hz, as in the drives of a calibration."""
+        every = round(self.rate_hz / _SAMPLED_HZ)
+        steps = np.hypot(*np.diff(self.place[::every, :2], axis=0).T)
+        speed = np.abs(self.rates[::every, 1])
+        pitched = (speed[1:] + speed[:-1]) / 2 * every / self.rate_hz
+        way, turned = (np.concatenate([[0.0], np.cumsum(values)]) for values in (steps, pitched))
+        return self.time[::every], way, turned
+
+    def ride(self, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
+        """Return the true way [m] and C_r [rad/m] between times, each (m,); C_r is NaN without a way."""
+        time, way, pitched = self.sampled
+        metres, turned = (np.interp(end_s, time, total) - np.interp(start_s, time, total) for total in (way, pitched))
+        return metres, np.divide(turned, metres, out=np.full_like(metres, np.nan), where=metres > 0)
+
+    def place_of(self, arm_m: tuple[float, float, float]) -> Floats:
+        """Return the places (n, 3) of a sensor ``arm_m`` forward, left and up of the centre of mass, m."""
+        places: Floats = self.place + self.rotation @ np.array(arm_m)
+        return places
+
+    def specific_force(self, arm_m: tuple[float, float, float]) -> Floats:
+        """Return what an accelerometer there feels, (n, 3) in the chassis' axes, m/s2: the mean over a sample."""
+        velocity = self.velocity + np.cross(self.rates, np.array(arm_m))
+        in_space = np.einsum("nij,nj->ni", self.rotation, velocity)
+        felt = np.gradient(in_space, 1 / self.rate_hz, axis=0)
+        felt[:, 2] += GRAVITY
+        return np.asarray(np.einsum("nji,nj->ni", self.rotation, felt))
+
+
+def save_motion(drive: TrueDrive, path: Path) -> None:
+    """Write a drive as a compressed NumPy archive, in single precision but for its places."""
+    small = {name: getattr(drive, name).astype(np.float32) for name in ("rotation", "rates", "velocity", "wheels")}
+    with atomic(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, rate_hz=drive.rate_hz, place=drive.place, **small)
+
+
+def read_motion(path: Path) -> TrueDrive:
+    """Read what `save_motion` wrote.
+
+    Raises
+    ------
+    BadInputError
+        The file is missing or another one.
+    """
+    try:
+        with np.load(path) as held:
+            rate_hz = float(held["rate_hz"])
+            arrays = {name: held[name].astype(np.float64) for name in TrueDrive.__slots__ if name != "rate_hz"}
+    except (OSError, KeyError, ValueError) as error:
+        raise BadInputError(f"{path} is not a recorded motion: {error}; record the drive again") from error
+    return TrueDrive(rate_hz, **arrays)
+
+
+_SAMPLES = 4096
+"""Frequencies at which the gain of a filter is averaged."""
+
+
+def band_noise(
+    rng: np.random.Generator, shape: tuple[int, int], band_hz: tuple[float, float], rate_hz: float
+) -> Floats:
+    """Draw Gaussian noise (n, k) of unit variance between two frequencies; columns are independent."""
+    sos = butter(2, band_hz, "bandpass", fs=rate_hz, output="sos")
+    _, gain = sosfreqz(sos, _SAMPLES)
+    # Filtered forwards and backwards: the gain counts twice.
+    power = float(np.mean(np.abs(gain) ** 4))
+    return np.asarray(sosfiltfilt(sos, rng.standard_normal(shape), axis=0) / np.sqrt(power))
+
+
+def slow_noise(rng: np.random.Generator, shape: tuple[int, int], forget_s: float, rate_hz: float) -> Floats:
+    """Draw first-order Gauss-Markov noise (n, k) of unit variance, whose correlation falls to 1/e in ``forget_s``."""
+    keep = float(np.exp(-1 / (forget_s * rate_hz)))
+    drawn = rng.standard_normal(shape)
+    drawn[1:] *= np.sqrt(1 - keep**2)
+    return np.asarray(lfilter([1.0], [1.0, -keep], drawn, axis=0))
+
+
+_DEG = float(np.radians(1.0))
+_Axes = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class SensorGrade:
+    """Faults of a sensor with three axes; its unit u is rad/s or m/s2."""
+
+    noise: float
+    """Density of the white noise, u/sqrt(Hz)."""
+    bias: float
+    """Standard deviation of the constant bias, u."""
+    wander: float
+    """Standard deviation of the slow change of the bias, u."""
+    step: float
+    """Step of the digital output, u."""
+    scale: float
+    """Standard deviation of the error of the sensitivity, a share."""
+    cross: float
+    """Standard deviation of the share of each other axis that is read."""
+
+
+@dataclass(frozen=True, slots=True)
+class ImuGrade:
+    """An inertial sensor."""
+
+    rate: SensorGrade
+    acceleration: SensorGrade
+    sample_hz: float
+    """Samples in a second."""
+    cutoff_hz: float | None
+    """Of the low-pass filter before sampling; None: there is none, and vibration folds down."""
+    jitter_s: float
+    """Standard deviation of the time stamps."""
+
+
+@dataclass(frozen=True, slots=True)
+class GnssGrade:
+    """A satellite receiver."""
+
+    white_m: float
+    """Standard deviation of the error that differs from fix to fix, east and north each."""
+    slow_m: float
+    """Standard deviation of the error that changes slowly."""
+    slow_s: float = 60.0
+    """Time in which it is forgotten (Gauss-Markov process)."""
+    sample_hz: float = 10.0
+    latency_s: float = 0.0
+    """From the fix to its time stamp."""
+    gaps: int = 0
+    """Number of dropouts."""
+    gap_s: tuple[float, float] = (5.0, 20.0)
+    """Shortest and longest dropout."""
+    stated: bool = True
+    """Whether the receiver states its error."""
+
+    @property
+    def error_m(self) -> float:
+        """Standard deviation of a position, east and north each, m."""
+        return float(np.hypot(self.white_m, self.slow_m))
+
+
+@dataclass(frozen=True, slots=True)
+class Vibration:
+    """What motors and tyres add to all axes: roll, pitch, yaw [rad/s]; forward, left, up [m/s2]; root mean square."""
+
+    moving_rate: _Axes = (0.011, 0.008, 0.003)
+    """15 to 60 Hz, at the speed ``full_mps`` and above; in proportion to the speed below."""
+    moving_acceleration: _Axes = (0.8, 1.0, 0.45)
+    idle_rate: _Axes = (0.010, 0.014, 0.008)
+    """3 to 25 Hz, always."""
+    idle_acceleration: _Axes = (0.25, 0.25, 0.1)
+    full_mps: float = 1.0
+    moving_hz: tuple[float, float] = (15.0, 60.0)
+    idle_hz: tuple[float, float] = (3.0, 25.0)
+    tone_per_m: float = 30.0
+    """Half of the power while moving is one tone with so many periods per metre."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClockFault:
+    """How the clock of the positions runs against that of the IMU."""
+
+    offset_s: float = 0.0
+    """To add to the positions' times for the IMU's, in the middle of the drive."""
+    drift_ppm: float = 0.0
+    """Change of it, microseconds per second."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSensors:
+    """All sensors of a vehicle and how they are fitted."""
+
+    imu: ImuGrade
+    gnss: GnssGrade | None
+    mount_deg: _Axes = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the IMU in the vehicle: turned by yaw about up, then by pitch about left, then by roll."""
+    imu_arm_m: _Axes = (0.0, 0.0, 0.0)
+    """Place of the IMU forward, left and up of the centre of mass."""
+    antenna_arm_m: _Axes = (0.0, 0.0, 0.0)
+    clock: ClockFault = field(default_factory=ClockFault)
+    vibration: Vibration | None = field(default_factory=Vibration)
+    wheels_hz: float | None = None
+    """Rate at which wheel speeds are recorded; None: they are not."""
+
+
+IMUS: Mapping[str, ImuGrade] = MappingProxyType(
+    {
+        "perfect": ImuGrade(SensorGrade(0, 0, 0, 0, 0, 0), SensorGrade(0, 0, 0, 0, 0, 0), 100.0, None, 0.0),
+        "good": ImuGrade(
+            SensorGrade(0.008 * _DEG, 0.1 * _DEG, 8 / 3600 * _DEG, 0.00625 * _DEG, 0.001, 0.0005),
+            SensorGrade(100e-6 * GRAVITY, 2e-3 * GRAVITY, 13e-6 * GRAVITY, 1e-4 * GRAVITY, 0.001, 0.0005),
+            sample_hz=200.0,
+            cutoff_hz=80.0,
+            jitter_s=0.0002,
+        ),
+        "cheap": ImuGrade(
+            SensorGrade(0.011 * _DEG, 1.0 * _DEG, 0.05 * _DEG, _DEG / 131, 0.01, 0.007),
+            SensorGrade(400e-6 * GRAVITY, 15e-3 * GRAVITY, 2e-3 * GRAVITY, GRAVITY / 16384, 0.01, 0.007),
+            sample_hz=100.0,
+            cutoff_hz=42.0,
+            jitter_s=0.002,
+        ),
+        "cheap_unfiltered": ImuGrade(
+            SensorGrade(0.011 * _DEG, 1.0 * _DEG, 0.05 * _DEG, _DEG / 131, 0.01, 0.007),
+            SensorGrade(400e-6 * GRAVITY, 15e-3 * GRAVITY, 2e-3 * GRAVITY, GRAVITY / 16384, 0.01, 0.007),
+            sample_hz=100.0,
+            cutoff_hz=None,
+            jitter_s=0.002,
+        ),
+    }
+)
+"""Grades by name."""
+GNSS: Mapping[str, GnssGrade] = MappingProxyType(
+    {
+        "perfect": GnssGrade(0.0, 0.0),
+        "rtk": GnssGrade(white_m=0.015, slow_m=0.013, latency_s=0.05),
+        "sbas": GnssGrade(white_m=0.1, slow_m=0.8, latency_s=0.1),
+        "single": GnssGrade(white_m=0.25, slow_m=1.48, latency_s=0.15, gaps=1),
+        "worst": GnssGrade(white_m=0.5, slow_m=2.96, latency_s=0.2, gaps=2, stated=False),
+    }
+)
+"""Receivers by name: errors of 2 cm, 0.8 m, 1.5 m and 3 m."""
+
+
+_WANDER_S = 100.0
+"""Time in which a bias forgets."""
+_FILTER_ORDER = 2
+_MOST_JITTER = 0.4
+"""Largest error of a time stamp, in sample periods: stamps stay in order."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensedImu:
+    """What an inertial sensor reads, and how much of it is not motion."""
+
+    track: ImuTrack
+    floor: Floats
+    """(n,) part of the rates about the vehicle's left axis that sensor and idle motors make, bias included, rad/s."""
+    delay_s: float
+    """By which the sensor's filter delays slow motion."""
+
+
+def mount_rotation(mount_deg: tuple[float, float, float]) -> Floats:
+    """Return the rotation (3, 3) from the axes of a sensor, mounted at roll, pitch and yaw, to those of the vehicle."""
+    roll, pitch, yaw = mount_deg
+    return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix(), np.float64)
+
+
+def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> SensedImu:
+    """Simulate the readings of the inertial sensor; the same generator state gives the same bits."""
+    grade, mount = sensors.imu, mount_rotation(sensors.mount_deg)
+    idle, moving = _vibration(drive, sensors.vibration, rng)
+    force = drive.specific_force(sensors.imu_arm_m)
+    stamp, at = _sample_times(drive, grade, rng)
+    # Rows of vectors: v @ mount turns from the vehicle's axes to the sensor's.
+    rates = (drive.rates + idle[0] + moving[0]) @ mount
+    felt = (force + idle[1] + moving[1]) @ mount
+    read, added = _read(_sampled(rates, grade, drive, at), grade.rate, grade, rng)
+    felt, _ = _read(_sampled(felt, grade, drive, at), grade.acceleration, grade, rng)
+    floor = (added @ mount.T)[:, 1] + _sampled(idle[0], grade, drive, at)[:, 1]
+    delay = np.sqrt(2) / (2 * np.pi * grade.cutoff_hz) if grade.cutoff_hz else 0.0
+    return SensedImu(ImuTrack(stamp, read, felt), floor, float(delay))
+
+
+def _vibration(
+    drive: TrueDrive, vibration: Vibration | None, rng: np.random.Generator
+) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
+    """Return the vibration of idle motors and of the drive, each of rates and accelerations (n, 3)."""
+    shape = (len(drive.place), 3)
+    if vibration is None:
+        none = np.zeros(shape)
+        return (none, none), (none, none)
+    speed = np.abs(drive.velocity[:, 0])
+    loud = np.minimum(speed / vibration.full_mps, 1.0)[:, None]
+    idle, moving = [], []
+    phase = 2 * np.pi * vibration.tone_per_m * np.cumsum(speed) / drive.rate_hz
+    for standing, driving in (
+        (vibration.idle_rate, vibration.moving_rate),
+        (vibration.idle_acceleration, vibration.moving_acceleration),
+    ):
+        idle.append(np.array(standing) * band_noise(rng, shape, vibration.idle_hz, drive.rate_hz))
+        tone = np.sin(phase[:, None] + rng.uniform(0, 2 * np.pi, 3))
+        noise = np.sqrt(0.5) * band_noise(rng, shape, vibration.moving_hz, drive.rate_hz)
+        moving.append(np.array(driving) * loud * (noise + tone))
+    return (idle[0], idle[1]), (moving[0], moving[1])
+
+
+def _sample_times(drive: TrueDrive, grade: ImuGrade, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return time stamps and true times of the samples, s."""
+    period = 1 / grade.sample_hz
+    at = np.arange(rng.uniform(0, period), drive.time[-1], period)
+    jitter = np.clip(grade.jitter_s * rng.standard_normal(len(at)), -_MOST_JITTER * period, _MOST_JITTER * period)
+    return at + jitter, at
+
+
+def _sampled(signal: Floats, grade: ImuGrade, drive: TrueDrive, at: Floats) -> Floats:
+    """Filter a signal (n, 3) as the sensor does and sample it."""
+    if grade.cutoff_hz is not None:
+        sos = butter(_FILTER_ORDER, grade.cutoff_hz, fs=drive.rate_hz, output="sos")
+        start = sosfilt_zi(sos)[:, :, None] * signal[0]
+        signal, _ = sosfilt(sos, signal, axis=0, zi=start)
+    return np.stack([np.interp(at, drive.time, column) for column in signal.T], axis=1)
+
+
+def _read(signal: Floats, grade: SensorGrade, imu: ImuGrade, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Return the digital readings of a signal (n, 3), and the part of them that does not depend on the signal."""
+    scale = np.eye(3) * (1 + grade.scale * rng.standard_normal(3))
+    scale += grade.cross * rng.standard_normal((3, 3)) * (1 - np.eye(3))
+    added = grade.bias * rng.standard_normal(3)
+    added = added + grade.wander * slow_noise(rng, signal.shape, _WANDER_S, imu.sample_hz)
+    added = added + grade.noise * np.sqrt(imu.sample_hz / 2) * rng.standard_normal(signal.shape)
+    read = signal @ scale + added
+    if grade.step > 0:
+        read = grade.step * np.round(read / grade.step)
+    return read, added
+
+
+def sense_places(drive: TrueDrive, sensors: DriveSensors, grade: GnssGrade, rng: np.random.Generator) -> PlaceTrack:
+    """Simulate the fixes of a receiver, in the coordinates of the drive; time stamps are those of its own clock."""
+    at = np.arange(rng.uniform(0, 1 / grade.sample_hz), drive.time[-1], 1 / grade.sample_hz)
+    true = drive.place_of(sensors.antenna_arm_m)
+    shape = (len(at), 2)
+    error = grade.white_m * rng.standard_normal(shape)
+    error = error + grade.slow_m * slow_noise(rng, shape, grade.slow_s, grade.sample_hz)
+    x, y = (np.interp(at, drive.time, true[:, axis]) + error[:, axis] for axis in (0, 1))
+    kept = _without_gaps(at, grade, rng)
+    stated = np.full(len(at), grade.error_m if grade.stated else np.nan)
+    stamp = _on_clock(at + grade.latency_s, sensors.clock, drive)
+    return PlaceTrack(stamp[kept], x[kept], y[kept], stated[kept], "projected")
+
+
+def sense_wheels(drive: TrueDrive, sensors: DriveSensors, rate_hz: float) -> WheelTrack:
+    """Simulate wheel encoders on the clock of the positions."""
+    at = np.arange(0.0, drive.time[-1], 1 / rate_hz)
+    left, right = (np.interp(at, drive.time, drive.wheels[:, side]) for side in (0, 1))
+    return WheelTrack(_on_clock(at, sensors.clock, drive), (left + right) / 2, right - left)
+
+
+def _on_clock(at: Floats, clock: ClockFault, drive: TrueDrive) -> Floats:
+    """Return times of the IMU's clock as the other clock shows them."""
+    return np.asarray(at - clock.offset_s - 1e-6 * clock.drift_ppm * (at - drive.time[-1] / 2))
+
+
+def _without_gaps(at: Floats, grade: GnssGrade, rng: np.random.Generator) -> NDArray[np.bool_]:
+    """Return which fixes are left after dropouts at random times, not during the first and last tenth of the drive."""
+    kept = np.ones(len(at), np.bool_)
+    for _ in range(grade.gaps):
+        start, seconds = rng.uniform(0.1, 0.9) * at[-1], rng.uniform(*grade.gap_s)
+        kept &= (at < start) | (at >= start + min(seconds, 0.9 * at[-1] - start))
+    return kept
+
+
+_BAND_HZ = 10.0
+_START_S = 1_760_000_000.0
+"""Time of the first sample: loggers write seconds since 1970."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorTruth:
+    """The true values of what can be found out about the sensors of a drive."""
+
+    clock_offset_s: float
+    """Time to add to the times of the positions for those of the IMU, in the middle of the drive: clock, latency of
+    the receiver and delay of the IMU's filter."""
+    clock_drift_ppm: float
+    mount_deg: tuple[float, float, float]
+    floor_radps: float
+    """Mean absolute pitch rate of sensor and idle motors below 10 Hz, rad/s."""
+    position_error_m: float
+    """Standard deviation, east and north each; NaN without positions."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensedDrive:
+    """A drive log and its truth."""
+
+    log: DriveLog
+    truth: SensorTruth
+    start_s: float
+    """Time of the log at which the true motion begins."""
+
+
+def sense_drive(
+    drive: TrueDrive, sensors: DriveSensors, seed: int, name: str = "simulated", crs: str | None = None
+) -> SensedDrive:
+    """Simulate the log of a drive; the same arguments give the same bits.
+
+    Parameters
+    ----------
+    drive : TrueDrive
+    sensors : DriveSensors
+    seed : int
+    name : str
+    crs : str, optional
+        CRS of the drive's easting and northing, such as ``EPSG:32614``: positions become longitude and latitude.
+    """
+    imu_stream, place_stream = np.random.SeedSequence(seed).spawn(2)
+    imu = sense_imu(drive, sensors, np.random.default_rng(imu_stream))
+    places = (
+        None
+        if sensors.gnss is None
+        else sense_places(drive, sensors, sensors.gnss, np.random.default_rng(place_stream))
+    )
+    wheels = None if sensors.wheels_hz is None else sense_wheels(drive, sensors, sensors.wheels_hz)
+    latency = sensors.gnss.latency_s if sensors.gnss else 0.0
+    truth = SensorTruth(
+        clock_offset_s=sensors.clock.offset_s - latency + imu.delay_s,
+        clock_drift_ppm=sensors.clock.drift_ppm,
+        mount_deg=sensors.mount_deg,
+        floor_radps=_floor(imu, sensors.imu.sample_hz),
+        position_error_m=sensors.gnss.error_m if sensors.gnss else float("nan"),
+    )
+    log = DriveLog(
+        name=name,
+        paths=(),
+        imu=replace(imu.track, time=imu.track.time + _START_S),
+        places=None if places is None else _geographic(replace(places, time=places.time + _START_S), crs),
+        wheels=None if wheels is None else replace(wheels, time=wheels.time + _START_S),
+    )
+    return SensedDrive(log, truth, _START_S)
+
+
+def _floor(imu: SensedImu, rate_hz: float) -> float:
+    """Return the mean absolute reading below 10 Hz without its mean."""
+    sos = butter(4, _BAND_HZ, fs=rate_hz, output="sos")
+    return float(np.abs(sosfiltfilt(sos, imu.floor - imu.floor.mean())).mean())
+
+
+def _geographic(places: PlaceTrack, crs: str | None) -> PlaceTrack:
+    """Turn easting and northing into longitude and latitude."""
+    if crs is None:
+        return places
+    from pyproj import Transformer
+
+    longitude, latitude = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(places.x, places.y)
+    return replace(places, x=longitude, y=latitude, kind="lonlat")
+
+
+_IMU = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
+_PLACES = {
+    "lonlat": ("time [s],longitude [deg],latitude [deg],horizontal_error [m]", "%.9f"),
+    "projected": ("time [s],easting [m],northing [m],horizontal_error [m]", "%.4f"),
+    "local": ("time [s],x [m],y [m],horizontal_error [m]", "%.4f"),
+}
+_WHEELS = "time [s],speed_left [m/s],speed_right [m/s]"
+
+
+def write_drive_files(log: DriveLog, folder: Path) -> list[Path]:
+    """Write a log as NAME_imu.csv, NAME_gnss.csv and NAME_wheels.csv, the latter two if there are such readings."""
+    columns = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
+    files = [_write(folder / f"{log.name}_imu.csv", _IMU, columns, ["%.6f"] * 7)]
+    if log.places is not None:
+        header, form = _PLACES[log.places.kind]
+        columns = np.column_stack([log.places.time, log.places.x, log.places.y, log.places.error])
+        files.append(_write(folder / f"{log.name}_gnss.csv", header, columns, ["%.6f", form, form, "%.3f"]))
+    if log.wheels is not None:
+        half = log.wheels.difference / 2
+        columns = np.column_stack([log.wheels.time, log.wheels.speed - half, log.wheels.speed + half])
+        files.append(_write(folder / f"{log.name}_wheels.csv", _WHEELS, columns, ["%.6f"] * 3))
+    return files
+
+
+def _write(path: Path, header: str, columns: Floats, form: list[str]) -> Path:
+    with atomic(path) as part:
+        np.savetxt(part, columns, fmt=form, delimiter=",", header=header, comments="")
+    return path
