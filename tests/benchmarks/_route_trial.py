@@ -1,4 +1,9 @@
-"""Plan ways over the layers of a map, drive along them in the simulation, compare with what the map predicts."""
+"""Plan ways over the layers of a map, drive along them in the simulation, compare with what the map predicts.
+
+The map predicts C_r of the ground without the survey's noise; the drives run over heights that contain it. The
+prediction without noise correction is for the same heights as the drives, so the ratio of both predictions is the part
+of the noise in the difference between map and drive.
+"""
 
 import math
 import sys

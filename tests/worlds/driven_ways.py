@@ -1,4 +1,13 @@
-"""Drive along ways over the relief of a survey in DART, and record the motion as the truth of a drive log."""
+"""Drive along ways over the relief of a survey in DART, and record the motion as the truth of a drive log.
+
+C_r is measured as in the drives of a calibration, after settling and acceleration: the integral of abs(omega_y) dt over
+the horizontal length of the path. The vehicle steers to a point ahead on the line. The more it has to turn, the slower
+it drives; at 90 degrees and more it turns on the spot. What it pitches while it turns counts, for so a gyroscope on
+board would measure it; how much that is, is recorded beside it. Length and pitch are recorded by tile too.
+
+Coordinates are metres east and north of a window's south-west corner: easting and northing themselves do not fit the
+single precision of a mesh. A recorded drive begins and ends with a standstill and may stop on its way.
+"""
 
 import math
 from collections import deque

@@ -1,4 +1,8 @@
-"""."""
+"""A made-up wood with known obstacles, surveyed from the air: trunks, crowns, bushes, boulders, posts, a power line.
+
+The wood is laid out over flat ground, in heights above it, and then lifted onto the hills: a thing that stands 1 m high
+does so anywhere.
+"""
 
 from dataclasses import dataclass
 

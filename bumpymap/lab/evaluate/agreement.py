@@ -16,33 +16,15 @@ from bumpymap.lab.evaluate.rated_survey import Verdict
 from bumpymap.lab.simulate.drive import PatchDrives
 
 __all__ = [
-    "MOST_FAILED",
-    "Agreement",
-    "ClassRow",
-    "ClassShift",
     "ClassTable",
     "Comparison",
-    "Coverage",
     "DriveStats",
-    "FailAgreement",
-    "ReliabilityBin",
     "VehicleOrder",
-    "class_shift",
     "class_table",
     "compare",
     "compare_order",
     "confusion",
-    "coverage",
-    "cross_validated_fit",
-    "driven_class",
-    "fail_auc",
-    "median_error",
-    "median_ratio",
-    "monotone_fit",
     "plain_predictors",
-    "reliability",
-    "same_order",
-    "spearman",
 ]
 
 Floats = NDArray[np.float64]

@@ -33,17 +33,7 @@ from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, class
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
 
-__all__ = [
-    "MAPPED",
-    "MeasuredSurvey",
-    "NoisyRide",
-    "Rate",
-    "Subject",
-    "Verdict",
-    "load_survey",
-    "open_readers",
-    "take_tiles",
-]
+__all__ = ["MAPPED", "MeasuredSurvey", "Subject", "Verdict", "load_survey", "open_readers"]
 
 Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
 MAPPED = ("ride", "table")

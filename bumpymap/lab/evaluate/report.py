@@ -16,16 +16,9 @@ from bumpymap.lab.evaluate.survey_trial import ComparedPatches, Findings
 
 __all__ = [
     "REPORT",
-    "class_lines",
     "confusion_lines",
-    "draw",
-    "driven_lines",
-    "markdown",
     "number",
-    "order_lines",
     "percent",
-    "plain_record",
-    "reliability_lines",
     "report_text",
     "require_matplotlib",
     "section",

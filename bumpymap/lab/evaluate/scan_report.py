@@ -1,4 +1,4 @@
-"""."""
+"""Write the report of an evaluation of scans: Markdown and JSON."""
 
 import math
 from dataclasses import asdict
@@ -9,7 +9,7 @@ from typing import Any
 from bumpymap.lab.evaluate.report import confusion_lines, number, percent, report_text, section, table, write_document
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanClassRow, ScanFindings
 
-__all__ = ["scan_markdown", "write_scan_report"]
+__all__ = ["write_scan_report"]
 
 _PAPER_ACCURACY = 0.8324
 

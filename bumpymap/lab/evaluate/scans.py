@@ -1,4 +1,7 @@
-"""Compare the classes, ground and obstacles of scans with labels, by both methods and by answers that need none."""
+"""Compare the classes, ground and obstacles of scans with labels, by both methods and by answers that need none.
+
+A method is of use only if it beats the constant answers, and a limit on the plain spread of the heights.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -27,27 +30,14 @@ __all__ = [
     "DEVIATION",
     "RANGE_M",
     "Accuracy",
-    "ClassedSectorTable",
-    "GroundScore",
-    "ObstacleScore",
     "ScanClassRow",
     "ScanEvaluateSettings",
     "ScanFindings",
     "ScanMethods",
-    "accuracy_of",
-    "all_answers",
-    "best_limits",
-    "class_rows",
     "evaluate_scans",
-    "ground_score",
-    "join_sectors",
     "labels_of",
-    "mean_ground",
-    "obstacle_score",
     "read_frames",
     "simulated_scans",
-    "sum_obstacles",
-    "z_deviation",
 ]
 
 

@@ -42,21 +42,7 @@ from bumpymap.rating import Vehicle
 from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpytiles import Grid
 
-__all__ = [
-    "FAILING",
-    "ComparedPatches",
-    "EvaluateSettings",
-    "Findings",
-    "PatchTrial",
-    "TrialOptions",
-    "choose_patches",
-    "drive_job",
-    "driven_ground",
-    "evaluate_survey",
-    "journal_settings",
-    "strata",
-    "uniform_by_key",
-]
+__all__ = ["ComparedPatches", "EvaluateSettings", "Findings", "TrialOptions", "evaluate_survey"]
 
 
 @dataclass(frozen=True, slots=True)

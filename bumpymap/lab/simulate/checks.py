@@ -12,7 +12,7 @@ from bumpymap.lab.simulate.jobs import run_in_processes
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround
 from bumpymap.rating import Vehicle, make_textures
 
-__all__ = ["SimulatorCheck", "all_checks", "check_plane", "check_repeat", "check_sine", "check_step", "sine_c_r"]
+__all__ = ["all_checks"]
 
 _SINE_AMPLITUDE_M = 0.02
 _SINE_SPEED_MPS = 1.0

@@ -27,7 +27,6 @@ __all__ = [
     "drive_from",
     "drive_patch",
     "follow",
-    "start_seed",
 ]
 
 Outcome = Literal["completed", "stuck", "rolled"]

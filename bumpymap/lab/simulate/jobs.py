@@ -1,4 +1,8 @@
-"""Drive jobs in processes, recorded in a progress file for resuming."""
+"""Run drive jobs in processes, and record them in a progress file, so that an interrupted run can continue.
+
+The physics engine holds the interpreter lock, so jobs run in processes. A job has its own random streams, so neither
+the number of workers nor an interruption changes a bit of the results. The file holds one line of JSON for each job.
+"""
 
 import errno
 import json
@@ -15,7 +19,7 @@ from typing import Any, Generic, Protocol, TextIO, TypeVar
 from bumpymap.core import BumpymapError, Child, ChildDiedError, OutputError, atomic, parse_json, shielded
 from bumpymap.lab.simulate.drive import PatchDrives
 
-__all__ = ["Job", "JobJournal", "Journal", "Key", "Progress", "attempt", "drive_jobs", "run_in_processes"]
+__all__ = ["JobJournal", "Journal", "Key", "Progress", "drive_jobs", "run_in_processes"]
 
 _FORMAT = "bumpymap-drives-progress"
 _LOG = logging.getLogger(__name__)

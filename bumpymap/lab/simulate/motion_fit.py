@@ -1,4 +1,9 @@
-"""Fit what drives at several speeds teach: C_r at other speeds, roll and weighted acceleration, over the geometry.
+"""Drive at several speeds and fit what that teaches: C_r at other speeds, roll and weighted acceleration.
+
+Every start over the terrain library is driven at every speed, so that what a terrain does at one place does not blur
+what the speed does. The rates of pitch and roll are those of an on-board gyroscope, sampled as for C_r. The vertical
+velocity of the chassis' centre of mass is recorded at every time step; its weighted acceleration is computed in the
+frequency domain from the start of the vehicle on, so that the filter has settled before the measurement begins.
 
 ``python -m bumpymap.lab.simulate.motion_fit FILE...`` drives and adds ``motion`` to calibration files.
 """
@@ -39,19 +44,7 @@ from bumpymap.rating import (
     roll_over,
 )
 
-__all__ = [
-    "MotionDrive",
-    "MotionEffort",
-    "MotionJob",
-    "MotionRecord",
-    "add_motion",
-    "drive_library",
-    "drive_motion",
-    "fit_motion",
-    "motion_jobs",
-    "motion_journal",
-    "refit_motion",
-]
+__all__ = ["MotionEffort", "add_motion", "motion_journal"]
 
 _SETTLE_S = 0.02
 """End of the record that the cut-off of the velocity changes."""

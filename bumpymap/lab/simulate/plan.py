@@ -1,7 +1,9 @@
-"""The settings of a calibration and its drive jobs. A job depends only on the settings.
+"""The settings of a calibration, its drive jobs, and its record of the drives. A job depends only on the settings.
 
 There are two kinds of jobs. Each cell of the table follows the paper: one of four textures, scaled to a height range.
-The ride model is fitted to the terrain library: ground of many kinds with a wide range of heights and slopes.
+The ride model is fitted to the terrain library: ground of many kinds with a wide range of heights and slopes. Of the
+library, a calibration stores the drives, not the ground, which follows from the seed. A ride model can therefore be
+fitted again from the file, without driving and with the same bits.
 """
 
 import math
@@ -23,15 +25,12 @@ __all__ = [
     "CalibrationSettings",
     "FitRide",
     "FitThin",
-    "LibraryJob",
-    "TableJob",
     "calibrated_settings",
     "driven_library",
     "library_ground",
     "library_record",
     "library_terrain",
     "library_terrains",
-    "log_spaced",
     "read_library",
     "run_job",
 ]

@@ -16,8 +16,6 @@ from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.steps import rate_steps
 from bumpymap.rating import Calibration, Vehicle
 
-__all__ = ["refit", "refit_thin"]
-
 
 def refit(calibration: Calibration) -> Calibration:
     """Return a calibration with newly fitted models of the ride and of thin surveys.

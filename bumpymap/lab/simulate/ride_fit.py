@@ -1,7 +1,10 @@
-"""Fit a ride model to the drives over the terrain library: the correction of the geometry and the noise correction.
+"""Fit a ride model to the drives over the terrain library, and the model of thin surveys to the ride model.
 
 The correction of the geometry is fitted to the drives. The noise correction needs no drives: it is fitted to surveys of
 the same ground at several densities and noise levels, denoised as for a map, against the ground without noise.
+
+For thin surveys the library is surveyed with few points, several noises and holes. The truth is what the ride model
+predicts for the ground without survey errors. The noise of each survey is pooled from its tiles, as in a map.
 """
 
 from collections.abc import Iterator, Sequence
@@ -34,7 +37,7 @@ from bumpymap.rating import (
 )
 from bumpytiles import Grid, TileBuckets, TilePoints
 
-__all__ = ["fit_ride", "fit_thin_surveys", "relief_and_slope", "survey_columns", "survey_terrains"]
+__all__ = ["fit_ride", "fit_thin_surveys", "relief_and_slope"]
 
 _DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
 _NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)

@@ -23,16 +23,7 @@ from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
-__all__ = [
-    "CrossingJob",
-    "WallGround",
-    "add_steps",
-    "cross",
-    "crossing_jobs",
-    "rate_steps",
-    "run_crossing",
-    "step_tile",
-]
+__all__ = ["add_steps", "crossing_jobs", "rate_steps"]
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 """Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""

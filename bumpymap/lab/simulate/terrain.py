@@ -13,16 +13,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 
-__all__ = [
-    "DrivenGround",
-    "PatchGround",
-    "PlaneGround",
-    "SineGround",
-    "Strip",
-    "cell_triangles",
-    "fit_plane",
-    "strip_triangles",
-]
+__all__ = ["DrivenGround", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
 
 _Floats = NDArray[np.float64]
 

@@ -19,7 +19,6 @@ import bumpymap
 from bumpymap.core import OutputError, atomic, locked
 
 __all__ = [
-    "ModelFiles",
     "OnnxGraph",
     "Score",
     "TrainedModel",

@@ -39,21 +39,7 @@ from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Tr
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
 
-__all__ = [
-    "UNSEEN_SCENES",
-    "CardFacts",
-    "InvertedResidual",
-    "ScanEvaluation",
-    "ScanNet",
-    "ScanNetSettings",
-    "ScanTrainSettings",
-    "convolution",
-    "evaluate",
-    "make_scan_model",
-    "model_card",
-    "to_onnx",
-    "train",
-]
+__all__ = ["ScanTrainSettings", "make_scan_model"]
 
 
 @dataclass(frozen=True, slots=True)

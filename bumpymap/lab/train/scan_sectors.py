@@ -12,17 +12,13 @@ from bumpymap.readers import LABEL_SETS, find_frames, read_scan
 from bumpymap.scan import MEASURES, network_input, polar_sectors
 
 __all__ = [
-    "GRIDS",
-    "SWAPPED_MEASURES",
     "UNSEEN",
     "Sectors",
     "crowns_as_bushes",
-    "draw_cuts",
     "draw_epoch",
     "folder_frames",
     "folder_sectors",
     "join",
-    "labelled_sectors",
     "overhead_sectors",
     "scene_scan",
     "simulated_sectors",

@@ -1,4 +1,9 @@
-"""Training and test patches of the texture network, all from one seed, with the effects of a survey."""
+"""Training and test patches of the texture network, all from one seed, with the effects of a survey.
+
+Each effect takes patches scaled to [0, 1] and one strength per patch, and works on all patches at once. ``augment``
+applies them in the order in which a survey does: rotate the ground, change brightness, blur, add noise, empty pixels
+and fill them, remove the plane and scale.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -16,17 +21,9 @@ __all__ = [
     "LIGHT_EVERY",
     "NONE",
     "SHORT_WAVES",
-    "Augmentation",
     "LabelledPatches",
-    "add_noise",
-    "augment",
     "augmented_copies",
-    "blur",
-    "brighten",
     "epoch_samples",
-    "fill_holes",
-    "punch_holes",
-    "rotate",
     "training_patches",
     "unseen_patches",
     "unseen_short_waves",

@@ -1,4 +1,8 @@
-"""Train the texture network, score it on unseen patches, and write it as ONNX with its model card."""
+"""Train the texture network, score it on unseen patches, and write it as ONNX with its model card.
+
+The ONNX graph has no operator whose result for a patch depends on its position in the batch (the last two layers are
+1 x 1 convolutions, not matrix products over the batch).
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -39,22 +43,7 @@ from bumpymap.lab.train.texture_data import (
 from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Training
 from bumpymap.rating import FEATURE_VERSION
 
-__all__ = [
-    "INPUT_NAME",
-    "OUTPUT_NAME",
-    "UNSEEN_PER_TEXTURE",
-    "Evaluation",
-    "NetworkSettings",
-    "TextureNet",
-    "TrainSettings",
-    "evaluate",
-    "make_model",
-    "model_card",
-    "predict",
-    "score",
-    "to_onnx",
-    "train",
-]
+__all__ = ["NetworkSettings", "TrainSettings", "make_model", "predict"]
 
 
 @dataclass(frozen=True, slots=True)

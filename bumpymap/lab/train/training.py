@@ -12,7 +12,7 @@ from torch import nn
 
 from bumpymap.core import UsageError, atomic
 
-__all__ = ["EpochData", "EpochReport", "LoopSettings", "Training", "restore", "save"]
+__all__ = ["EpochData", "EpochReport", "LoopSettings", "Training"]
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,10 @@
-"""."""
+"""The ground of the synthetic quarry: its layout, and its surfaces, overlaid in order.
+
+Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
+of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
+surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
+the distance from the core in metres: zero or less inside.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
-"""."""
+"""The sample survey: a synthetic quarry with relief in closed form, flown over by a drone, as files.
+
+The survey has overlapping flight lines of zigzag sweeps, noise, crowns and errors. Points are in the order of flight.
+All random numbers are drawn before points are dropped, so the survey of a smaller area contains the same ground points
+as that part of the whole survey. ``python -m bumpymap.lab.worlds.sample --out DIR`` writes the files.
+"""
 
 import datetime as dt
 from argparse import ArgumentDefaultsHelpFormatter, ArgumentParser
@@ -18,26 +23,7 @@ from bumpymap.lab.worlds import quarry
 from bumpymap.lab.worlds.quarry import Floats, relief
 from bumpytiles import Bounds, Grid
 
-__all__ = [
-    "EPSG",
-    "NOISE_SIGMA",
-    "SCALE",
-    "STRAYS",
-    "ZONES",
-    "QuarrySite",
-    "SampleFiles",
-    "SurveyPoints",
-    "Tree",
-    "Zone",
-    "crown_over",
-    "main",
-    "make_quarry_survey",
-    "part_bounds",
-    "plant",
-    "sample_survey",
-    "write_laz",
-    "write_ply",
-]
+__all__ = ["make_quarry_survey"]
 
 _WANTED = 30
 

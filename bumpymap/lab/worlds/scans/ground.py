@@ -1,4 +1,7 @@
-"""The ground of a scene: heights and labels at any position, and a mesh for ray casting."""
+"""The ground of a scene: regions with their relief, heights and labels at any position, a mesh for ray casting.
+
+The ``reach`` of a region is a normalised distance: below 1 inside, 1 on its margin, increasing outwards.
+"""
 
 import math
 from dataclasses import dataclass
@@ -8,18 +11,7 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.worlds.scans.things import Field, Floats, Label, log_uniform, smoothstep
 
-__all__ = [
-    "Bank",
-    "Blob",
-    "GroundSample",
-    "Region",
-    "Road",
-    "SceneGround",
-    "ground_mesh",
-    "make_blob",
-    "make_road",
-    "ruts",
-]
+__all__ = ["Bank", "Blob", "Region", "Road", "SceneGround", "ground_mesh", "make_blob", "make_road"]
 
 
 @dataclass(frozen=True, slots=True)

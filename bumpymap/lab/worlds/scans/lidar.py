@@ -17,17 +17,7 @@ from bumpymap.lab.worlds.scans.ground import ground_mesh
 from bumpymap.lab.worlds.scans.scene import Scene
 from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label, log_uniform
 
-__all__ = [
-    "SENSORS",
-    "Pattern",
-    "Sensor",
-    "SimulatedScan",
-    "draw_sensor",
-    "load_open3d",
-    "overhead_scan",
-    "posture",
-    "simulate_scan",
-]
+__all__ = ["draw_sensor", "load_open3d", "overhead_scan", "simulate_scan"]
 
 Pattern = Literal["lines", "rosette"]
 """Horizontal lines, or loops through the middle of the view, as two rotating prisms make them."""
@@ -405,6 +395,9 @@ _TABLE = 128
 
 def overhead_scan(scene: Scene, seed: int) -> SimulatedScan:
     """Sample the ground of a scene, without objects, evenly over distance and azimuth.
+
+    As from a mast or a slope, without shadows. Seen from a low sensor, blocks hide one another, so its scans do not
+    contain rough ground in which every pixel is filled.
 
     Parameters
     ----------

@@ -29,7 +29,7 @@ from bumpymap.lab.worlds.scans.things import (
     wall,
 )
 
-__all__ = ["ROADSIDES", "THEMES", "Roadside", "Scene", "Theme", "make_scene", "make_street", "roadside_things"]
+__all__ = ["Scene", "make_scene"]
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""

@@ -1,4 +1,8 @@
-"""."""
+"""Labels of RELLIS-3D, random fields, and the things of a scene as triangles: plants, people, vehicles, fences, stones.
+
+Fields are periodic: computed once on a small square, sampled anywhere, rotated so that periods do not align. Triangles
+are arrays (m, 3, 3): triangle, corner, x y z [m].
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,28 +17,22 @@ __all__ = [
     "Floats",
     "Height",
     "Label",
-    "Reflection",
     "Triangles",
     "barrier",
     "block_field",
-    "boxes",
     "bush",
     "fence",
     "fence_along",
     "guard_rail",
     "hedge",
     "herb",
-    "leaves",
     "log_uniform",
     "make_field",
     "person",
     "pole",
-    "ribbon",
     "smoothstep",
     "stone_field",
-    "stones",
     "tree",
-    "tube",
     "vehicle",
     "wall",
 ]
