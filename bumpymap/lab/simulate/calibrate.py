@@ -7,7 +7,7 @@ can cross: elsewhere C_r comes from the few completed drives only, and p_fail de
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -23,17 +23,20 @@ from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.lab.simulate.plan import (
     CalibrationSettings,
-    FitRide,
-    FitThin,
     driven_library,
     library_ground,
     library_record,
     run_job,
 )
-from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain
+from bumpymap.lab.worlds.terrains import Terrain
+from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, Vehicle
 
 __all__ = ["calibrate_vehicle", "seconds_of_a_drive"]
 
+FitRide = Callable[[Vehicle, Sequence[Terrain], Sequence[DrivenTerrain]], dict[str, Any]]
+"""Fits a ride model to driven terrains: `fit_ride`."""
+FitThin = Callable[[Vehicle, Sequence[Terrain], dict[str, Any], float], dict[str, Any]]
+"""Fits a model of thin surveys to a ride model: `fit_thin_surveys`."""
 _RULE = (
     "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
     "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
@@ -229,14 +232,8 @@ def calibrate_vehicle(
     Parameters
     ----------
     settings : CalibrationSettings
-    progress : callable, optional
-        Called with (finished drives, all drives) after every patch.
-    workers : int
-        Number of processes; the result does not depend on it.
-    journal : Journal, optional
-        Records driven patches; patches already in it are not driven again.
-    discard_other : bool
-        Discard a journal written with other settings instead of raising an error.
+    progress, workers, journal, discard_other
+        See `drive_jobs`.
     command : str
         Command line that makes the file again; stored in the calibration.
     fit : callable, optional

@@ -10,7 +10,7 @@ frequency domain from the start of the vehicle on, so that the filter has settle
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, UsageError, atomic
+from bumpymap.core import atomic
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, follow
 from bumpymap.lab.simulate.jobs import JobJournal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import DartVehicle, Pose, require_dart
@@ -210,7 +210,9 @@ class MotionRecord:
     @classmethod
     def of(cls, drives: list[list[MotionDrive]]) -> "MotionRecord":
         """Collect drives, ``[start][speed]``."""
-        return cls(*(tuple(tuple(_known(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__))
+        return cls(
+            *(tuple(tuple(_six_digits(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__)
+        )
 
     @classmethod
     def read(cls, fields: dict[str, Any]) -> "MotionRecord":
@@ -238,27 +240,6 @@ def run_motion(settings: CalibrationSettings, effort: MotionEffort, job: MotionJ
     return MotionRecord.of(made)
 
 
-def drive_library(
-    settings: CalibrationSettings,
-    effort: MotionEffort,
-    progress: Progress | None = None,
-    *,
-    workers: int = 1,
-    journal: JobJournal[MotionRecord] | None = None,
-    discard_other: bool = False,
-) -> dict[Key, MotionRecord]:
-    """Drive over the first terrains of every kind; for the other parameters see `drive_jobs`."""
-    require_dart()
-    return drive_jobs(
-        partial(run_motion, settings, effort),
-        motion_jobs(effort),
-        progress,
-        workers=workers,
-        journal=journal,
-        discard_other=discard_other,
-    )
-
-
 def motion_journal(path: Path, settings: CalibrationSettings, effort: MotionEffort) -> JobJournal[MotionRecord]:
     """Return the journal of such drives."""
     versions = {name: version(name) for name in ("dartpy", "numpy")}
@@ -267,10 +248,6 @@ def motion_journal(path: Path, settings: CalibrationSettings, effort: MotionEffo
     effort_record = {name: value for name, value in asdict(effort).items() if name != "terrains"}
     plain = {**about, "effort": {k: list(v) if isinstance(v, tuple) else v for k, v in effort_record.items()}}
     return JobJournal(path, plain | {"versions": versions}, MotionRecord.read)
-
-
-def _known(value: float) -> float | None:
-    return None if math.isnan(value) else float(f"{value:.6g}")
 
 
 Floats = NDArray[np.float64]
@@ -291,53 +268,22 @@ def add_motion(
 ) -> Calibration:
     """Return a calibration with ``motion`` added or made again, for its own vehicle, seed and tiles.
 
-    Parameters
-    ----------
-    calibration : Calibration
-    progress : callable, optional
-        Called with (finished drives, all drives) after every terrain.
-    effort : MotionEffort, optional
-    workers : int
-        Number of processes; the result does not depend on it.
-    journal : JobJournal, optional
-        Of `motion_journal`; terrains already in it are not driven again.
-    discard_other : bool
-        Discard a journal written with other settings instead of raising an error.
+    Terrains that are in the journal (of `motion_journal`) are not driven again; see `drive_jobs`.
     """
     settings, effort = calibrated_settings(calibration), effort or MotionEffort()
-    driven = drive_library(
-        settings, effort, progress, workers=workers, journal=journal, discard_other=discard_other
-    )  # fmt: skip
+    require_dart()
+    driven = drive_jobs(
+        partial(run_motion, settings, effort),
+        motion_jobs(effort),
+        progress,
+        workers=workers,
+        journal=journal,
+        discard_other=discard_other,
+    )
     means = np.stack([_means(driven[job.key]) for job in motion_jobs(effort)])
     # As they are recorded, so that a later fit to the record gives the same bits.
     means = np.array([[[_six_digits(value) for value in row] for row in one] for one in means.tolist()], np.float64)
     return replace(calibration, motion=fit_motion(settings, effort, means).to_record())
-
-
-def refit_motion(calibration: Calibration) -> Calibration:
-    """Return a calibration whose ``motion`` is fitted again to the drives that it records, without driving.
-
-    Raises
-    ------
-    UsageError
-        It was made without other speeds.
-    BadInputError
-        The record is damaged.
-    """
-    if calibration.motion is None:
-        raise UsageError(f"the calibration {calibration.id} was made without other speeds")
-    try:
-        effort, means = _recorded(calibration.motion["origin"])
-    except (LookupError, TypeError, ValueError) as error:
-        raise BadInputError(f"the drives at other speeds in {calibration.id} are damaged: {error!r}") from error
-    return replace(calibration, motion=fit_motion(calibrated_settings(calibration), effort, means).to_record())
-
-
-def _recorded(origin: Mapping[str, Any]) -> tuple[MotionEffort, Floats]:
-    """Return the effort and the means of recorded drives; raise ValueError if they do not fit together."""
-    effort = MotionEffort(origin["terrains"] // len(KINDS), origin["starts"], tuple(origin["ratios"]))
-    means = np.array(origin["driven"], dtype=np.float64)
-    return effort, means.reshape(len(motion_jobs(effort)), len(effort.ratios), len(QUANTITIES))
 
 
 def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Floats) -> MotionModel:
@@ -390,7 +336,7 @@ def _geometry(
 
 
 def _six_digits(value: float) -> float | None:
-    return None if np.isnan(value) else float(f"{value:.6g}")
+    return None if math.isnan(value) else float(f"{value:.6g}")
 
 
 def _means(record: MotionRecord) -> Floats:

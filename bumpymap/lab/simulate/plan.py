@@ -11,7 +11,7 @@ import platform
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -23,8 +23,6 @@ from bumpymap.rating import Calibration, DrivenTerrain, Vehicle, make_textures
 
 __all__ = [
     "CalibrationSettings",
-    "FitRide",
-    "FitThin",
     "calibrated_settings",
     "driven_library",
     "library_ground",
@@ -198,38 +196,6 @@ def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchD
 _COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind", "index"))
 
 
-class FitRide(Protocol):
-    """Fits a ride model to driven terrains."""
-
-    def __call__(
-        self, profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
-    ) -> dict[str, Any]:
-        """Fit a ride model.
-
-        Parameters
-        ----------
-        profile : Vehicle
-        terrains : sequence, length n
-            The driven ground.
-        driven : sequence, length n
-            Results of the drives over it.
-
-        Returns
-        -------
-        dict
-            Plain JSON for the calibration's ``ride`` entry.
-        """
-
-
-class FitThin(Protocol):
-    """Fits a model of thin surveys to a ride model."""
-
-    def __call__(
-        self, profile: Vehicle, terrains: Sequence[Terrain], ride: dict[str, Any], first_limit: float
-    ) -> dict[str, Any]:
-        """Fit; see `bumpymap.lab.simulate.ride_fit.fit_thin_surveys`."""
-
-
 def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
     """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
     return tuple(
@@ -275,7 +241,7 @@ def library_terrains(calibration: Calibration) -> tuple[DrivenTerrain, ...]:
 
 
 def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenTerrain, ...]]:
-    """Return the ground and the drives of the terrain library of a calibration, the inputs of `FitRide`.
+    """Return the ground and the drives of the terrain library of a calibration, the inputs of `fit_ride`.
 
     Raises
     ------

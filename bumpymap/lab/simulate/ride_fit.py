@@ -49,7 +49,16 @@ _LEAST_C_R = 0.001
 def fit_ride(
     profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
 ) -> dict[str, Any]:  # fmt: skip
-    """Fit a ride model; see `bumpymap.lab.simulate.plan.FitRide`."""
+    """Fit a ride model to driven terrains; returns plain JSON for the calibration's ``ride`` entry.
+
+    Parameters
+    ----------
+    profile : Vehicle
+    terrains : sequence, length n
+        The driven ground.
+    driven : sequence, length n
+        Results of the drives over it.
+    """
     side, pixels = terrains[0].tile_size, terrains[0].pixels
     operator = RideOperator.of(profile.to_dict(), side, pixels)
     relief, slope = relief_and_slope(terrains)

@@ -1,4 +1,4 @@
-"""What a step of a given height does to a vehicle: crossings of walls are driven, tiles with a step are rated.
+"""Steps of a given height: crossings of walls are driven, tiles with a step are rated.
 
 *Crossings* lead once over one vertical wall between two levels, up or down, at an angle: the probability of failing
 there. *Tiles* have a step across them, well inside, and are rated by the ride model of the calibration, which was
@@ -113,18 +113,7 @@ def add_steps(
 ) -> Calibration:
     """Return a calibration with ``steps`` added or made again, for its own vehicle, seed and tiles.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        With a ride model.
-    progress : callable, optional
-        Called with (finished drives, all drives) after every crossing.
-    workers : int
-        Number of processes; the result does not depend on it.
-    journal : Journal, optional
-        Records finished crossings; those already in it are not driven again.
-    discard_other : bool
-        Discard a journal written with other settings instead of raising an error.
+    Crossings that are in the journal are not driven again; see `drive_jobs`.
 
     Raises
     ------

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.worlds.scans.things import Field, Floats, Label, log_uniform, smoothstep
+from bumpymap.lab.worlds.scans.things import Field, Floats, Label, smoothstep
+from bumpymap.lab.worlds.terrains import log_uniform
 
 __all__ = ["Bank", "Blob", "Region", "Road", "SceneGround", "ground_mesh", "make_blob", "make_road"]
 

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from bumpymap.core import UsageError
 from bumpymap.lab.worlds.scans.ground import ground_mesh
 from bumpymap.lab.worlds.scans.scene import Scene
-from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label, log_uniform
+from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label
+from bumpymap.lab.worlds.terrains import log_uniform
 
 __all__ = ["draw_sensor", "load_open3d", "overhead_scan", "simulate_scan"]
 

@@ -19,7 +19,6 @@ from bumpymap.lab.worlds.scans.things import (
     guard_rail,
     hedge,
     herb,
-    log_uniform,
     make_field,
     person,
     pole,
@@ -28,6 +27,7 @@ from bumpymap.lab.worlds.scans.things import (
     vehicle,
     wall,
 )
+from bumpymap.lab.worlds.terrains import log_uniform
 
 __all__ = ["Scene", "make_scene"]
 

@@ -11,6 +11,8 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.lab.worlds.terrains import log_uniform
+
 __all__ = [
     "REFLECTIONS",
     "Field",
@@ -26,7 +28,6 @@ __all__ = [
     "guard_rail",
     "hedge",
     "herb",
-    "log_uniform",
     "make_field",
     "person",
     "pole",
@@ -38,11 +39,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-
-def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number with a uniform logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
 def smoothstep(t: Floats) -> Floats:
