@@ -13,7 +13,7 @@ ROOMS = {
     # room: (other rooms, packages of others that only some rooms may import)
     "core": (set(), {"blake3", "fsspec", "numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rosbags"}),
-    "patches": ({"core"}, {"CSF", "numpy", "scipy"}),
+    "patches": ({"core"}, {"CSF", "numpy"}),
     "rating": ({"core"}, {"numpy"}),
     "layers": (
         {"core"},

@@ -5,12 +5,12 @@ is also in the way of a vehicle whose belly is lower.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, POINT_OTHER, PatchStack, VehicleBody
+from bumpymap.patches import kernels
 from bumpytiles import BLOCK_TILES, TilePoints
 
 __all__ = ["find_standing", "take_off_standing"]
@@ -91,62 +91,15 @@ def find_standing(
     bool (rows, cols)
         True in the pixels of such things.
     """
-    from scipy import ndimage
-
-    known = ~np.isnan(heights)
-    level = _level(heights, known)
-    above = level - _open(level, _disc(0.5 * width / pixel))
-    raised = known & (above > _RAISED * body.lowest_obstacle_m)
-    near = _disc(_REACH / pixel)
-    foot = ndimage.grey_erosion(np.where(known, above, np.inf), footprint=near, mode="constant", cval=np.inf)
-    steep = raised & (above - foot > _DROP * body.lowest_obstacle_m)
-    things, count = ndimage.label(raised, np.ones((3, 3)))
-    sizes, sides = (np.bincount(things[marks], minlength=count + 1) for marks in (raised, steep))
-    return np.asarray(raised & (above >= least) & (sides > _STEEP * sizes)[things])
-
-
-def _level(heights: Mosaic, known: Marks) -> Mosaic:
-    """Take the plane through all heights off: at an edge above a slope, a disc touches only what lies lower."""
-    rows, cols = np.nonzero(known)
-    if len(rows) == 0:
-        return heights
-    axes = [rows - np.mean(rows), cols - np.mean(cols)]
-    values = heights[known] - np.mean(heights[known], dtype=np.float64)
-    (rr, rc, rv), (_, cc, cv) = [[np.sum(one * other) for other in (*axes, values)] for one in axes]
-    det = rr * cc - rc * rc
-    if det <= 0.0:
-        return heights
-    out = np.full(heights.shape, np.nan, np.float32)
-    out[known] = values - (rv * cc - cv * rc) / det * axes[0] - (cv * rr - rv * rc) / det * axes[1]
-    return out
-
-
-def _open(heights: Mosaic, disc: Marks) -> Mosaic:
-    """Return the highest surface below the heights on which a disc fits everywhere."""
-    from scipy import ndimage
-
-    low = _over_disc(ndimage.minimum_filter1d, np.minimum, np.where(np.isnan(heights), np.inf, heights), disc, np.inf)
-    low[np.isinf(low)] = -np.inf
-    return _over_disc(ndimage.maximum_filter1d, np.maximum, low, disc, -np.inf)
-
-
-def _over_disc(along: Any, of_two: Any, values: Mosaic, disc: Marks, beyond: float) -> Mosaic:
-    """Return the lowest, or highest, value within a disc around each pixel: that of its rows, one by one."""
-    reach, (rows, cols) = len(disc) // 2, values.shape
-    out = np.full((rows + 2 * reach, cols), np.float32(beyond))
-    widths = disc.sum(axis=1).tolist()
-    rowwise = {width: along(values, width, axis=1, mode="constant", cval=beyond) for width in set(widths)}
-    for down, width in enumerate(widths):
-        part = out[down : down + rows]
-        of_two(part, rowwise[width], out=part)
-    return out[reach:-reach]
-
-
-def _disc(radius: float) -> Marks:
-    """Return the pixels within a radius [px] of the middle one, at least its eight neighbours."""
-    reach = max(1.5, radius)
-    offsets = np.arange(-int(reach), int(reach) + 1)
-    return np.asarray(offsets[:, None] ** 2 + offsets**2 <= reach * reach)
+    disc, foot = max(1.5, 0.5 * width / pixel), max(1.5, _REACH / pixel)  # at least the eight neighbours
+    belly = body.lowest_obstacle_m
+    raised, drop, lowest = (float(np.float32(limit)) for limit in (_RAISED * belly, _DROP * belly, least))
+    limits = kernels.StandingLimits(disc, foot, raised, drop, lowest, _STEEP)
+    marks = np.empty(heights.shape, np.bool_)
+    rows, cols = heights.shape
+    scratch = kernels.standing_scratch(rows, cols, disc)
+    kernels.mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
+    return marks
 
 
 def _corner(points: TilePoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -230,12 +230,24 @@ def _fill_area(free: Bytes, start: int, number: int, areas: Bytes, stack: Intege
 
 
 @helper
+def _copy(free: Bytes, areas: Bytes) -> int:
+    """Make all free pixels of a tile one area; returns how many there are."""
+    count = 0
+    for r in range(free.shape[0]):
+        for c in range(free.shape[0]):
+            areas[r, c] = free[r, c]
+            count += free[r, c]
+    return count
+
+
+@helper
 def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) -> None:
     """Give the areas of one tile their numbers."""
     pixels = free.shape[0] * free.shape[0]
     found = 0
-    for k in range(pixels):
-        areas[k // free.shape[0], k % free.shape[0]] = 0
+    for r in range(free.shape[0]):
+        for c in range(free.shape[0]):
+            areas[r, c] = 0
     for k in range(pixels):
         r, c = k // free.shape[0], k % free.shape[0]
         if free[r, c] != 0 and areas[r, c] == 0:
@@ -266,7 +278,8 @@ def number_areas(
     """
     for row in range(free.shape[0]):
         for col in range(free.shape[1]):
-            _number_tile(free[row, col], areas[row, col], stack, sizes)
+            if 0 < _copy(free[row, col], areas[row, col]) < free.shape[2] * free.shape[2]:
+                _number_tile(free[row, col], areas[row, col], stack, sizes)
 
 
 @helper

@@ -5,6 +5,7 @@ north to south come from the transposed mosaic. Nothing here allocates: scratch 
 """
 
 import math
+from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ from bumpytiles import helper, kernel
 __all__ = [
     "REACH",
     "RUN",
+    "PeakScratch",
     "RawSteps",
     "RowScratch",
     "StepMosaic",
@@ -27,6 +29,7 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+Integers = NDArray[np.int32]
 
 RUN = 4
 """Pixels before and after the middle one of a run."""
@@ -53,7 +56,11 @@ _ASTRAY_ON_RIDGE = 0.25
 """Share of them that may lie below the height that counts."""
 _FOOT = 0.38
 """From the line of a ridge to the ground beside it, in widths of a level."""
+_RIM = 2
+"""Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
 _RUN_LENGTH = 2 * RUN + 1
+_TURNS, _LISTS = 4, 5
+"""A line moves up to so many quarters of a pixel to either side with every row; and the lists of places for each."""
 
 
 class StepMosaic(NamedTuple):
@@ -85,6 +92,55 @@ class RawSteps(NamedTuple):
     support lies in the tile, m."""
 
 
+class PeakScratch(NamedTuple):
+    """Scratch for the points around a pixel, see `peak_scratch`."""
+
+    limit: Annotated[Floats, 1]
+    """(cols,) limits of a row, m."""
+    felt: Annotated[Floats, 1]
+    """(cols,) steps of a row that stand out, m."""
+    patch: Annotated[Floats, 1]
+    """(9 * width,) heights of the pixels around one, row by row, each brought to it along the slope of its tile."""
+    values: Annotated[Floats, 2]
+    """(3, longest list) known heights of a line and of its sides."""
+    starts: Annotated[Integers, 1]
+    """(45 + 1,) where each list of ``places`` begins; it and they are not changed. For each of nine angles there are
+    the line of a ridge, the levels on its left and right, and those on the left and right of a step."""
+    places: Annotated[Integers, 1]
+    """Places in the patch."""
+
+
+def peak_scratch(cols: int, level: float) -> PeakScratch:
+    """Make scratch for `find_peaks` over rows of so many pixels, and levels of a width [px]."""
+    starts, places = _places(level)
+    longest, width = int(np.diff(starts).max()), 2 * _half_width(level) + 1
+    return PeakScratch(
+        np.empty(cols), np.empty(cols), np.empty(_RUN_LENGTH * width), np.empty((3, longest)), starts, places
+    )
+
+
+def _half_width(level: float) -> int:
+    return math.floor(level * math.sqrt(2.0) + RUN)
+
+
+@cache
+def _places(level: float) -> tuple[Integers, Integers]:
+    """Return ``starts`` and ``places`` of the scratch."""
+    width = 2 * _half_width(level) + 1
+    lists: list[list[int]] = []
+    for turn in range(-_TURNS, _TURNS + 1):
+        lists += [[] for _ in range(_LISTS)]
+        shear = turn / _TURNS
+        wide = level * math.sqrt(1.0 + shear * shear)
+        for down in range(-RUN, RUN + 1):
+            quarters, middle, place = turn * down, shear * down, (RUN + down) * width + width // 2
+            lists[-5] += range(place + ((quarters + 1) >> 2), place + ((quarters + 2) >> 2) + 1)
+            for left, beside in ((-4, max(_FOOT * wide, 0.75)), (-2, _BESIDE)):
+                lists[left] += range(place + math.ceil(middle - wide), place + math.floor(middle - beside) + 1)
+                lists[left + 1] += range(place + math.ceil(middle + beside), place + math.floor(middle + wide) + 1)
+    return np.cumsum([0, *map(len, lists)], dtype=np.int32), np.array([k for each in lists for k in each], np.int32)
+
+
 class RowScratch(NamedTuple):
     """Scratch for a row of the mosaic, see `row_scratch`."""
 
@@ -96,11 +152,6 @@ class RowScratch(NamedTuple):
     """(cols + 2 * REACH,) medians of runs; NaN at both ends."""
     plain: Annotated[Floats, 1]
     """(cols,) steps in the middle of pixels."""
-
-
-def peak_scratch(cols: int, pixels: int) -> Floats:
-    """Make scratch for `find_peaks` over rows of so many pixels, in tiles of ``pixels`` along a side."""
-    return np.empty(cols + 3 * _RUN_LENGTH * pixels)
 
 
 def row_scratch(cols: int) -> RowScratch:
@@ -358,77 +409,113 @@ def _rank(n: int) -> int:
 
 
 @helper
-def _gap(mosaic: StepMosaic, r: int, c: int, shear: float, least: float, values: Floats) -> float:
-    """Height between the points of both sides of a pixel, as it surely is at least, m; negative if not above ``least``.
-
-    A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves ``shear`` pixels to the east with
-    every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the median
-    from the middle, or has ``_ASTRAY`` of them beyond it, whichever is farther out.
-    """
-    row, half, cols = r // mosaic.pixels, len(values) // 2, mosaic.heights.shape[1]
-    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
-    east, south = mosaic.east[row, c], mosaic.south[row, c]
-    left = right = 0
-    lower = upper = 0.0
-    for down in range(-RUN, RUN + 1):
-        line, middle = mosaic.heights[r + RUN + down], c + shear * down
-        for at in range(max(0, math.ceil(middle - wide)), min(cols, math.floor(middle - _BESIDE) + 1)):
-            values[left] = line[at] - east * (at - c) - south * down
-            known = values[left] == values[left]  # false for NaN
-            lower += values[left] if known else 0.0
-            left += known
-        for at in range(max(0, math.ceil(middle + _BESIDE)), min(cols, math.floor(middle + wide) + 1)):
-            values[half + right] = line[at] - east * (at - c) - south * down
-            known = values[half + right] == values[half + right]
-            upper += values[half + right] if known else 0.0
-            right += known
-    if min(left, right) < _LEAST_POINTS:
-        return -np.inf
-    first, other = _rank(left), _rank(right)
-    before, behind = values[:left], values[half : half + right]
-    if upper * left < lower * right:
-        before, behind, first, other = behind, before, other, first
-    top = _smallest(behind, other)
-    mixed = 0
-    for i in range(len(before)):
-        mixed += top - before[i] <= least
-    return top - _smallest(before, len(before) - 1 - first) if mixed <= first else -np.inf
+def _bring(line: Floats, first: int, east: float, south: float, out: Floats) -> None:
+    """Fill heights brought to a pixel that lies ``first`` pixels to the west of them, from another row."""
+    for k in range(len(out)):
+        out[k] = line[k] - east * np.int32(first + k) - south
 
 
 @helper
-def _believed(mosaic: StepMosaic, r: int, c: int, step: float, values: Floats) -> float:
+def _fill_patch(mosaic: StepMosaic, r: int, c: int, patch: Floats) -> None:
+    """Fill the heights around a pixel."""
+    row, width, cols = r // mosaic.pixels, len(patch) // _RUN_LENGTH, mosaic.heights.shape[1]
+    east, south, half = mosaic.east[row, c], mosaic.south[row, c], width // 2
+    first, last = max(-c, -half), min(cols - 1 - c, half)
+    if last - first < 2 * half:
+        for k in range(len(patch)):
+            patch[k] = np.nan
+    for down in range(-RUN, RUN + 1):
+        start = (down + RUN) * width + half
+        line = mosaic.heights[r + RUN + down, c + first : c + last + 1]
+        _bring(line, first, east, south * down, patch[start + first : start + last + 1])
+
+
+@helper
+def _list(turn: int, which: int, scratch: PeakScratch) -> Integers:
+    """Return one of the five lists of places for an angle."""
+    k = (turn + _TURNS) * _LISTS + which
+    return scratch.places[scratch.starts[k] : scratch.starts[k + 1]]
+
+
+@helper
+def _known_heights(patch: Floats, places: Integers, out: Floats) -> int:
+    """Put the known heights of some places into a list; returns how many there are."""
+    n = 0
+    for k in range(len(places)):
+        out[n] = patch[places[k]]
+        n += out[n] == out[n]  # false for NaN
+    return n
+
+
+@helper
+def _known_sides(
+    patch: Floats, one: Integers, other: Integers, before: Floats, behind: Floats
+) -> tuple[int, int, float, float]:
+    """Put the known heights of both sides, as many places each, into lists; returns how many, and their sums."""
+    left = right = 0
+    lower = upper = 0.0
+    for k in range(len(one)):
+        a, b = patch[one[k]], patch[other[k]]
+        before[left], behind[right] = a, b
+        lower += a if a == a else 0.0  # noqa: PLR0124 - false for NaN
+        upper += b if b == b else 0.0  # noqa: PLR0124
+        left += a == a  # noqa: PLR0124
+        right += b == b  # noqa: PLR0124
+    return left, right, lower, upper
+
+
+@helper
+def _gap(turn: int, least: float, scratch: PeakScratch) -> float:
+    """Height between the points of both sides of a pixel, as it surely is at least, m; negative if not above ``least``.
+
+    A side is a parallelogram of 9 rows, as wide as a level, along a wall that moves ``turn`` / 4 pixels to the east
+    with every row. Of its known pixels in order of height, that one counts which is ``_SURE`` standard errors of the
+    median from the middle, or has ``_ASTRAY`` of them beyond it, whichever is farther out.
+    """
+    patch, values = scratch.patch, scratch.values
+    sides = _list(turn, 3, scratch), _list(turn, 4, scratch)
+    left, right, lower, upper = _known_sides(patch, sides[0], sides[1], values[0], values[1])
+    if min(left, right) < _LEAST_POINTS:
+        return -np.inf
+    before, behind = values[0, :left], values[1, :right]
+    first, other = _rank(left), _rank(right)
+    if upper * left < lower * right:
+        before, behind, first, other = behind, before, other, first
+    # Where too many lie beyond both ends of a part of that height, wherever it is, there is no need to sort.
+    middle, half = 0.5 * (lower / left + upper / right), 0.499 * least
+    below = above = 0
+    for i in range(len(behind)):
+        below += behind[i] < middle + half
+    for i in range(len(before)):
+        above += before[i] > middle - half
+    if below > other and above > first:
+        return -np.inf
+    return _smallest(behind, other) - _smallest(before, len(before) - 1 - first)
+
+
+@helper
+def _believed(step: float, scratch: PeakScratch) -> float:
     """Share of a step that the points on both of its sides bear out, 0 to 1, at the angle that suits them best."""
     best = 0.0
-    for turn in range(5):
-        shear = 0.5 * ((turn + 1) // 2) * (1.0 if turn % 2 else -1.0)
-        best = max(best, _share(_gap(mosaic, r, c, shear, _BELIEVED * step, values), step))
+    for k in range(5):
+        turn = 2 * ((k + 1) // 2) * (1 if k % 2 else -1)
+        best = max(best, _share(_gap(turn, _BELIEVED * step, scratch), step))
         if best >= 1.0:
             return 1.0
     return best
 
 
 @helper
-def _buried(mosaic: StepMosaic, r: int, c: int, shear: float, height: float, margin: float) -> bool:
+def _buried(patch: Floats, places: Integers, height: float, margin: float) -> bool:
     """Return True if a height is surely less than a margin above what counts as the height of a side of a ridge."""
-    row, cols = r // mosaic.pixels, mosaic.heights.shape[1]
-    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
-    beside = max(_FOOT * wide, 0.75)
-    east, south = mosaic.east[row, c], mosaic.south[row, c]
-    most = _rank(_RUN_LENGTH * (math.floor(wide - beside) + 1))
-    left = right = 0
-    for down in range(-RUN, RUN + 1):
-        line, middle = mosaic.heights[r + RUN + down], shear * down
-        for away in range(max(-c, math.ceil(middle - wide)), min(cols - 1 - c, math.floor(middle - beside)) + 1):
-            left += height - (line[c + away] - east * away - south * down) <= margin
-        for away in range(max(-c, math.ceil(middle + beside)), min(cols - 1 - c, math.floor(middle + wide)) + 1):
-            right += height - (line[c + away] - east * away - south * down) <= margin
-        if max(left, right) > most:
-            return True
-    return False
+    count = 0
+    for k in range(len(places)):
+        count += height - patch[places[k]] <= margin
+    return count > _rank(len(places))
 
 
 @helper
-def _ridge(mosaic: StepMosaic, r: int, c: int, turn: int, guess: float, least: float, values: Floats) -> float:
+def _ridge(turn: int, guess: float, least: float, scratch: PeakScratch) -> float:
     """Height of a ridge along a line through a pixel, m; 0 where the points do not bear it out.
 
     It is the median of the pixels on the line, in 9 rows, above that of the higher side. The line moves ``turn`` / 4
@@ -437,49 +524,36 @@ def _ridge(mosaic: StepMosaic, r: int, c: int, turn: int, guess: float, least: f
     Returns 0 early where the ridge is surely no higher than ``least``: soonest with a ``guess`` just above a quarter of
     the line. Neither changes the height of a higher one.
     """
-    row, third, cols = r // mosaic.pixels, len(values) // 3, mosaic.heights.shape[1]
-    shear = 0.25 * turn
-    wide = mosaic.level * math.sqrt(1.0 + shear * shear)
-    beside = max(_FOOT * wide, 0.75)
-    east, south = mosaic.east[row, c], mosaic.south[row, c]
-    left = right = top = low = 0
-    for down in range(-RUN, RUN + 1):
-        line, quarters = mosaic.heights[r + RUN + down], turn * down
-        for away in range(max(-c, (quarters + 1) >> 2), min(cols - 1 - c, (quarters + 2) >> 2) + 1):
-            values[top] = line[c + away] - east * away - south * down
-            low += values[top] <= guess
-            top += values[top] == values[top]  # false for NaN
-    place = math.floor(_ASTRAY_ON_RIDGE * top)
+    patch, values = scratch.patch, scratch.values
+    before, behind = _list(turn, 1, scratch), _list(turn, 2, scratch)
+    top = _known_heights(patch, _list(turn, 0, scratch), values[0])
+    line, low, place = values[0, :top], 0, math.floor(_ASTRAY_ON_RIDGE * top)
     if top < _LEAST_ON_RIDGE:
         return 0.0
-    if _buried(mosaic, r, c, shear, guess if low > place else _smallest(values[:top], place), _BELIEVED * least):
+    for i in range(top):
+        low += line[i] <= guess
+    height = guess if low > place else _smallest(line, place)
+    if _buried(patch, before, height, _BELIEVED * least) or _buried(patch, behind, height, _BELIEVED * least):
         return 0.0
-    for down in range(-RUN, RUN + 1):
-        line, middle = mosaic.heights[r + RUN + down], shear * down
-        for away in range(max(-c, math.ceil(middle - wide)), min(cols - 1 - c, math.floor(middle - beside)) + 1):
-            values[third + left] = line[c + away] - east * away - south * down
-            left += values[third + left] == values[third + left]
-        for away in range(max(-c, math.ceil(middle + beside)), min(cols - 1 - c, math.floor(middle + wide)) + 1):
-            values[2 * third + right] = line[c + away] - east * away - south * down
-            right += values[2 * third + right] == values[2 * third + right]
+    left, right, _, _ = _known_sides(patch, before, behind, values[1], values[2])
     if min(left, right) < _LEAST_POINTS:
         return 0.0
-    before, behind = values[third : third + left], values[2 * third : 2 * third + right]
-    high = max(_smallest(before, left - 1 - _rank(left)), _smallest(behind, right - 1 - _rank(right)))
-    surely = _smallest(values[:top], place) - high
+    one, other = values[1, :left], values[2, :right]
+    high = max(_smallest(one, left - 1 - _rank(left)), _smallest(other, right - 1 - _rank(right)))
+    surely = _smallest(line, place) - high
     if surely <= _BELIEVED * least:
         return 0.0
-    foot = max(_smallest(before, (left - 1) // 2), _smallest(behind, (right - 1) // 2))
-    step = max(_smallest(values[:top], top // 2) - foot, 0.0)
+    foot = max(_smallest(one, (left - 1) // 2), _smallest(other, (right - 1) // 2))
+    step = max(_smallest(line, top // 2) - foot, 0.0)
     return step * _share(surely, step)
 
 
 @helper
-def _highest_ridge(mosaic: StepMosaic, r: int, c: int, ground: float, least: float, values: Floats) -> float:
+def _highest_ridge(ground: float, least: float, scratch: PeakScratch) -> float:
     """Height of the ridge through a pixel at the angle that suits it best, m; 0 if none is higher than ``least``."""
     ridge = least
-    for turn in range(-4, 5):
-        ridge = max(ridge, _ridge(mosaic, r, c, turn, ground + _BELIEVED * ridge, ridge, values))
+    for turn in range(-_TURNS, _TURNS + 1):
+        ridge = max(ridge, _ridge(turn, ground + _BELIEVED * ridge, ridge, scratch))
     return ridge if ridge > least else 0.0
 
 
@@ -492,34 +566,75 @@ def _limit_of_sides(before: float, behind: float) -> float:
     return math.sqrt((first + second) / known) if known > 0 else UNKNOWN_NOISE
 
 
+@helper
+def _part_of_tile(k: int, pixels: int) -> int:
+    """Return to which part of a tile a column of its pixels belongs, as in the last axis of what `find_peaks` fills."""
+    if k == 0 or k == pixels - 1:
+        return 0 if k == 0 else 1
+    return 2 if k < _RIM or k >= pixels - _RIM else 3
+
+
+@helper
+def _step_at(mosaic: StepMosaic, r: int, c: int, crest: float, least: float, scratch: PeakScratch) -> float:
+    """Return the step or ridge at a pixel, m; NaN if it is unknown, less than ``least`` where it is surely lower."""
+    felt: float = scratch.felt[c]
+    limit: float = scratch.limit[c]
+    is_step = felt > max(least, 0.0)
+    if is_step:
+        _fill_patch(mosaic, r, c, scratch.patch)
+        felt *= _believed(felt, scratch)
+    if crest > limit:
+        if not is_step:
+            _fill_patch(mosaic, r, c, scratch.patch)
+        ridge = _highest_ridge(mosaic.heights[r + RUN, c] - crest, max(limit, felt, least), scratch)
+        felt = max(felt, ridge * _stands_out(ridge, limit))
+    return felt
+
+
+@helper
+def _fill_limits(limit: Floats, pixels: int, limits: Floats) -> None:
+    """Fill the limits of a row of pixels from those of its tiles."""
+    cols = len(limits)
+    for c in range(cols):
+        before = limit[(c - SIDE) // pixels] if c >= SIDE else np.nan
+        behind = limit[(c + SIDE) // pixels] if c + SIDE < cols else np.nan
+        limits[c] = _limit_of_sides(before, behind)
+
+
 @kernel
 def find_peaks(
     mosaic: StepMosaic,
     raw: RawSteps,
     limit: Annotated[Floats, 2],
-    felt: Annotated[Floats, 2],
-    scratch: Annotated[Floats, 1],
+    highest: Annotated[Floats, 3],
+    scratch: PeakScratch,
 ) -> None:
-    """Fill, for each pixel, the step that is the highest of three in its row and stands out, m; NaN if it is unknown.
+    """Fill the highest step of tiles, or ridge if that is higher, m; negative where none is known.
 
-    Or the ridge through it, if that is higher.
+    A step counts where it is the highest of three in its row and stands out.
+
+    ``highest`` is (tiles, tiles, 4): in the pixels of the western border, of the eastern one, in ``_RIM`` pixels along
+    both of them, and in all. In the outer ring of tiles only the borders to the inner ones are filled.
 
     ``limit`` is (tiles, tiles): steps of that height do not count, m. That of a pixel is between those of the tiles two
-    pixels before and behind it. ``scratch`` takes a row of pixels, a ridge and both of its sides, see `peak_scratch`.
+    pixels before and behind it.
     """
-    cols, pixels = raw.least.shape[1], mosaic.pixels
-    values = scratch[cols:]
-    for row in range(limit.shape[0]):
-        for c in range(cols):
-            before = limit[row, (c - SIDE) // pixels] if c >= SIDE else np.nan
-            behind = limit[row, (c + SIDE) // pixels] if c + SIDE < cols else np.nan
-            scratch[c] = _limit_of_sides(before, behind)
+    cols, pixels, limits = raw.least.shape[1], mosaic.pixels, scratch.limit
+    for row in range(1, limit.shape[0] - 1):
+        _fill_limits(limit[row], pixels, limits)
+        for col in range(limit.shape[1]):
+            for part in range(4):
+                highest[row, col, part] = -1.0
+        # Nothing is higher than what nobody asks for.
+        highest[row, 0, 0] = highest[row, limit.shape[1] - 1, 1] = np.inf
+        for part in range(2, 4):
+            highest[row, 0, part] = highest[row, limit.shape[1] - 1, part] = np.inf
         for r in range(row * pixels, (row + 1) * pixels):
-            _keep_peaks(raw.least[r], scratch, felt[r])
+            _keep_peaks(raw.least[r], limits, scratch.felt)
             for c in range(cols):
-                if felt[r, c] > 0.0:
-                    felt[r, c] *= _believed(mosaic, r, c, felt[r, c], values)
-                if raw.crest[r, c] > scratch[c]:
-                    least = max(scratch[c], felt[r, c])
-                    ridge = _highest_ridge(mosaic, r, c, mosaic.heights[r + RUN, c] - raw.crest[r, c], least, values)
-                    felt[r, c] = max(felt[r, c], ridge * _stands_out(ridge, scratch[c]))
+                part, found = _part_of_tile(c % pixels, pixels), highest[row, c // pixels]
+                if scratch.felt[c] > found[part] or (raw.crest[r, c] > limits[c] and found[part] < np.inf):
+                    step = _step_at(mosaic, r, c, raw.crest[r, c], found[part], scratch)
+                    for k in range(part, 4):
+                        if (k == part or k > 1) and step > found[k]:
+                            found[k] = step

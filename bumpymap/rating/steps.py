@@ -49,8 +49,6 @@ __all__ = ["TileSteps", "find_steps"]
 
 Floats = NDArray[np.float64]
 
-_RIM = 2
-"""Pixels along the edges where the rating underestimates a wall: 0.4 m of 3 m."""
 _QUANTILE, _QUANTILE_LIMIT = 0.2, 12.0
 _PIXEL_LIMIT = 2.5
 _MEDIAN_DIFFERENCE = 0.9539
@@ -74,9 +72,6 @@ class TileSteps:
     rim: NDArray[np.float32]
     """(n, m) highest step in the two pixels along a border and across it: what the mirrored relief of the tile does not
     show. The rating of a tile sees steps farther inside in full."""
-    pixels: NDArray[np.float32]
-    """(n * pixels, m * pixels) height of the step at each pixel of the tiles; 0 where none stands out, NaN where the
-    ground on both sides is unknown. ``inner`` is the highest of a tile."""
 
     @property
     def edge_step(self) -> NDArray[np.float32]:
@@ -129,14 +124,11 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
     west_east = _peaks(upright, across, limit)
     north_south = _peaks(lying, along, np.ascontiguousarray(limit.T))
-    found = np.fmax(west_east[pixels:-pixels, pixels:-pixels], north_south[pixels:-pixels, pixels:-pixels].T)
-    inner = np.fmax.reduce(_tiles(found, pixels), axis=(1, 3))
-    columns, rows = _highest(west_east, pixels), _highest(north_south, pixels)
-    rim = np.fmax(_rim(columns), _rim(rows).T)
-    west, east = _borders(columns)
-    north, south = (side.T for side in _borders(rows))
+    rim, inner = np.moveaxis(np.fmax(west_east, north_south.swapaxes(0, 1))[1:-1, 1:-1, 2:], -1, 0)
+    west, east = _borders(west_east)
+    north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
-    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim, found)))
+    return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:
@@ -179,31 +171,15 @@ def _usual(across: RawSteps, along: RawSteps) -> Floats:
 
 
 def _peaks(mosaic: StepMosaic, raw: RawSteps, limit: Floats) -> Floats:
-    """Return the steps that stand out, at each pixel."""
-    found = np.empty_like(raw.least)
-    find_peaks(mosaic, raw, limit, found, peak_scratch(raw.least.shape[1], mosaic.pixels))
-    return found
-
-
-def _tiles(found: Floats, pixels: int) -> Floats:
-    """Return a mosaic as (tiles, pixels, tiles, pixels)."""
-    rows, cols = found.shape
-    return found.reshape(rows // pixels, pixels, cols // pixels, pixels)
-
-
-def _highest(found: Floats, pixels: int) -> Floats:
-    """Return the highest step of each column of pixels of each tile, (tiles, tiles, pixels)."""
-    return np.asarray(np.fmax.reduce(_tiles(found, pixels), axis=1))
-
-
-def _rim(highest: Floats) -> Floats:
-    """Return the highest step near the western and eastern borders of the inner tiles."""
-    cells = highest[1:-1, 1:-1]
-    return np.asarray(np.fmax.reduce(np.concatenate([cells[..., :_RIM], cells[..., -_RIM:]], axis=-1), axis=2))
+    """Return the highest steps that stand out at the borders of each tile, near them and in it, (tiles, tiles, 4)."""
+    found = np.full((*limit.shape, 4), np.nan)
+    find_peaks(mosaic, raw, limit, found, peak_scratch(raw.least.shape[1], mosaic.level))
+    found[found < 0.0] = np.nan
+    return found + 0.0  # never -0.0: the sign of nothing would depend on the machine
 
 
 def _borders(highest: Floats) -> tuple[Floats, Floats]:
     """Return the highest step at the western and at the eastern border of the inner tiles."""
-    west, east = highest[1:-1, :, 0], highest[1:-1, :, -1]
+    west, east = highest[1:-1, :, 0], highest[1:-1, :, 1]
     both = np.fmax(east[:, :-1], west[:, 1:])
     return both[:, :-1], both[:, 1:]

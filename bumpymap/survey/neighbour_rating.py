@@ -189,8 +189,7 @@ class NeighbourRating:
         if self.grid.pixels >= _LEAST_PIXELS:
             return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels)
         rows, cols = window.inner("class_id").shape
-        px = self.grid.pixels
-        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols), (rows * px, cols * px))
+        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
         return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
 
     def _sweep(

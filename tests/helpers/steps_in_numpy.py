@@ -46,7 +46,7 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
     west, east_of = _borders(west_east, pixels)
     north, south_of = (side.T for side in _borders(north_south.T, pixels))
     border = np.stack([north, east_of, south_of, west], axis=-1)
-    fields = {"border": border, "inner": inner, "rim": rim, "pixels": found[pixels:-pixels, pixels:-pixels]}
+    fields = {"border": border, "inner": inner, "rim": rim}
     return {name: values.astype(np.float32) for name, values in fields.items()}
 
 

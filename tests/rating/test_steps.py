@@ -108,8 +108,6 @@ def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():
         np.testing.assert_array_equal(part.border, whole.border[:, columns])
         np.testing.assert_array_equal(part.inner, whole.inner[:, columns])
         np.testing.assert_array_equal(part.rim, whole.rim[:, columns])
-        pixels = slice(columns.start * PIXELS, columns.stop * PIXELS)
-        np.testing.assert_array_equal(part.pixels, whole.pixels[:, pixels])
     np.testing.assert_array_equal(whole.border[:, :-1, EAST], whole.border[:, 1:, WEST])
     np.testing.assert_array_equal(whole.border[:-1, :, SOUTH], whole.border[1:, :, NORTH])
 
@@ -177,24 +175,6 @@ def test_few_points_make_no_steps_of_rough_ground():
 
     dense, thin = (highest(find_steps(surveyed(lumps, density, 0.01, 1), PIXELS)) > 0.35 for density in (100, 10))
     assert thin[~dense].mean() < 0.1
-
-
-def test_the_pixels_of_a_wall_hold_its_height():
-    wall = Wall(0.5, 12.3, 11.8, 25)
-    steps = find_steps(surveyed(wall.ground, 50, 0.01, 2), PIXELS)
-    axis = (np.arange(PIXELS, 7 * PIXELS) + 0.5) * TILE_SIZE / PIXELS
-    away = np.abs(wall.distance(*np.meshgrid(axis, axis[::-1])))
-    found = steps.pixels > 0.4
-    assert away[found].max() < 0.4
-    along = (
-        wall.easting - np.sin(np.radians(25)) * np.arange(-8, 8, 0.2),
-        wall.northing + np.cos(np.radians(25)) * np.arange(-8, 8, 0.2),
-    )
-    cols, rows = ((along[0] / 0.2).astype(int) - PIXELS, 7 * PIXELS - 1 - (along[1] / 0.2).astype(int))
-    inside = (cols > 1) & (cols < 6 * PIXELS - 2) & (rows > 1) & (rows < 6 * PIXELS - 2)
-    near_by = [found[r - 2 : r + 3, c - 2 : c + 3].any() for r, c in zip(rows[inside], cols[inside], strict=True)]
-    assert np.mean(near_by) > 0.95
-    np.testing.assert_array_equal(steps.inner[0, 0], np.nanmax(steps.pixels[:PIXELS, :PIXELS]))
 
 
 def test_without_a_neighbour_the_step_is_unknown():

@@ -21,3 +21,8 @@ from .solids import (
     settle_solids as settle_solids,
     solid_scratch as solid_scratch,
 )
+from .standing import (
+    StandingLimits as StandingLimits,
+    mark_standing as mark_standing,
+    standing_scratch as standing_scratch,
+)

@@ -25,15 +25,15 @@ def detrend(heights: Floats) -> bool:
 
     Returns False, and changes nothing, where the known pixels do not span a plane.
     """
-    size = heights.shape[0]
-    middle = 0.5 * (size - 1)
+    rows, cols = heights.shape
+    middle, centre = 0.5 * (rows - 1), 0.5 * (cols - 1)
     n = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
-    for r in range(size):
+    for r in range(rows):
         row_n = row_x = row_z = row_xx = row_xz = 0.0
-        for c in range(size):
+        for c in range(cols):
             h = heights[r, c]
             known = h == h  # noqa: PLR0124 - false for NaN; a test without a branch
-            x = c - middle if known else 0.0
+            x = c - centre if known else 0.0
             h = h if known else 0.0
             row_n += 1.0 if known else 0.0
             row_x += x
@@ -53,10 +53,10 @@ def detrend(heights: Floats) -> bool:
     if det <= 1e-9 * xx * yy:
         return False
     a, b = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
-    for r in range(size):
+    for r in range(rows):
         level = mz + b * (r - middle - my)
-        for c in range(size):
-            heights[r, c] -= level + a * (c - middle - mx)
+        for c in range(cols):
+            heights[r, c] -= level + a * (c - centre - mx)
     return True
 
 

@@ -5,6 +5,7 @@ away, so with a ring of one tile of 15 pixels it is the same wherever a block is
 """
 
 import math
+from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -20,6 +21,10 @@ Rows = NDArray[np.int32]
 
 _MOST = 15
 """Farthest pixel that is looked at."""
+_MARGIN = _MOST + 1
+"""Pixels around a mosaic, so that nothing that is looked at lies beyond."""
+_FULL = 17
+"""Mark of an obstacle: in the sum of nine marks, the number of obstacles stands in front of that of all parts."""
 _FILL, _RAY, _NEAR = 3, 5, 5
 """A pixel without points takes the state of one at most so far away, px; rays from the ground to what is overhead; and
 the surroundings of a pixel overhead in which such ground is counted. With `_COMPANY` together 15."""
@@ -49,38 +54,51 @@ _PART, _AROUND = 2, 3
 
 
 class SolidScratch(NamedTuple):
-    """Scratch of `settle_solids`."""
+    """Scratch of `settle_solids`; maps have ``_MARGIN`` more pixels on all sides, without points."""
 
     offsets: Annotated[Rows, 2]
-    """(n, 3) rows, columns and their squared distance, of all pixels up to 15 away, the nearest first; not changed."""
+    """(n, 4) of all pixels up to 15 away, the nearest first: rows, columns, their squared distance, and pixels along
+    the rows of a map; not changed."""
+    marks: Annotated[Bytes, 2]
+    """1 for pixels that hold a point of an obstacle, were it a single one, and ``_FULL`` for obstacles."""
+    own: Annotated[Bytes, 1]
+    """States of pixels with the points around them, row by row."""
+    own_if_thin: Annotated[Bytes, 1]
+    """The same in a thin survey."""
     label: Annotated[Bytes, 2]
-    """(rows, cols) states of the mosaic, with the nearest where there are no points."""
+    """States of the mosaic, with the nearest where there are no points."""
     under: Annotated[Bytes, 2]
-    """The same shape: 1 for ground that was seen, 2 beneath what is overhead."""
+    """1 for ground that was seen, 2 beneath what is overhead."""
+    around: Annotated[Bytes, 1]
+    """(cols,) sums of 3 x 3 marks in a row of pixels."""
 
 
 def solid_scratch(rows: int, cols: int) -> SolidScratch:
     """Make scratch for a mosaic."""
+    tall, wide = rows + 2 * _MARGIN, cols + 2 * _MARGIN
+    return SolidScratch(
+        offsets=_offsets(wide),
+        marks=np.zeros((tall, wide), np.uint8),
+        own=np.full(tall * wide, UNSEEN, np.uint8),
+        own_if_thin=np.full(tall * wide, UNSEEN, np.uint8),
+        label=np.full((tall, wide), UNSEEN, np.uint8),
+        under=np.zeros((tall, wide), np.uint8),
+        around=np.empty(cols, np.uint8),
+    )
+
+
+@cache
+def _offsets(wide: int) -> Rows:
     down, right = np.mgrid[-_MOST : _MOST + 1, -_MOST : _MOST + 1].reshape(2, -1)
     square = down * down + right * right
     order = np.lexsort((right, down, square))
     order = order[square[order] <= _MOST * _MOST]
-    offsets = np.stack([down, right, square], axis=1)[order].astype(np.int32)
-    return SolidScratch(np.ascontiguousarray(offsets), *(np.empty((rows, cols), np.uint8) for _ in range(2)))
+    return np.stack([down, right, square, down * wide + right], axis=1)[order].astype(np.int32)
 
 
 @helper
 def _is_overhead(state: int) -> bool:
-    return state != UNSEEN and (state % SEEN == CANOPY or state % SEEN == SOLID)
-
-
-@helper
-def _is_part(objects: Bytes, r: int, c: int) -> bool:
-    """Return whether a pixel holds a point of an obstacle, were it a single one."""
-    if not (0 <= r < objects.shape[0] and 0 <= c < objects.shape[1]) or objects[r, c] == UNSEEN:
-        return False
-    state = objects[r, c] % SEEN
-    return state == OBSTACLE or state == LONE or state == UNDECIDED or state == STEEP  # noqa: PLR1714 (no set)
+    return state % SEEN == CANOPY or state % SEEN == SOLID
 
 
 @helper
@@ -94,42 +112,69 @@ def _points_per_pixel(objects: Bytes, pixels: int, top: int, left: int) -> float
 
 
 @helper
-def _own_state(objects: Bytes, r: int, c: int, thin: bool) -> int:
-    """State of a pixel, with the points around it."""
-    state = objects[r, c]
-    if state == UNSEEN or state % SEEN == OBSTACLE or _is_overhead(state):
-        return state
-    if _is_part(objects, r, c):
-        reach = 1 if state == STEEP else _COMPANY
-        if thin or state == STEEP:
-            for row in range(r - reach, r + reach + 1):
-                for col in range(c - reach, c + reach + 1):
-                    if (row != r or col != c) and _is_part(objects, row, col):
-                        return OBSTACLE
-        return state
-    count = 0
-    for row in range(max(0, r - 1), min(objects.shape[0], r + 2)):
-        for col in range(max(0, c - 1), min(objects.shape[1], c + 2)):
-            count += objects[row, col] != UNSEEN and objects[row, col] % SEEN == OBSTACLE
-    return OBSTACLE if count >= _MAJORITY else state
+def _mark_parts(objects: Bytes, marks: Bytes) -> None:
+    """Fill the marks."""
+    for r in range(objects.shape[0]):
+        line = marks[r + _MARGIN, _MARGIN : _MARGIN + objects.shape[1]]
+        for c in range(len(line)):
+            state = objects[r, c] % SEEN
+            line[c] = (state == LONE) | (state == UNDECIDED) | (state == STEEP) | (_FULL * (state == OBSTACLE))
 
 
 @helper
-def _nearest_state(objects: Bytes, r: int, c: int, hole: float, thin: bool, offsets: Rows) -> int:
-    """State of the nearest pixel with points; an obstacle counts as nearer than it is."""
-    rows, cols = objects.shape
+def _add_around(north: Bytes, middle: Bytes, south: Bytes, out: Bytes) -> None:
+    """Fill the sums of three rows of marks over three columns."""
+    for c in range(len(out)):
+        k = c + _MARGIN
+        out[c] = (north[k - 1] + north[k] + north[k + 1]) + (middle[k - 1] + middle[k] + middle[k + 1])
+        out[c] += south[k - 1] + south[k] + south[k + 1]
+
+
+@helper
+def _has_company(marks: Bytes, r: int, c: int) -> bool:
+    """Return whether a pixel near one holds a point of an obstacle."""
+    for row in range(r - _COMPANY, r + _COMPANY + 1):
+        for col in range(c - _COMPANY, c + _COMPANY + 1):
+            if (row != r or col != c) and marks[row, col] > 0:
+                return True
+    return False
+
+
+@helper
+def _fill_own(objects: Bytes, scratch: SolidScratch) -> None:
+    """Fill the states of pixels with the points around them."""
+    marks, around, cols = scratch.marks, scratch.around, objects.shape[1]
+    for r in range(objects.shape[0]):
+        row = r + _MARGIN
+        _add_around(marks[row - 1], marks[row], marks[row + 1], around)
+        first = row * marks.shape[1] + _MARGIN
+        own, if_thin = scratch.own[first : first + cols], scratch.own_if_thin[first : first + cols]
+        lone = False
+        for c in range(cols):
+            kind = objects[r, c] % SEEN
+            # Tests without a branch, which a processor does for many pixels at once.
+            joins = ((kind == FREE) | (kind == EMPTY)) & (around[c] >= _MAJORITY * _FULL)
+            joins |= (kind == STEEP) & (around[c] > 1)
+            own[c] = if_thin[c] = OBSTACLE if joins else objects[r, c]
+            lone |= (kind == LONE) | (kind == UNDECIDED)
+        if lone:
+            for c in range(cols):
+                kind = own[c] % SEEN
+                if (kind == LONE) | (kind == UNDECIDED) and _has_company(marks, row, c + _MARGIN):
+                    if_thin[c] = OBSTACLE
+
+
+@helper
+def _nearest_state(own: Bytes, at: int, most: int, factor: int, offsets: Rows) -> int:
+    """State of the nearest pixel with points, of so many; an obstacle counts as nearer than it is."""
     found, square = UNSEEN, 0
-    factor = _NEARER if thin else 1
-    for k in range(len(offsets)):
-        if offsets[k, 2] > hole or (found != UNSEEN and offsets[k, 2] > factor * square):
+    for k in range(1, most):
+        state = own[at + offsets[k, 3]] % SEEN
+        if state == EMPTY or state == UNSEEN % SEEN:
+            continue
+        if found != UNSEEN and offsets[k, 2] > factor * square:
             break
-        row, col = r + offsets[k, 0], c + offsets[k, 1]
-        if not (0 <= row < rows and 0 <= col < cols):
-            continue
-        state = _own_state(objects, row, col, thin)
-        if state == UNSEEN or state % SEEN == EMPTY:
-            continue
-        near, state = offsets[k, 2] <= _FILL * _FILL, state % SEEN
+        near = offsets[k, 2] <= _FILL * _FILL
         if state == OBSTACLE and near:
             return OBSTACLE
         if found == UNSEEN:
@@ -150,13 +195,18 @@ def _label(objects: Bytes, pixels: int, hole: float, scratch: SolidScratch) -> b
             top, left = tile_row * pixels, tile_col * pixels
             mean = _points_per_pixel(objects, pixels, top, left)
             limit = min(max(hole * hole, _HOLE_POINTS / (math.pi * max(mean, 1e-9))), 1.0 * _MOST * _MOST)
-            for r in range(top, top + pixels):
-                for c in range(left, left + pixels):
-                    state = _own_state(objects, r, c, mean < _THIN)
-                    if state != UNSEEN and state % SEEN == EMPTY:
-                        state = _nearest_state(objects, r, c, limit, mean < _THIN, scratch.offsets)
-                    scratch.label[r, c] = state
-                    overhead = overhead or _is_overhead(state)
+            own, factor = (scratch.own_if_thin, _NEARER) if mean < _THIN else (scratch.own, 1)
+            most = 0
+            while most < len(scratch.offsets) and scratch.offsets[most, 2] <= limit:
+                most += 1
+            for r in range(_MARGIN + top, _MARGIN + top + pixels):
+                label, first = scratch.label[r], r * scratch.label.shape[1]
+                for c in range(_MARGIN + left, _MARGIN + left + pixels):
+                    state = own[first + c]
+                    if state % SEEN == EMPTY:
+                        state = np.uint8(_nearest_state(own, first + c, most, factor, scratch.offsets))
+                    label[c] = state
+                    overhead |= _is_overhead(state)
     return overhead
 
 
@@ -167,10 +217,7 @@ def _meets(label: Bytes, r: int, c: int, direction: int) -> bool:
     # Slopes of 0, 1/2, 1, 2, ...: integers alone, so that every machine meets the same pixels.
     down, right = sign * min(2, turn, 8 - turn), sign * max(-2, min(2, 4 - turn))
     for step in range(2, _RAY + 1):  # a pixel beside one with ground may be the same thing's rim
-        row, col = r + (step * down + 1) // 2, c + (step * right + 1) // 2
-        if not (0 <= row < label.shape[0] and 0 <= col < label.shape[1]):
-            return False
-        if _is_overhead(label[row, col]):
+        if _is_overhead(label[r + (step * down + 1) // 2, c + (step * right + 1) // 2]):
             return True
     return False
 
@@ -197,59 +244,67 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
         if square > _NEAR * _NEAR:
             break
         row, col = r + scratch.offsets[k, 0], c + scratch.offsets[k, 1]
-        if 0 <= row < scratch.label.shape[0] and 0 <= col < scratch.label.shape[1]:
-            overhead += _is_overhead(scratch.label[row, col])
-            under += scratch.under[row, col] == 2
-            ground += scratch.under[row, col] > 0
-            solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= _GROW * _GROW)
+        overhead += _is_overhead(scratch.label[row, col])
+        under += scratch.under[row, col] == 2
+        ground += scratch.under[row, col] > 0
+        solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= _GROW * _GROW)
     hidden = ground == 0 and mean * math.pi * _NEAR * _NEAR >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
     return hidden or (solid and under < max(1.0, enough * overhead))
 
 
 @helper
-def _is_line_end(objects: Bytes, r: int, c: int, down: int, right: int) -> bool:
+def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
     """Whether a line of obstacle points that ends in a pixel comes from one direction, with nothing at its sides."""
     count = 0
+    # Across the line, down and right change places.
+    far_down, far_right = _AROUND * right // 2, -(_AROUND * down // 2)
+    near_down, near_right = abs(right) // 2, abs(down) // 2
     for step in range(1, _GAP + 1):
         row, col = r - (step * down + 1) // 2, c - (step * right + 1) // 2
-        found = _is_part(objects, row, col)
-        for side in range(-1, 2, 2):
-            # Across the line: down and right change places.
-            found = found or _is_part(objects, row + side * (abs(right) // 2), col + side * (abs(down) // 2))
-            if _is_part(objects, row + side * (_AROUND * right // 2), col - side * (_AROUND * down // 2)):
-                return False
-        count += found
+        if marks[row + far_down, col + far_right] > 0 or marks[row - far_down, col - far_right] > 0:
+            return False
+        beside = marks[row + near_down, col + near_right] | marks[row - near_down, col - near_right]
+        count += (marks[row, col] | beside) > 0
     return count >= _PART
 
 
 @helper
-def _join_lines(objects: Bytes, out: Bytes) -> None:
+def _next_part(marks: Bytes, r: int, c: int, down: int, right: int) -> int:
+    """Return the steps to the next pixel with a point of an obstacle, 0 if none is as near as a line may have a gap."""
+    for step in range(1, _GAP + 2):
+        if step * step * (down * down + right * right) > 4 * (_GAP + 1) * (_GAP + 1):
+            return 0  # a step across the corners of pixels is longer
+        if marks[r + (step * down + 1) // 2, c + (step * right + 1) // 2] > 0:
+            return step
+    return 0
+
+
+@helper
+def _join_from(marks: Bytes, r: int, c: int, out: Bytes) -> None:
+    """Close the gaps in lines of obstacle points that lead east or south from a pixel."""
+    for turn in range(8):
+        down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
+        gap = _next_part(marks, r, c, down, right)
+        if gap < 2 or not _is_line_end(marks, r, c, down, right):
+            continue
+        if not _is_line_end(marks, r + (gap * down + 1) // 2, c + (gap * right + 1) // 2, -down, -right):
+            continue
+        for step in range(gap + 1):
+            row, col = r - _MARGIN + (step * down + 1) // 2, c - _MARGIN + (step * right + 1) // 2
+            if out[row, col] != UNSEEN:
+                out[row, col] = OBSTACLE
+
+
+@helper
+def _join_lines(marks: Bytes, out: Bytes) -> None:
     """Close the gaps in lines of obstacle points, such as wires of which a few points were seen."""
-    rows, cols = objects.shape
-    for r in range(rows):
-        for c in range(cols):
-            if not _is_part(objects, r, c):
-                continue
-            for turn in range(8):
-                down, right = min(2, turn, 8 - turn), max(-2, min(2, 4 - turn))
-                gap = 0
-                for step in range(1, _GAP + 2):
-                    if step * step * (down * down + right * right) > 4 * (_GAP + 1) * (_GAP + 1):
-                        break  # a step across the corners of pixels is longer
-                    if _is_part(objects, r + (step * down + 1) // 2, c + (step * right + 1) // 2):
-                        gap = step
-                        break
-                if gap < 2:
-                    continue
-                row, col = r + (gap * down + 1) // 2, c + (gap * right + 1) // 2
-                ends = _is_line_end(objects, r, c, down, right) and _is_line_end(objects, row, col, -down, -right)
-                if not ends:
-                    continue
-                for step in range(gap + 1):
-                    row, col = r + (step * down + 1) // 2, c + (step * right + 1) // 2
-                    if out[row, col] != UNSEEN:
-                        out[row, col] = OBSTACLE
+    for r in range(_MARGIN, _MARGIN + out.shape[0]):
+        mine, below = marks[r], marks[r + 1]
+        for c in range(_MARGIN, _MARGIN + out.shape[1]):
+            inside = min(mine[c + 1], below[c - 1], below[c], below[c + 1]) > 0  # no gap begins here
+            if mine[c] > 0 and not inside:
+                _join_from(marks, r, c, out)
 
 
 @kernel
@@ -261,23 +316,28 @@ def settle_solids(
     ``hole`` is the distance from all points beyond which a pixel is unseen, px; more in a tile with few points.
     """
     rows, cols = objects.shape
-    if _label(objects, pixels, hole, scratch):
+    _mark_parts(objects, scratch.marks)
+    _fill_own(objects, scratch)
+    overhead = _label(objects, pixels, hole, scratch)
+    if overhead:
         for r in range(rows):
             for c in range(cols):
                 state = objects[r, c]
                 ground = state != UNSEEN and (state >= SEEN or state == FREE)
-                scratch.under[r, c] = 0 if not ground else (2 if _is_under(scratch.label, r, c) else 1)
+                beneath = ground and _is_under(scratch.label, r + _MARGIN, c + _MARGIN)
+                scratch.under[r + _MARGIN, c + _MARGIN] = 2 if beneath else ground
     for tile in range((rows // pixels) * (cols // pixels)):
         top, left = tile // (cols // pixels) * pixels, tile % (cols // pixels) * pixels
-        mean = _points_per_pixel(objects, pixels, top, left)
+        mean = _points_per_pixel(objects, pixels, top, left) if overhead else 0.0
         for r in range(top, top + pixels):
             for c in range(left, left + pixels):
-                state = scratch.label[r, c]
+                state = scratch.label[r + _MARGIN, c + _MARGIN]
                 if state == UNSEEN:
                     out[r, c] = UNSEEN
                 elif _is_overhead(state):
                     canopy = FREE if objects[r, c] % SEEN == EMPTY else CANOPY
-                    out[r, c] = OBSTACLE if _stands(r, c, mean, scratch) else canopy
+                    stands = _stands(r + _MARGIN, c + _MARGIN, mean, scratch)
+                    out[r, c] = OBSTACLE if stands else canopy
                 else:
                     out[r, c] = FREE if state % SEEN == LONE or state % SEEN == STEEP else state % SEEN
-    _join_lines(objects, out)
+    _join_lines(scratch.marks, out)
