@@ -94,3 +94,13 @@ def measure_points(x, y, z, flag=None, *, grid=None, settings=None, ground_only=
 @pytest.fixture(name="measure_points")
 def measure_points_fixture():
     return measure_points
+
+
+@pytest.fixture(scope="session")
+def dask_scheduler():
+    """Address of a dask cluster of two processes."""
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
+    ) as cluster:
+        yield cluster.scheduler_address

@@ -56,10 +56,6 @@ BAD = [
     ({"resume": True, "overwrite": True}, "resume=True"),
     ({"threads": 0}, "threads"),
     ({"memory": "lots"}, "memory"),
-    ({"workers": 0}, "workers"),
-    ({"workers": 1, "scheduler": "tcp://a:1"}, "scheduler"),
-    ({"scheduler": "tls://a:1"}, "tls_config="),
-    ({"tls_config": "a.toml"}, "tls_config"),
     ({"features": {"min_points": 1}}, "min_points"),
     ({"features": {"max_holes": 1}}, "max_holes"),
     ({"features": 3}, "features"),
@@ -219,7 +215,6 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
         (["--crs", "EPSG:1"], "--crs EPSG:1 is not a coordinate reference system"),
         (["--resume", "--overwrite"], "--resume continues an interrupted run, --overwrite starts again"),
         (["--tile-size", "5"], "Use --tile-size 3, --pixels 15"),
-        (["--scheduler", "tls://a:1"], "give --tls-config FILE"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],
 )

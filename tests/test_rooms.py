@@ -59,7 +59,6 @@ ONE_PLACE = {
     "blake3": {"bumpymap/core/file_hash.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "open3d": {"bumpymap/lab/worlds/scans/lidar.py"},
-    "dask": {"tiles/bumpytiles/_dask.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},
 }
 """The only files that import a package."""

@@ -19,7 +19,7 @@ _BAD = 3
 _FAULT = 1
 """A bug of bumpymap: printed with a traceback, so that it can be reported."""
 _WANT = (
-    "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --workers, or raise the "
+    "the machine has no {what} left for this. Give a smaller --memory and fewer --threads or --jobs, or raise the "
     "limit that the process runs under (ulimit, a batch system's, a container's)"
 )
 

@@ -10,10 +10,10 @@ from bumpymap.core import Clash, override_settings, refuse_clashes
 
 __all__ = [
     "given_options",
+    "jobs_option",
     "merge_settings",
     "option_name",
     "output_options",
-    "workers_option",
 ]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
@@ -29,10 +29,10 @@ def output_options(what: str = "Print no progress and no summary.") -> Callable[
     return add
 
 
-def workers_option(default: str) -> Callable[[_Command], _Command]:
-    """Add ``--workers``; ``default`` is its default in the help text."""
-    text = f"Worker processes on this machine [default: {default}]."
-    return click.option("--workers", type=click.IntRange(min=1), metavar="N", help=text)
+def jobs_option(command: _Command) -> _Command:
+    """Add ``--jobs`` for drives of the simulation."""
+    text = "Processes of this machine that drive at a time [default: one per core]."
+    return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
 
 
 def given_options(options: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import click
 
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._map_options import rating_options, sheets_option, tolerance_options
-from bumpymap.cli._options import given_options, option_name, output_options, workers_option
+from bumpymap.cli._options import given_options, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note
 from bumpymap.cli._text import print_json, print_line
@@ -48,9 +48,7 @@ _MOST_LISTED = 20
 @click.option(
     "--memory", metavar="SIZE", help="Memory limit, shared by --jobs [default: auto, a quarter of what is free]."
 )
-@workers_option("none, one process for each of --jobs")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
-@click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
 @click.option(
     "--scratch",
     type=PATH,

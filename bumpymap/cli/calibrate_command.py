@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._options import given_options, option_name, output_options, workers_option
+from bumpymap.cli._options import given_options, jobs_option, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note
 from bumpymap.cli._text import about, print_error, print_json, print_line
@@ -35,7 +35,7 @@ _NO_OUT = "calibrate needs a file to write: --out FILE.json (or --check)"
 )
 @click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
 @click.option("--seed", type=int, metavar="N", help="Random seed [default: 1].")
-@workers_option("one per core")
+@jobs_option
 @click.option("--patches", type=int, metavar="N", help="Patches per texture and z range [default: 8; quick: 4].")
 @click.option("--starts", type=int, metavar="N", help="Drives per patch [default: 3; quick: 1].")
 @click.option("--terrains", type=int, metavar="N", help="Library terrains of each kind [default: 24; quick: 16].")
@@ -59,7 +59,7 @@ def command(
     set_up_logging(as_json=log_json)
     vehicle = vehicle or _default_vehicle(out, check=check)
     profile = load_profile(vehicle)
-    workers, overwrite = given.pop("workers") or os.cpu_count() or 1, given.pop("overwrite")
+    workers, overwrite = given.pop("jobs") or os.cpu_count() or 1, given.pop("overwrite")
     settings = CalibrationSettings(profile)
     settings = replace(settings.quick() if quick else settings, **given_options(given))
     if check:

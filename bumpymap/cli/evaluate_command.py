@@ -10,7 +10,7 @@ import click
 
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._map_options import crs_option, force_crs_option
-from bumpymap.cli._options import given_options, merge_settings, option_name, output_options, workers_option
+from bumpymap.cli._options import given_options, jobs_option, merge_settings, option_name, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note
 from bumpymap.cli._text import print_json, print_line
@@ -50,7 +50,7 @@ _OF_SCANS = ("scenes", "labels", "model", "stripes")
 @click.option("--min-starts", type=int, metavar="N", help="Minimum number of drives per patch [default: 16].")
 @click.option("--max-starts", type=int, metavar="N", help="Maximum number of drives per patch [default: 48].")
 @click.option("--seed", type=int, default=7, show_default=True, metavar="N", help="Random seed.")
-@workers_option("one per core")
+@jobs_option
 @click.option(
     "--labels",
     metavar="NAME_OR_FILE",
@@ -102,7 +102,7 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     readers = open_readers(surveys, options, local=given["local"])
     with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
-        trial = TrialOptions(out, given["workers"] or os.cpu_count() or 1, given["overwrite"], progress)
+        trial = TrialOptions(out, given["jobs"] or os.cpu_count() or 1, given["overwrite"], progress)
         findings = evaluate_survey(readers, options, given["ground"], subjects, settings, trial)
         files = write_report(findings, out)
     if shown.summary(out, files):

@@ -8,7 +8,7 @@ import click
 from bumpymap.cli._ahead import ImportsAhead, start_ahead
 from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._map_options import rating_options, sheets_option, tolerance_options
-from bumpymap.cli._options import given_options, merge_settings, output_options, workers_option
+from bumpymap.cli._options import given_options, merge_settings, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._terminal import LOCATION, PATH
 from bumpymap.core import CLASHES, MapConfig, UsageError, read_settings_file
@@ -23,15 +23,13 @@ _PARTLY_DONE = 4
 @click.option("--out", type=PATH, metavar="DIR", help="Folder for the layers.")
 @rating_options
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
-@click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --workers [default: all cores].")
+@click.option("--threads", type=int, metavar="N", help="Number of threads [default: all cores].")
 @click.option(
     "--memory",
     metavar="SIZE",
     help="Memory limit in addition to the interpreter's, per worker [default: auto, a quarter of what is free].",
 )
-@workers_option("none, one process with threads")
 @click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
-@click.option("--tls-config", type=PATH, metavar="FILE", help="TOML file with the certificates for a tls:// scheduler.")
 @click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
 @tolerance_options
 @sheets_option

@@ -175,19 +175,15 @@ class MapConfig:
     resume: bool = False
     """Continue an interrupted run."""
     threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Number of threads on this machine; with ``workers``, they are divided among them."""
+    """Number of threads on this machine."""
     memory: str = "auto"
-    """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; with workers, for each of them.
-    ``auto``: a quarter of the memory that is free when the run starts, divided by the number of ``workers``, at least
-    512 MB and at most 8 GB; 1 GB for each worker of a ``scheduler``."""
+    """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; for each worker of a
+    ``scheduler``. ``auto``: a quarter of the memory that is free when the run starts, at least 512 MB and at most 8 GB,
+    or 1 GB for each worker."""
     scratch: Path | None = None
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
-    workers: int | None = None
-    """Number of worker processes on this machine; None: everything runs in this process."""
     scheduler: str | None = None
-    """Address of a dask.distributed scheduler whose workers are used."""
-    tls_config: Path | None = None
-    """File that names the certificates for a ``tls://`` scheduler."""
+    """Address of a dask.distributed scheduler whose workers are used; None: everything runs in this process."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
@@ -208,26 +204,8 @@ class MapConfig:
             _within("`max_unknown`", self.max_unknown, 0.0, 1.0)
         if self.sheets is not None:
             _within("`sheets`", self.sheets, 0.001, 10_000.0, "km")
-        if self.workers is not None:
-            _at_least("`workers`", self.workers, 1)
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
-        if self.workers is not None and self.scheduler is not None:
-            raise UsageError(
-                f"`workers` is {self.workers} and `scheduler` is {self.scheduler!r}; give one of them: workers are "
-                "started on this machine, a scheduler has its own"
-            )
-        encrypted = self.scheduler is not None and self.scheduler.startswith("tls://")
-        if encrypted and self.tls_config is None:
-            raise UsageError(
-                f"`scheduler` is {self.scheduler!r}, which needs certificates: give `tls_config='FILE'`, a file that "
-                "names them (ca, cert, key)"
-            )
-        if self.tls_config is not None and not encrypted:
-            raise UsageError(
-                f"`tls_config` is {str(self.tls_config)!r} and `scheduler` is {self.scheduler!r}; certificates are for "
-                "a scheduler whose address starts with tls://"
-            )
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""

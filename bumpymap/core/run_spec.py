@@ -10,7 +10,7 @@ from bumpymap.core.file_hash import CHECKSUM_METHOD, hash_file
 
 __all__ = ["differences", "flat_settings", "recorded_settings", "same_content", "spec_of_manifest"]
 
-_OF_THE_MACHINE = {"out", "threads", "scratch", "workers", "scheduler", "tls_config", "resume", "overwrite"}
+_OF_THE_MACHINE = {"out", "threads", "scratch", "scheduler", "resume", "overwrite"}
 """Settings that say where and how a run is carried out: they change no result, so no manifest repeats them."""
 
 _MOST_LISTED = 8

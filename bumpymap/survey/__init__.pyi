@@ -34,9 +34,6 @@ from .engine.budget import (
     Budget as Budget,
     with_memory as with_memory,
 )
-from .engine.pool import (
-    WorkerPool as WorkerPool,
-)
 from .engine.resource_estimate import (
     Estimate as Estimate,
     estimate as estimate,

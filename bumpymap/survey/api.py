@@ -58,9 +58,7 @@ class EachSettings(TypedDict, total=False):
     threads: int
     memory: str
     scratch: PathLike | None
-    workers: int | None
     scheduler: str | None
-    tls_config: PathLike | None
     features: FeatureSettings | Mapping[str, Any]
     csf: CsfSettings | Mapping[str, Any]
 
@@ -86,8 +84,7 @@ def map_survey(
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``force_crs``, ``z_unit``, ``local``,
         ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``,
-        ``memory``, ``scratch``, ``workers``, ``scheduler``, ``tls_config``; ``features`` and ``csf`` are dicts, the
-        tables of a settings file.
+        ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables of a settings file.
 
     Returns
     -------

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bumpymap.core import (
     CostTable,
@@ -27,7 +27,6 @@ from bumpymap.survey.engine import (
     ClusterExecutor,
     Executor,
     LocalExecutor,
-    WorkerPool,
     Workspace,
     connect,
     engine_errors,
@@ -42,6 +41,9 @@ from bumpymap.survey.second_pass import add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpymap.survey.written import write_layers
 from bumpytiles import Grid
+
+if TYPE_CHECKING:
+    from bumpytiles import Workers
 
 __all__ = ["map_surveys", "recorded_result"]
 
@@ -91,11 +93,11 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
     work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
-        connect(config.scheduler, config.workers, config.threads, config.tls_config) as pool,
+        connect(config.scheduler) as workers,
         Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=_advice(config)) as space,
     ):
         aligned = AlignedInputs.of(config, inputs, progress, clock)
-        executor = _executor(config, work, space, budget, progress, pool, aligned.options)
+        executor = _executor(config, work, space, budget, progress, workers, aligned.options)
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
@@ -160,10 +162,10 @@ def _executor(
     space: Workspace,
     budget: Budget,
     progress: Progress,
-    pool: WorkerPool | None,
+    workers: "Workers | None",
     options: ReadOptions,
 ) -> Executor:
-    """Return the executor on the workers of ``pool``, or on this process if there are none."""
-    if pool is None:
+    """Return the executor on ``workers``, or in this process if there are none."""
+    if workers is None:
         return LocalExecutor(work, space, budget, progress)
-    return ClusterExecutor(work, space, budget, progress, pool, options, partial(versions, config.ground))
+    return ClusterExecutor(work, space, budget, progress, workers, options, partial(versions, config.ground))

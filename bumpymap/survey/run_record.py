@@ -47,9 +47,7 @@ _WITHOUT_EFFECT = {
     "threads",
     "memory",
     "scratch",
-    "workers",
     "scheduler",
-    "tls_config",
 }
 """Settings that do not change the results: a resumed run may use other values."""
 

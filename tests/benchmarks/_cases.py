@@ -36,7 +36,7 @@ MADE = {
     "20m-laz": _Made(20, "sorted", "laz", sides=(*_ALL, "map_1gb")),
     "20m-las": _Made(20, "sorted", "las", sides=(*_ALL, "map_1gb", "before_1gb")),
     "20m-shuffled": _Made(20, "shuffled", "laz", sides=("map_1gb",)),
-    "16x2.5m-laz": _Made(40, "sorted", "laz", cuts=4, sides=("map", "map_workers", "before", "before_workers")),
+    "16x2.5m-laz": _Made(40, "sorted", "laz", cuts=4, sides=("map", "before")),
     "200m-laz": _Made(200, "sorted", "laz", sides=("map_1gb",)),
     "200m-shuffled": _Made(200, "shuffled", "laz", sides=("map_1gb",)),
     "100m-laz": _Made(100, "sorted", "laz"),
@@ -48,7 +48,7 @@ EXTRA = ("100m-laz", "100m-copc", "1000m-laz", "1000m-copc")
 """Cases that run only if they are named."""
 ONCE = tuple(key for key, made in MADE.items() if made.millions >= 200)
 """Cases that run in the first round only."""
-_OPTIONS = {"map": [], "map_1gb": ["--memory", "1GB"], "map_workers": ["--workers", "2"]}
+_OPTIONS = {"map": [], "map_1gb": ["--memory", "1GB"]}
 """Side -> options; sides that begin with ``before`` have the same ones."""
 _STATISTICS = "mean,stdev,min,max,count"
 

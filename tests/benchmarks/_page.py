@@ -22,10 +22,8 @@ _SIDES = {
     "read": "laspy + lazrs, every field",
     "map": "`bumpymap map`",
     "map_1gb": "`bumpymap map --memory 1GB`",
-    "map_workers": "`bumpymap map --workers 2`",
     "before": "`bumpymap map`, before",
     "before_1gb": "`bumpymap map --memory 1GB`, before",
-    "before_workers": "`bumpymap map --workers 2`, before",
     "pdal": "PDAL `writers.gdal`",
     "pdal_bin": "PDAL `writers.gdal`, `binmode`",
 }

@@ -40,7 +40,7 @@ def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 def goals(results: Results) -> list[Row]:
     """Return all targets, with the figures that were measured."""
-    parts = (_speed, _before, _machine_use, _workers, _growth, _same_bits, _start, _patches)
+    parts = (_speed, _before, _machine_use, _growth, _same_bits, _start, _patches)
     return [row for part in parts for row in part(results)]
 
 
@@ -126,17 +126,6 @@ def _peak(results: Results, case: str, side: str) -> float | None:
     """Return the median of the peak memory, GB."""
     peak = _median(results, case, side, "peak_bytes")
     return None if peak is None else peak / _GB
-
-
-def _workers(results: Results) -> list[Row]:
-    case, rows = "16x2.5m-laz", []
-    for side in ("map", "before"):
-        values = [_median(results, case, name, "cpu_s") for name in (f"{side}_workers", side)]
-        name = "`--workers 2`" if side == "map" else "`--workers 2`, before"
-        label = f"{results['titles'].get(case, '')}: {name}, processor time relative to one process"
-        row = _goal(label, values, _ratio, _Limit("at most", 1.2))
-        rows.append(row if side == "map" else (*row[:2], "", ""))
-    return rows
 
 
 def _growth(results: Results) -> list[Row]:

@@ -30,6 +30,12 @@ FIRST, SECOND = "10.211.7.1", "10.211.7.2"
 """Addresses of the hosts, valid only in their namespaces."""
 _SCHEDULER, _S3 = f"tls://{FIRST}:8786", f"http://{FIRST}:5000"
 _SHARED, _SURVEYS, _TLS, _MOTO = "/tmp/shared", "/tmp/surveys", "/tmp/tls", "/tmp/moto"  # noqa: S108 (private to the hosts)
+_CLIENT = {
+    "DASK_DISTRIBUTED__COMM__TLS__CA_FILE": f"{_TLS}/ca.pem",
+    "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT": f"{_TLS}/cert.pem",
+    "DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY": f"{_TLS}/key.pem",
+}
+"""Dask's own configuration of a client with TLS."""
 _MOST_REQUESTS = 5_000
 """Requests to the S3 server that a run may need."""
 _NOTICED_S = 12
@@ -39,7 +45,6 @@ _MADE_CERTIFICATES = """
 openssl req -x509 -newkey rsa:2048 -noenc -days 2 -subj "/CN=test cluster" -keyout ca-key.pem -out ca.pem
 openssl req -newkey rsa:2048 -noenc -subj "/CN=dask" -keyout key.pem -out request.pem
 openssl x509 -req -in request.pem -CA ca.pem -CAkey ca-key.pem -CAcreateserial -days 2 -out cert.pem
-printf 'ca = "ca.pem"\\ncert = "cert.pem"\\nkey = "key.pem"\\n' > tls.toml
 """
 _NEW_HOST = """
 set -e
@@ -49,7 +54,7 @@ mount --bind {data}/shared {stage}/shared
 if [ -n "{surveys}" ]; then mount --bind {surveys} {stage}/surveys; fi
 if [ -n "{moto}" ]; then mount --bind {moto} {stage}/moto; fi
 {code}
-cp {data}/tls/*.pem {data}/tls/tls.toml {stage}/tls
+cp {data}/tls/*.pem {stage}/tls
 mount --move {stage} /tmp
 echo ready
 exec sleep infinity
@@ -204,7 +209,7 @@ def run_hosts(surveys: Sequence[Path], data: Path, moto: str | None, saved: int,
         idle = len(second.pids())
         started = time.monotonic()
         command = [bumpymap, "map", *inputs, "--out", f"{_SHARED}/two", "--scheduler", _SCHEDULER]
-        client = first.start([*command, "--tls-config", f"{_TLS}/tls.toml", *options], log / "two")
+        client = first.start([*command, *options], log / "two", **_CLIENT)
         records = data / "shared" / "two" / ".bumpymap-run" / "points"
         at_work = lambda: len(list(records.glob("read-*.json"))) >= saved and len(second.pids()) > idle  # noqa: E731
         _wait("the second host to be at work", at_work, client)

@@ -76,7 +76,7 @@ def arguments():
     parser.add_argument("--speeds", default="0.5,1,2")
     parser.add_argument("--seed", type=int, default=11)
     parser.add_argument("--raw", action="store_true", help="rate the ground with its noise")
-    parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=1)
     return parser.parse_args()
 
 
@@ -99,7 +99,7 @@ def driven_patches(args, profile, speeds, chosen):
         partial(drive_patch, profile, chosen.grid.tile_size, speeds, args.starts, args.seed),
         jobs,
         lambda done, every: (args.data / "progress").write_text(f"{done}/{every}\n"),
-        workers=args.workers,
+        workers=args.jobs,
         journal=JobJournal(args.data / f"motion-{args.vehicle}.jsonl", settings, MotionRecord.read),
     )
     return tuple(np.stack(part) for part in zip(*(driven_means(driven[name]) for name in names), strict=True))

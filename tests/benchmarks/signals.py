@@ -19,7 +19,6 @@ from pathlib import Path
 SURVEY = Path(__file__).parents[2] / "sample_data" / "quarry.laz"
 COMMANDS = {
     "map": ["map", str(SURVEY), "--out", "out"],
-    "map --workers 2": ["map", str(SURVEY), "--out", "out", "--workers", "2"],
     "calibrate": [
         "calibrate",
         "--out",
@@ -30,7 +29,7 @@ COMMANDS = {
         "2",
         "--terrains",
         "2",
-        "--workers",
+        "--jobs",
         "2",
     ],
 }

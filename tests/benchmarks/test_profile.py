@@ -127,15 +127,14 @@ def _samples(wall_s, user_s=1.0, system_s=0.1, peak_bytes=5e8):
 def test_targets():
     from _targets import goals
 
-    las, files = "20m-las", "16x2.5m-laz"
+    las = "20m-las"
     results = {
-        "titles": {"real1": "a real one", las: "20 million", "sample": "the sample", files: "16 files"},
+        "titles": {"real1": "a real one", las: "20 million", "sample": "the sample"},
         "surveys": {las: {"bytes": 1000}},
         "samples": {
             "real1": {"map": _samples(2.0), "read": _samples(1.0), "pdal": _samples(3.2), "pdal_bin": _samples(2.3)},
             las: {"map": _samples(1.0), "map_1gb": _samples(1.0), "pdal": [{**_samples(4.0)[0], "exit_code": 1}]},
             "sample": {"map": _samples(0.6), "before": _samples(1.0)},
-            files: {"map": _samples(1.0), "map_workers": _samples(1.0, user_s=1.5)},
         },
         "bytes_read": {las: {"map": {"survey": 1040, "all": 1500}}},
         "same_bits": {f"{las} before": ["another version", True], f"{las} map_1gb": ["other options", False]},
@@ -151,7 +150,5 @@ def test_targets():
     label = "20 million: `map`, bytes read of the survey relative to its size"
     assert shown[label] == ("1.04", "at most 1.05", "yes")
     assert shown["20 million: `map --memory 1GB`, peak memory"] == ("0.5 GB", "at most 0.7 GB", "yes")
-    label = "16 files: `--workers 2`, processor time relative to one process"
-    assert shown[label] == ("1.45", "at most 1.2", "no")
     assert shown["layers compared with those of another version"][2] == "yes"
     assert shown["layers compared with those of other options"][0] == "other bits: 20m-las map_1gb"

@@ -144,7 +144,7 @@ def test_the_driver_prints_and_writes_all_figures(made_up, tmp_path, monkeypatch
     fake_drives(monkeypatch)
     monkeypatch.setattr(route_drives, "open_map", lambda _folders: made_up)
     monkeypatch.setattr(route_drives, "RouteTrialSettings", partial(RouteTrialSettings, least_m=12.0, most_m=20.0))
-    words = ["layers", "--out", str(tmp_path), "--pairs", "2", "--repeats", "1", "--workers", "1"]
+    words = ["layers", "--out", str(tmp_path), "--pairs", "2", "--repeats", "1", "--jobs", "1"]
     monkeypatch.setattr("sys.argv", ["route_drives.py", *words])
     route_drives.main()
     assert "## Best way against straight line" in capsys.readouterr().out

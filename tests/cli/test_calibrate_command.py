@@ -52,7 +52,7 @@ def calibrate(*words):
 
 def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
     out = tmp_path / "new" / "warthog.json"
-    result = calibrate("--out", out, "--quick", "--workers", 1, "--seed", 9)
+    result = calibrate("--out", out, "--quick", "--jobs", 1, "--seed", 9)
     assert result.exit_code == 0, result.output
     calibration = Calibration.load(out)
     assert calibration.settings["seed"] == 9
@@ -75,12 +75,12 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
 def test_existing_file_is_kept_unless_told(tmp_path, fake_drives):
     out = tmp_path / "c.json"
     out.write_text("mine")
-    refused = calibrate("--out", out, "--quick", "--workers", 1)
+    refused = calibrate("--out", out, "--quick", "--jobs", 1)
     assert refused.exit_code == 3
     assert "exists" in refused.output
     assert "--overwrite" in refused.output
     assert out.read_text() == "mine"
-    assert calibrate("--out", out, "--quick", "--workers", 1, "--overwrite").exit_code == 0
+    assert calibrate("--out", out, "--quick", "--jobs", 1, "--overwrite").exit_code == 0
     assert json.loads(out.read_text())["format"] == "bumpymap-calibration"
 
 
@@ -95,11 +95,11 @@ def test_interrupted_run_says_how_to_go_on(tmp_path, fake_drives, monkeypatch):
         return run(settings, job)
 
     monkeypatch.setattr(calibrate_module, "run_job", interrupted)
-    result = calibrate("--out", out, "--quick", "--workers", 1)
+    result = calibrate("--out", out, "--quick", "--jobs", 1)
     assert result.exit_code == 130
     assert "same command again" in result.output
     assert not out.exists()
-    assert calibrate("--out", out, "--quick", "--workers", 1).exit_code == 0
+    assert calibrate("--out", out, "--quick", "--jobs", 1).exit_code == 0
     assert len(ran) == 8 + 2 + (36 + 17) - 5  # with the two that tell how long it will take
 
 

@@ -65,22 +65,14 @@ def test_few_files(tmp_path, command, files):
 
 
 @pytest.mark.namespaces
-@pytest.mark.parametrize("command", ["info", "map", "scan", "map --workers"])
+@pytest.mark.parametrize("command", ["info", "map", "scan"])
 def test_no_shared_memory(tmp_path, command):
     mount = "mount -t tmpfs -o size=4k tmpfs /dev/shm"
-    words = commands(tmp_path).get(command)
-    if command == "map --workers":
-        pytest.importorskip("distributed")
-        words = ["map", QUARRY, "--out", tmp_path / "layers", "--workers", 2]
-    line = ["unshare", "-m", "sh", "-c", f'{mount} && exec "$@"', "sh", *COMMAND, *map(str, words)]
+    words = map(str, commands(tmp_path)[command])
+    line = ["unshare", "-m", "sh", "-c", f'{mount} && exec "$@"', "sh", *COMMAND, *words]
     done = subprocess.run(line, capture_output=True, text=True, timeout=300, check=False)
     assert "Traceback" not in done.stderr
-    if "--workers" not in command:
-        assert done.returncode == 0, done.stderr
-        return
-    assert done.returncode == 3
-    assert "No space left on device" in done.stderr
-    assert "shared memory" in done.stderr
+    assert done.returncode == 0, done.stderr
 
 
 def chained(outer, inner):

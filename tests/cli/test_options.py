@@ -234,7 +234,6 @@ def test_every_long_command_can_be_quiet_and_speak_json(name):
 
 
 SAME = {
-    "--workers": r"Worker processes on this machine \[default: .*\]\.",
     "--patches": r"Patches per texture and z range .*",
     "--starts": r"Drives per patch .*",
     "--overwrite": r"Replace .*",

@@ -225,7 +225,7 @@ KEPT = "No file is half-written. The driven patches are kept: give the same comm
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)
     progress = tmp_path / "c.json.progress.jsonl"
-    words = ["calibrate", "--vehicle", "warthog", "--out", str(tmp_path / "c.json"), "--workers", "2"]
+    words = ["calibrate", "--vehicle", "warthog", "--out", str(tmp_path / "c.json"), "--jobs", "2"]
     run = subprocess.Popen(
         [sys.executable, "-c", DRIVING.format(folder=str(tmp_path)), *words],
         stdout=subprocess.PIPE,

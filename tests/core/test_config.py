@@ -17,10 +17,10 @@ def test_settings_from_a_file(tmp_path):
     file = tmp_path / "site.toml"
     file.write_text(
         'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
-        'workers = 3\nscratch = "tmp"\n[features]\nmin_points = 50\n'
+        'scheduler = "tcp://a:1"\nscratch = "tmp"\n[features]\nmin_points = 50\n'
     )
     config = MapConfig(**read_settings_file(file, MapConfig))
-    assert (config.workers, config.scheduler, config.scratch) == (3, None, tmp_path / "tmp")
+    assert (config.scheduler, config.scratch) == ("tcp://a:1", tmp_path / "tmp")
     assert config.surveys == (tmp_path / "a.laz",)
     assert config.out == tmp_path / "layers"
     assert config.features == FeatureSettings(min_points=50)
@@ -41,8 +41,8 @@ def test_settings_from_a_file(tmp_path):
         ("surveys = [1]", "value 1 of surveys is 1; it must be a string"),
         ('ground = "some"', "ground is 'some'; it must be one of auto, all, class, csf"),
         ("local = 1", "local is 1; it must be true or false"),
-        ("workers = true", "workers is True; it must be a whole number"),
-        ("workers = 0\nscheduler = 3", "scheduler is 3; it must be a string"),
+        ("threads = true", "threads is True; it must be a whole number"),
+        ("threads = 0\nscheduler = 3", "scheduler is 3; it must be a string"),
         ("[features]\nmin_points = 2", "min_points is 2; it must be a whole number, at least 3"),
         ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number"),
     ],
@@ -63,11 +63,6 @@ def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):
         ({"ground": "some"}, "`ground` is 'some'; it must be one of auto, all, class"),
         ({"z_unit": "yard"}, "z_unit"),
         ({"compat": "other"}, "compat"),
-        ({"workers": 0}, "`workers` is 0; it must be a whole number, at least 1"),
-        ({"workers": 2, "scheduler": "tcp://a:1"}, "give one of them"),
-        ({"scheduler": "tls://a:1"}, "needs certificates: give `tls_config='FILE'`"),
-        ({"scheduler": "tcp://a:1", "tls_config": Path("t.toml")}, "address starts with tls://"),
-        ({"workers": 2, "tls_config": Path("t.toml")}, "`scheduler` is None; certificates are for a scheduler"),
     ],
 )
 def test_values_out_of_bounds_are_refused(setting, message):

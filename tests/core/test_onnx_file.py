@@ -44,18 +44,15 @@ def words(command, tmp_path):
     """What a user types."""
     if command == "scan":
         return ["scan", str(scan_frame(tmp_path)), "--out", str(tmp_path / "out")]
-    more = {"map": [], "map --rating table": ["--rating", "table"], "map --workers 2": ["--workers", "2"]}[command]
+    more = {"map": [], "map --rating table": ["--rating", "table"]}[command]
     return ["map", str(SURVEY), "--local", "--out", str(tmp_path / "out"), *more]
 
 
-COMMANDS = ["map", "map --rating table", "map --workers 2", "scan"]
+COMMANDS = ["map", "map --rating table", "scan"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_run_leaves_no_file_and_says_nothing_where_it_shall_be_quiet(tmp_path, home, command):
-    if "workers" in command:
-        pytest.importorskip("distributed")
-        pytest.importorskip("cryptography")
     line = [sys.executable, "-c", PROGRAM, *words(command, tmp_path), "--quiet"]
     done = subprocess.run(line, env=variables(home), capture_output=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")

@@ -49,7 +49,7 @@ RULES = (
     Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
-    Rule(r"^dask |--scheduler ", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
+    Rule(r"^dask |--scheduler |^export DASK_", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
     Rule(r"--out s3://", "takes a server: tests/survey/batch/test_remote.py has one"),
     Rule(r"^gdal", "takes GDAL's own tools", ""),
     Rule(r"^grass ", "takes GRASS", ""),
@@ -86,7 +86,6 @@ RULES = (
     Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--scenes 2 --epochs 1 --overwrite"),
     Rule(r"^bumpymap train ", "half an hour", "--patches-per-texture 30 --epochs 1"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives", None),
-    Rule(r"--workers \d", "processes take seconds to start", "--workers 2"),
 )
 
 

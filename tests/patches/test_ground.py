@@ -121,10 +121,10 @@ def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_p
 
 @pytest.mark.slow
 @needs_filter
-def test_workers_give_the_same_bytes(mapped, tmp_path):
-    pytest.importorskip("distributed")
-    pytest.importorskip("cryptography")
-    result = run("map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--workers", 2)
+def test_a_cluster_gives_the_same_bytes(mapped, tmp_path, dask_scheduler):
+    result = run(
+        "map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--scheduler", dask_scheduler
+    )
     assert result.exit_code == 0, result.output
     assert layers(tmp_path / "csf") == layers(mapped / "csf")
 

@@ -113,8 +113,9 @@ def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
     assert "heights of 1 and 2 differ" in " ".join(again.split())
 
 
-@pytest.mark.parametrize("workers", [(), ("--workers", 2)])
-def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, monkeypatch, workers):
+@pytest.mark.parametrize("on_cluster", [False, True])
+def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, monkeypatch, request, on_cluster):
+    workers = ("--scheduler", request.getfixturevalue("dask_scheduler")) if on_cluster else ()
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 2_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 6_000)
     rows = np.random.default_rng(5).permutation(points(STEP))

@@ -119,8 +119,7 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 
-def test_map_with_workers_refuses_one_that_changes_while_they_read(survey, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
+def test_map_on_a_cluster_refuses_one_that_changes_while_it_is_read(survey, tmp_path, monkeypatch, dask_scheduler):
     original = ResultCollector.add
 
     def add(self, result):
@@ -129,7 +128,7 @@ def test_map_with_workers_refuses_one_that_changes_while_they_read(survey, tmp_p
 
     monkeypatch.setattr(ResultCollector, "add", add)
     out = tmp_path / "layers"
-    refused(run("map", survey, "--out", out, "--workers", 1), survey, out)
+    refused(run("map", survey, "--out", out, "--scheduler", dask_scheduler), survey, out)
 
 
 def test_info_refuses_it_too(lifted_when_read):

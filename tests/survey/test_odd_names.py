@@ -99,10 +99,9 @@ def test_map_for_machines_names_the_files(folder):
     assert Path(json.loads(result.stdout.splitlines()[-1])["out"]) == out
 
 
-def test_map_with_workers_and_scratch(folder):
+def test_map_on_a_cluster_with_scratch(folder, dask_scheduler):
     survey, out = write_las(folder / f"{NAME}.las"), folder / "out"
-    pytest.importorskip("distributed")
-    ended(run("map", survey, "--out", out, "--workers", 1, "--scratch", folder / "scratch"), 0)
+    ended(run("map", survey, "--out", out, "--scheduler", dask_scheduler, "--scratch", folder / "scratch"), 0)
     assert (out / "run.json").exists()
 
 

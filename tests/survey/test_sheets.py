@@ -117,8 +117,8 @@ def test_the_output_folder_may_be_a_link(survey, whole, tmp_path, settings):
 
 
 @pytest.mark.slow
-def test_workers_make_the_same_sheets(survey, whole, tmp_path):
-    bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, workers=1)
+def test_a_cluster_makes_the_same_sheets(survey, whole, tmp_path, dask_scheduler):
+    bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, scheduler=dask_scheduler)
     assert_same_pixels(tmp_path / "out", whole.folder)
 
 

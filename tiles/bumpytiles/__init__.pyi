@@ -1,8 +1,6 @@
 from ._dask import (
     ClusterError as ClusterError,
-    TlsFiles as TlsFiles,
     Workers as Workers,
-    local_workers as local_workers,
     threads_here as threads_here,
     workers_at as workers_at,
 )

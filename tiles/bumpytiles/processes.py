@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-__all__ = ["blocked_signals", "safe_path", "start_python"]
+__all__ = ["blocked_signals", "start_python"]
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 
@@ -39,20 +39,6 @@ def start_python(
         env={**os.environ, _SAFE_PATH: "1", **(environment or {})},
         **settings,
     )
-
-
-@contextmanager
-def safe_path() -> Iterator[None]:
-    """Let no process that a library starts during the body import from the current folder."""
-    before = os.environ.get(_SAFE_PATH)
-    os.environ[_SAFE_PATH] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[_SAFE_PATH]
-        else:
-            os.environ[_SAFE_PATH] = before
 
 
 @contextmanager

@@ -258,7 +258,7 @@ def run_in_processes(
     except ChildDiedError as error:
         raise BumpymapError(
             f"a simulation process {error}, perhaps because memory ran out; run the same command again to continue, "
-            "with fewer --workers if it happens again"
+            "with fewer --jobs if it happens again"
         ) from error
     finally:
         # Results of running jobs are no longer needed, and the jobs would go on for many seconds.

@@ -18,7 +18,7 @@ __all__ = ["base_name", "command_of", "headline", "limits_of", "meaning_of", "me
 _NAMELESS = "vehicle"
 """What `Site.vehicle` gives if the record names none."""
 _PRIVATE = {
-    *("surveys", "out", "threads", "memory", "scratch", "workers", "scheduler", "tls_config", "overwrite", "resume"),
+    *("surveys", "out", "threads", "memory", "scratch", "scheduler", "overwrite", "resume"),
     *("features", "csf"),
 }
 """Settings that do not change the layers, or that are tables of their own."""

@@ -140,7 +140,7 @@ def run_batch(
 def _require_scheduler(config: MapConfig) -> None:
     """Raise UsageError if the scheduler does not answer: else each survey would wait for it."""
     if config.scheduler is not None:
-        with connect(config.scheduler, None, config.threads, config.tls_config):
+        with connect(config.scheduler):
             pass
 
 

@@ -31,9 +31,7 @@ OWN_SETTINGS = (
     "threads",
     "memory",
     "scratch",
-    "workers",
     "scheduler",
-    "tls_config",
 )
 """Settings of a map that a batch decides for each survey, or shares out."""
 _NOT_IN_A_FILE = ("surveys", "out", "resume")
@@ -63,12 +61,10 @@ class BatchConfig:
             raise UsageError(f"`survey_per` is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
         refuse_clashes(self.defaults, CLASHES)
         config = self.of_survey({})
-        if self.jobs > 1 and _on_workers(config):
-            name = "workers" if config.workers is not None else "scheduler"
+        if self.jobs > 1 and config.scheduler is not None:
             raise UsageError(
-                f"jobs is {self.jobs} and {name} is {getattr(config, name)!r}; surveys that are mapped by workers are "
-                "mapped one after another, each by all of them. Give `jobs=1`, or no "
-                f"`{name}`"
+                f"jobs is {self.jobs} and scheduler is {config.scheduler!r}; surveys that its workers map are "
+                "mapped one after another, each by all of them. Give `jobs=1`, or no `scheduler`"
             )
         self.share(config, self.jobs)
 
@@ -129,7 +125,7 @@ class BatchConfig:
         UsageError
             ``memory`` is not a size, or too small for so many.
         """
-        if _on_workers(config):
+        if config.scheduler is not None:
             return config
         threads = max(1, config.threads // jobs)
         if is_auto(config.memory):
@@ -158,7 +154,3 @@ def read_batch_settings(path: Path) -> dict[str, Any]:
             "in `out`. Remove it from the file"
         )
     return found
-
-
-def _on_workers(config: MapConfig) -> bool:
-    return config.workers is not None or config.scheduler is not None

@@ -9,13 +9,10 @@ from .budget import (
 )
 from .cluster import (
     ClusterExecutor as ClusterExecutor,
+    connect as connect,
 )
 from .local import (
     LocalExecutor as LocalExecutor,
-)
-from .pool import (
-    WorkerPool as WorkerPool,
-    connect as connect,
 )
 from .resource_estimate import (
     Estimate as Estimate,

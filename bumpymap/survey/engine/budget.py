@@ -37,8 +37,7 @@ _LAZ_CHUNK, _LAZ_CHUNKS_A_THREAD, _MOST_REQUESTS = 50_000, 3, 8
 def with_memory(config: MapConfig) -> MapConfig:
     """Return settings of which ``memory`` is a size: ``auto`` is replaced by that of this machine at this moment.
 
-    It is a quarter of the free memory, divided by the number of local workers, within the limits above; for the
-    workers of a scheduler it is always the same.
+    It is a quarter of the free memory, within the limits above; for the workers of a scheduler it is always the same.
 
     Raises
     ------
@@ -48,7 +47,7 @@ def with_memory(config: MapConfig) -> MapConfig:
     if not is_auto(config.memory):
         memory_bytes(config.memory)
         return config
-    size = _ELSEWHERE if config.scheduler is not None else auto_memory(config.workers or 1, _ELSEWHERE)
+    size = _ELSEWHERE if config.scheduler is not None else auto_memory()
     return replace(config, memory=f"{size >> 20}MB")
 
 

@@ -1,13 +1,16 @@
-"""The executor of a run on the workers of dask.distributed: any worker may do any task.
+"""A run on the workers of a dask scheduler: any worker may do any task.
 
 Workers exchange points and finished tiles as files in folders that all of them see. This process receives only counts
 and file names.
 """
 
+import logging
 import time
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
-from typing import Any
+from ipaddress import ip_address
+from typing import TYPE_CHECKING, Any
+from urllib.parse import urlsplit
 from uuid import uuid4
 
 from bumpymap.core import Progress, UsageError
@@ -16,7 +19,6 @@ from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.budget import Budget
 from bumpymap.survey.engine.catalogue import BlockGroup
 from bumpymap.survey.engine.plan import ChunkRange, range_points, shared_tasks
-from bumpymap.survey.engine.pool import TIMEOUT_S, WorkerPool, worker_errors
 from bumpymap.survey.engine.results import FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.tasks import (
@@ -31,9 +33,71 @@ from bumpymap.survey.engine.tasks import (
 )
 from bumpymap.survey.engine.workspace import Workspace
 
-__all__ = ["ClusterExecutor"]
+if TYPE_CHECKING:
+    from bumpytiles import Workers
 
+__all__ = ["ClusterExecutor", "connect"]
+
+_log = logging.getLogger(__name__)
+
+_TIMEOUT_S = 30.0
+"""How long a scheduler may take to answer, and tasks of a cancelled run may take to end, s."""
 _REMEDY = "Look at their logs. Workers that run short of memory die: give them more, or lower `memory`"
+
+
+@contextmanager
+def connect(scheduler: str | None) -> Iterator["Workers | None"]:
+    """Connect to the workers of a scheduler; yield None if there is none.
+
+    Raises
+    ------
+    UsageError
+        dask.distributed is not installed, or the scheduler does not answer or has no workers.
+    """
+    if scheduler is None:
+        yield None
+        return
+    try:
+        from bumpytiles import workers_at
+    except ImportError as error:
+        raise UsageError(
+            f"`scheduler` needs dask.distributed ({error}). Install it: pip install 'bumpymap[dask]'"
+        ) from error
+    _warn_without_tls(scheduler)
+    remedy = (
+        "Start it: dask scheduler on one machine, dask worker ADDRESS on others; then pass the scheduler's address, "
+        "such as tcp://10.0.0.1:8786, or tls:// if it uses TLS: dask's configuration then names the certificates "
+        "(distributed.comm.tls)"
+    )
+    with _worker_errors(remedy), workers_at(scheduler, _TIMEOUT_S) as workers:
+        yield workers
+
+
+def _warn_without_tls(address: str) -> None:
+    """Warn if a scheduler on another machine is used without TLS."""
+    parts = urlsplit(address if "://" in address else f"tcp://{address}")
+    host = parts.hostname or ""
+    try:
+        is_here = ip_address(host).is_loopback
+    except ValueError:
+        is_here = host == "localhost"
+    if parts.scheme != "tls" and not is_here:
+        _log.warning(
+            f"{address} is used without TLS: whoever reaches that port can run programs as the user of the scheduler "
+            "and the workers, and read and change what they are sent. On a network that others use too, start them "
+            "with TLS and give a tls:// address"
+        )
+
+
+@contextmanager
+def _worker_errors(remedy: str) -> Iterator[None]:
+    """Turn the loss of workers into a UsageError that says what to do."""
+    from bumpytiles import ClusterError
+
+    try:
+        yield
+    except ClusterError as error:
+        raise UsageError(f"{error}. {remedy}") from error
 
 
 class ClusterExecutor:
@@ -47,7 +111,7 @@ class ClusterExecutor:
     budget : Budget
         Of each worker.
     progress : Progress
-    pool : WorkerPool
+    workers : Workers
     options : ReadOptions
         The settings that the readers were opened with.
     versions : callable
@@ -62,13 +126,13 @@ class ClusterExecutor:
         space: Workspace,
         budget: Budget,
         progress: Progress,
-        pool: WorkerPool,
+        workers: "Workers",
         options: ReadOptions,
         versions: Callable[[], Mapping[str, str]],
     ) -> None:
-        self._space, self._progress, self._pool = space, progress, pool
+        self._space, self._progress, self._workers = space, progress, workers
         self._options, self._versions = options, versions
-        self._context = RunContext(work, budget.memory, pool.threads, space.points_folder, space.new_tiles, uuid4().hex)
+        self._context = RunContext(work, budget.memory, space.points_folder, space.new_tiles, uuid4().hex)
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -76,7 +140,7 @@ class ClusterExecutor:
         folders = (self._context.points, self._context.tiles)
         for folder in folders:
             (folder / ALIVE).write_text(self._context.run_id, encoding="utf-8")
-        with worker_errors(_REMEDY):
+        with _worker_errors(_REMEDY):
             try:
                 self._check_workers()
                 yield
@@ -87,16 +151,16 @@ class ClusterExecutor:
 
     def range_points(self, points: int) -> int | None:
         """Return the most points of a range, so that every worker gets several ranges."""
-        return range_points(points, self._pool.workers.count())
+        return range_points(points, self._workers.count())
 
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
-        workers = self._pool.workers.count()
+        workers = self._workers.count()
         shared = list(shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished, workers))
         tasks = (
             (self._context, [self._source(plan, part) for part in task.ranges], task, plan.skip_bad) for task in shared
         )
-        with closing(self._pool.workers.run(read_ranges, tasks)) as results:
+        with closing(self._workers.run(read_ranges, tasks)) as results:
             for number, read in results:
                 yield from read
                 self._progress.advance(sum(part.points for part in shared[number].ranges))
@@ -113,7 +177,7 @@ class ClusterExecutor:
             self._progress.advance(tiles.blocks)
 
     def _run_tasks(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
-        with closing(self._pool.workers.run(function, tasks)) as results:
+        with closing(self._workers.run(function, tasks)) as results:
             for _, result in results:
                 yield result
 
@@ -126,9 +190,7 @@ class ClusterExecutor:
 
     def _check_workers(self) -> None:
         """Raise UsageError if a worker lacks something that the run needs."""
-        # Workers on this machine run the same software; to look it up, each would import GDAL, which no task needs.
-        versions = dict[str, str] if self._pool.is_local else self._versions
-        answers = self._pool.workers.each(missing_on_worker, self._context, versions, versions())
+        answers = self._workers.each(missing_on_worker, self._context, self._versions, self._versions())
         for address, answer in answers.items():
             if isinstance(answer, BaseException):
                 raise UsageError(
@@ -141,7 +203,7 @@ class ClusterExecutor:
         """Wait until no worker is busy with the run: it must not write after the folders are removed."""
         from bumpytiles import ClusterError
 
-        end = time.monotonic() + TIMEOUT_S
+        end = time.monotonic() + _TIMEOUT_S
         with suppress(ClusterError):
-            while time.monotonic() < end and any(answer is True for answer in self._pool.workers.each(busy).values()):
+            while time.monotonic() < end and any(answer is True for answer in self._workers.each(busy).values()):
                 time.sleep(0.1)

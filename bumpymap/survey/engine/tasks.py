@@ -47,8 +47,6 @@ class RunContext:
     work: BlockWork
     memory: int
     """Bytes, see `Budget`."""
-    threads: int | None
-    """None: the number that the worker was started with."""
     points: Path
     """Folder for waiting points, visible to client and workers."""
     tiles: Path
@@ -154,7 +152,7 @@ def _worker(context: RunContext) -> Iterator[Worker]:
 
     with _AT_WORK:
         context.check()
-        budget = Budget(context.memory, context.threads or threads_here())
+        budget = Budget(context.memory, threads_here())
         points, tiles = new_folder(context.points), new_folder(context.tiles)
         with engine_errors(budget):
             yield Worker(context.work, budget, points, tiles, _RunCheck(context))

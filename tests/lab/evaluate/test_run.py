@@ -82,7 +82,7 @@ def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_pa
     out, calibration = tmp_path / "trust", tmp_path / "own.json"
     calibration.write_text(subject.calibration.to_json())
     words = [quarry, "--out", out, "--calibration", calibration, "--rating", "table", "--total-patches", "10"]
-    words += ["--workers", "1"]
+    words += ["--jobs", "1"]
     result = cli(*words)
     assert result.exit_code == 0, result.output
     record = json.loads((out / "report.json").read_text())
@@ -130,7 +130,7 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         tmp_path / "o",
         "--total-patches",
         "12",
-        "--workers",
+        "--jobs",
         "1",
     ]
     drive = survey_trial.drive_job

@@ -356,9 +356,9 @@ def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
     assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
 
 
-def test_surveys_on_workers_have_the_layers_of_a_map(surveys, alone, tmp_path):
+def test_surveys_on_a_cluster_have_the_layers_of_a_map(surveys, alone, tmp_path, dask_scheduler):
     (tmp_path / "s.txt").write_text(f"{surveys / 'b.las'}\n")
-    (tmp_path / "w.toml").write_text("workers = 2\nthreads = 2")
+    (tmp_path / "w.toml").write_text(f'scheduler = "{dask_scheduler}"\nthreads = 2')
     result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--config", tmp_path / "w.toml")
     assert result.exit_code == 0, result.output
     assert {layer: (tmp_path / "o" / "b" / layer).read_bytes() for layer in LAYERS} == {
@@ -366,17 +366,16 @@ def test_surveys_on_workers_have_the_layers_of_a_map(surveys, alone, tmp_path):
     }
 
 
-@pytest.mark.parametrize("words", [("--workers", 2), ("--scheduler", "tcp://a:1")])
-def test_surveys_on_workers_are_mapped_one_after_another(surveys, tmp_path, words):
-    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, *words)
+def test_surveys_on_a_cluster_are_mapped_one_after_another(surveys, tmp_path):
+    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, "--scheduler", "tcp://a:1")
     assert result.exit_code == 2
-    assert f"jobs is 2 and {words[0][2:]} is" in result.stderr
-    assert f"Give --jobs 1, or no {words[0]}" in result.stderr
+    assert "jobs is 2 and scheduler is" in result.stderr
+    assert "Give --jobs 1, or no --scheduler" in result.stderr
     assert not (tmp_path / "o").exists()
 
 
 def test_nothing_begins_without_the_scheduler(surveys, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 1.0)
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 1.0)
     result = batch(surveys, "--out", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9")
     assert result.exit_code == 2
     assert "dask scheduler" in result.stderr
@@ -434,7 +433,7 @@ def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
     [
         ({"resume": True}, "survey_per, jobs, tile_size"),
         ({"jobs": 0}, "`jobs` is 0"),
-        ({"jobs": 2, "workers": 2}, "Give `jobs=1`, or no `workers`"),
+        ({"jobs": 2, "scheduler": "tcp://a:1"}, "Give `jobs=1`, or no `scheduler`"),
         ({"ground": "grass"}, "ground"),
         ({"crs": "EPSG:1", "local": True}, "crs and local"),
     ],

@@ -14,21 +14,18 @@ CONFIG = MapConfig((Path("a.laz"),), Path("out"))
 
 
 @pytest.mark.parametrize(
-    ("free", "workers", "size"),
+    ("free", "size"),
     [
-        (16 * GIB, None, "4096MB"),
-        (16 * GIB, 1, "4096MB"),
-        (16 * GIB, 4, "1024MB"),
-        (1 * GIB, None, "512MB"),
-        (0, 3, "512MB"),
-        (999 * GIB, None, "8192MB"),
-        (999 * GIB, 2, "8192MB"),
-        (None, 2, "1024MB"),
+        (16 * GIB, "4096MB"),
+        (1 * GIB, "512MB"),
+        (0, "512MB"),
+        (999 * GIB, "8192MB"),
+        (None, "1024MB"),
     ],
 )
-def test_by_default_a_run_takes_a_quarter_of_what_is_free(monkeypatch, free, workers, size):
+def test_by_default_a_run_takes_a_quarter_of_what_is_free(monkeypatch, free, size):
     monkeypatch.setattr(memory_module, "free_memory", lambda: free)
-    assert with_memory(replace(CONFIG, workers=workers)).memory == size
+    assert with_memory(CONFIG).memory == size
 
 
 def test_workers_elsewhere_get_the_same_on_every_machine(monkeypatch):

@@ -8,7 +8,6 @@ import shutil
 import sys
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from multiprocessing import forkserver
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -19,6 +18,7 @@ from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
+import bumpytiles
 from bumpymap.cli import main
 from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
@@ -26,7 +26,7 @@ from bumpymap.core.processes import Child
 from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
-from bumpymap.survey import BlockWork, WorkerPool
+from bumpymap.survey import BlockWork
 from bumpymap.survey.engine.catalogue import BlockCatalogue
 from bumpymap.survey.engine.completion import BlockCompletion
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
@@ -145,10 +145,11 @@ def here(monkeypatch):
     workers = Here()
 
     @contextmanager
-    def connect(scheduler, number, threads, tls_config):
-        yield WorkerPool(workers, 2) if number else None
+    def connect(scheduler):
+        yield workers if scheduler else None
 
     monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
+    monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 2)
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.catalogue.MOST_BLOCKS", 3)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
@@ -165,7 +166,8 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     """A task reads a part of a file, or several files: then it has blocks that no other task reaches."""
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     out = tmp_path / "layers"
-    result = run("map", surveys, "--out", out, "--ground", ground, "--workers", 3, "--scratch", tmp_path / "scratch")
+    scratch = ("--scheduler", "here", "--scratch", tmp_path / "scratch")
+    result = run("map", surveys, "--out", out, "--ground", ground, *scratch)
     assert result.exit_code == 0, result.output
     assert layers_of(out) == layers_of(plain / ground)
     assert list((tmp_path / "scratch").iterdir()) == []
@@ -182,7 +184,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
 def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
     file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", most)
-    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
         result = run("map", file, "--out", tmp_path / name, "--local", *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
@@ -203,11 +205,11 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     lying[179:187] = np.float64(500_020).tobytes()  # max x: points lie outside, which the last of them may tell
     (tmp_path / "lying.las").write_bytes(lying)
     arguments = ("map", *sorted(tmp_path.glob("*.la?")), "--ground", ground)
-    refused = run(*arguments, "--out", tmp_path / "refused", "--workers", 3)
+    refused = run(*arguments, "--out", tmp_path / "refused", "--scheduler", "here")
     assert refused.exit_code == 3
     assert f"\n{refused.output}".count("\nError: ") == 1
     assert not (tmp_path / "refused").exists()
-    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
         assert run(*arguments, "--out", tmp_path / name, "--skip-bad", *extra).exit_code == 4
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
     records = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("one", "many")]
@@ -222,11 +224,12 @@ def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
     x, y = (axis.ravel() for axis in np.meshgrid(side, side))
     columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
     noise = [write_las(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
-    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
         result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    refused = [run("map", *noise, "--out", tmp_path / "none", "--skip-bad", *extra) for extra in ((), ("--workers", 3))]
+    words = ("map", *noise, "--out", tmp_path / "none", "--skip-bad")
+    refused = [run(*words), run(*words, "--scheduler", "here")]
     assert [result.exit_code for result in refused] == [3, 3]
     said = [result.output.splitlines()[-1] for result in refused]
     assert said[0] == said[1]
@@ -240,7 +243,7 @@ def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(survey
             file.seek(179)
             file.write(np.float64(500_020).tobytes())  # max x: points lie outside
     said = []
-    for name, extra in (("one", ()), ("many", ("--workers", 3))):
+    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
         result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
         assert result.exit_code == 3
         said.append(result.output.splitlines()[-1])
@@ -251,7 +254,7 @@ def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(survey
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
     file = write_las(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
-    result = run("map", file, "--out", tmp_path / "layers", "--workers", 3, "--ground", "class")
+    result = run("map", file, "--out", tmp_path / "layers", "--scheduler", "here", "--ground", "class")
     assert result.exit_code == 3
     assert "no point of the survey has class 2" in result.output
 
@@ -280,7 +283,7 @@ def killed_at(place, out, left, monkeypatch, arguments):
     ],
 )
 def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
-    arguments = ("map", surveys, "--workers", 3)
+    arguments = ("map", surveys, "--scheduler", "here")
     left = tmp_path / "left"
     killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
     here.done.clear()
@@ -302,11 +305,11 @@ def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here
         tmp_path / "a",
         tmp_path / "many",
         monkeypatch,
-        (*arguments, "--workers", 3),
+        (*arguments, "--scheduler", "here"),
     )
     assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
     killed_at("run.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
-    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--workers", 3).exit_code == 0
+    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--scheduler", "here").exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")
         assert inputs_of(tmp_path / name) == inputs_of(plain / "auto")
@@ -317,7 +320,7 @@ def context_in(folder):
     for made in (points, tiles):
         made.mkdir()
         (made / ALIVE).write_text("id")
-    return RunContext(BlockWork(Grid(), (), Mock(), "all"), 1 << 30, 1, points, tiles, "id")
+    return RunContext(BlockWork(Grid(), (), Mock(), "all"), 1 << 30, points, tiles, "id")
 
 
 def whole_file(points=1000):
@@ -347,6 +350,7 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
 @pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
 def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
     """It has read, or opened a file that is another than the client's."""
+    monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 1)
     monkeypatch.setattr(processes, "MEMORY", SharedMemory())  # without arrays of tests before this one
     started = []
     monkeypatch.setattr(decoder, "current", None)
@@ -495,15 +499,6 @@ def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, sched
     assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
 
 
-def test_workers_that_are_started_here_give_the_same_bits(surveys, plain, tmp_path):
-    pytest.importorskip("distributed")
-    pytest.importorskip("cryptography")
-    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2, "--ground", "all", "--memory", "200MB")
-    assert result.exit_code == 0, result.output
-    assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
-    assert forkserver._forkserver._forkserver_pid is None  # the process that forks them has ended too
-
-
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, alone):
     """Alone, a file's blocks are finished while it is read; in parts, all of them later."""
@@ -571,7 +566,7 @@ def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
 
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 0.5)
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
         result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", address)
         assert result.exit_code == 2, (address, result.output, result.exception)
@@ -587,7 +582,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
-    monkeypatch.setattr("bumpymap.survey.engine.pool.TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
+    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 5.0)  # it is tried for so long to reach it again
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
     ) as cluster:
@@ -610,7 +605,7 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
             if len(here.done) >= 3:
                 raise ClusterError("the connection to the scheduler is lost")
 
-    arguments = ("map", surveys, "--out", out, "--workers", 3)
+    arguments = ("map", surveys, "--out", out, "--scheduler", "here")
     with monkeypatch.context() as patch:
         patch.setattr(here, "run", lost_after_three)
         result = run(*arguments)
@@ -621,14 +616,14 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
     assert run(*arguments, "--resume").exit_code == 0
     ranges = here.done.count(read_ranges)
     here.done.clear()
-    assert run("map", surveys, "--out", tmp_path / "whole", "--workers", 3).exit_code == 0
+    assert run("map", surveys, "--out", tmp_path / "whole", "--scheduler", "here").exit_code == 0
     assert before + ranges == here.done.count(read_ranges)
     assert layers_of(out) == layers_of(plain / "auto")
 
 
 def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
     monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)  # chunks that must be read in order
-    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--workers", 3)
+    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--scheduler", "here")
     assert result.exit_code == 0, result.output
     assert here.done.count(read_ranges) == 1
 
@@ -648,19 +643,6 @@ def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
         Workers(client).each(len)
 
 
-def test_workers_that_do_not_start_are_told_of(surveys, tmp_path, monkeypatch):
-    pytest.importorskip("distributed")
-
-    def failed(*_, **__):
-        raise RuntimeError("Nanny failed to start.")
-
-    monkeypatch.setattr("bumpytiles._dask.LocalCluster", failed)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
-    assert result.exit_code == 2, result.output
-    assert "the workers did not start (Nanny failed to start.)" in result.output
-    assert not (tmp_path / "layers").exists()
-
-
 @pytest.mark.parametrize("when", ["look", "finish"])
 def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     surveys, plain, tmp_path, here, monkeypatch, when
@@ -670,7 +652,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
 
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     out = tmp_path / "layers"
-    arguments = ("map", surveys, "--out", out, "--workers", 3, "--scratch", tmp_path / "scratch")
+    arguments = ("map", surveys, "--out", out, "--scheduler", "here", "--scratch", tmp_path / "scratch")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")
@@ -698,7 +680,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
 def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
-    monkeypatch.delitem(vars(sys.modules["bumpytiles"]), "local_workers", raising=False)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--workers", 2)
+    monkeypatch.delitem(vars(bumpytiles), "workers_at", raising=False)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", "tcp://127.0.0.1:9")
     assert result.exit_code == 2
     assert "pip install 'bumpymap[dask]'" in result.output
