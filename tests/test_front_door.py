@@ -480,7 +480,7 @@ def test_wrong_settings_of_a_check_are_named(layers, settings, words):
     "module",
     [
         "bumpymap.survey.api",
-        "bumpymap.survey.batch.api",
+        "bumpymap.survey.batch.run",
         "bumpymap.change.api",
         "bumpymap.check.api",
         "bumpymap.layers.opened",

@@ -2,18 +2,20 @@ from .advice import (
     Outcome as Outcome,
     advise as advise,
     enough_points as enough_points,
+    ground_line as ground_line,
     models_for as models_for,
+    outcome_of_run as outcome_of_run,
+    require_known as require_known,
     size_options as size_options,
+    unknown_line as unknown_line,
 )
 from .api import (
     map_survey as map_survey,
 )
-from .batch.api import (
-    map_batch as map_batch,
-)
-from .batch.night import (
+from .batch.run import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
+    map_batch as map_batch,
     run_batch as run_batch,
 )
 from .batch.settings import (
@@ -21,22 +23,14 @@ from .batch.settings import (
     SurveyPer as SurveyPer,
     read_batch_settings as read_batch_settings,
 )
-from .end_of_run import (
-    ground_line as ground_line,
-    outcome_of_run as outcome_of_run,
-    require_known as require_known,
-    unknown_line as unknown_line,
-)
 from .engine.block_work import (
     BlockWork as BlockWork,
 )
 from .engine.budget import (
     Budget as Budget,
-    with_memory as with_memory,
-)
-from .engine.resource_estimate import (
     Estimate as Estimate,
     estimate as estimate,
+    with_memory as with_memory,
 )
 from .flight_lines import (
     FlightLines as FlightLines,
@@ -47,6 +41,4 @@ from .flight_lines import (
 from .pipeline import (
     map_surveys as map_surveys,
 )
-from .result import (
-    MapResult as MapResult,
-)
+from .run_record import MapResult as MapResult

@@ -24,7 +24,7 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.layers import Layers, temporary_folder
-from bumpymap.survey.end_of_run import require_known
+from bumpymap.survey.advice import require_known
 from bumpymap.survey.pipeline import map_surveys
 
 __all__ = ["EachSettings", "MapSettings", "PathLike", "map_settings", "map_survey"]

@@ -1,19 +1,26 @@
-"""Flight lines of a survey: how far their heights differ where they overlap, and what was taken off each."""
+"""Flight lines of a survey: how far their heights differ where they overlap, and what ``align="on"`` takes off each."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Align
-from bumpymap.readers import LineCorrection, LineSums
-from bumpymap.survey.line_adjustment import Adjustment, adjust_lines, weighted_median
-from bumpymap.survey.line_cells import CellSteps, LineCells, steps_between_lines
+from bumpymap.core import Align, BadInputError, MapConfig, Progress, Stopwatch
+from bumpymap.readers import LineCorrection, LineSums, ReadOptions, file_changed, reopen_survey
+from bumpymap.survey.inputs import SurveyInputs, read_options
+from bumpymap.survey.line_heights import (
+    Adjustment,
+    CellSteps,
+    LineCells,
+    adjust_lines,
+    steps_between_lines,
+    weighted_median,
+)
 
-__all__ = ["FlightLines", "LinePair", "compare_lines", "describe_lines", "describe_pairs"]
+__all__ = ["AlignedInputs", "FlightLines", "LinePair", "compare_lines", "describe_lines", "describe_pairs"]
 
 MATTERS = 0.01
 """A step between two lines is worth a line of the summary from here on, m."""
@@ -197,3 +204,67 @@ def _tilt(steps: CellSteps, span: slice, middle: float, spread: float) -> tuple[
     if left > (1 - _EXPLAINED) * (((step - middle) * root)[held] ** 2).sum():
         return (0.0, 0.0), level
     return (round(float(fit[1]), 6), round(float(fit[2]), 6)), design @ fit / root
+
+
+class AlignedInputs:
+    """The inputs of a run, with the corrections of their flight lines.
+
+    Parameters
+    ----------
+    inputs : SurveyInputs
+    options : ReadOptions
+        The settings that these were opened with.
+    before : FlightLines or None
+        The lines before any correction, with what is taken off; None without ``align="on"``.
+    """
+
+    def __init__(self, inputs: SurveyInputs, options: ReadOptions, before: FlightLines | None) -> None:
+        self.inputs, self.options, self._before = inputs, options, before
+
+    @classmethod
+    def of(cls, config: MapConfig, inputs: SurveyInputs, progress: Progress, clock: Stopwatch) -> "AlignedInputs":
+        """Read all points once more if the settings ask for it, and open the files again with what is to be taken off.
+
+        Raises
+        ------
+        BadInputError
+            A file is bad and may not be skipped, or has changed.
+        """
+        options = read_options(config)
+        if config.align != "on":
+            return cls(inputs, options, None)
+        with clock.stage("align"):
+            found, adjustment = compare_lines(_sums(inputs, progress), adjust=True)
+        found = replace(found, corrections=adjustment.corrections)
+        if not found.corrections:
+            return cls(inputs, options, found)
+        options = replace(options, corrections=found.corrections)
+        readers = [reopen_survey(reader.info.path, options) for reader in inputs.readers]
+        for old, new in zip(inputs.readers, readers, strict=True):
+            if old.info.version != new.info.version:
+                raise file_changed(old.info.path, "it was written again after its flight lines were compared")
+        return cls(replace(inputs, readers=readers), options, found)
+
+    def outcome(self, sums: LineSums) -> FlightLines:
+        """Return the lines as they are in the layers, by the sums of the points that were mapped."""
+        before = self._before
+        if before is None:
+            return compare_lines(sums)[0]
+        pairs = compare_lines(sums)[0].pairs if before.corrections else before.pairs
+        return replace(before, pairs=pairs, before=before.pairs)
+
+
+def _sums(inputs: SurveyInputs, progress: Progress) -> LineSums:
+    """Return the sums of all files; a bad file that may be skipped has none here, and is skipped when it is mapped."""
+    progress.start("comparing flight lines", sum(reader.info.point_count for reader in inputs.readers))
+    sums = LineSums()
+    for reader in inputs.readers:
+        try:
+            for cloud in reader.clouds():
+                progress.advance(cloud.easting.size)
+        except BadInputError:
+            if not inputs.skip_bad:
+                raise
+            continue
+        sums = sums.merge(reader.lines)
+    return sums

@@ -1,7 +1,11 @@
-"""The main job, step by step: surveys in, rated tiles and their files out."""
+"""The main job, step by step: surveys in, rated tiles and their files out, in one folder or in sheets."""
 
+import hashlib
+import json
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bumpymap.core import (
@@ -14,12 +18,12 @@ from bumpymap.core import (
     locked,
     memory_bytes,
     rated_columns,
+    recorded_place,
     remove_empty_on_error,
 )
-from bumpymap.layers import check_folder, is_complete
+from bumpymap.layers import MapSummary, check_folder, is_complete, remove_sheets
 from bumpymap.patches import close_filter
 from bumpymap.readers import ReadOptions
-from bumpymap.survey.align import AlignedInputs
 from bumpymap.survey.engine import (
     ADVICE,
     BlockWork,
@@ -33,19 +37,73 @@ from bumpymap.survey.engine import (
     run_engine,
     with_memory,
 )
+from bumpymap.survey.flight_lines import AlignedInputs
 from bumpymap.survey.inputs import SurveyInputs
-from bumpymap.survey.neighbour_rating import NeighbourRating, SplitClosing
-from bumpymap.survey.result import MapResult, collected_warnings
-from bumpymap.survey.run_record import describe_run, earlier_result, run_manifest, versions
-from bumpymap.survey.second_pass import add_neighbours
+from bumpymap.survey.run_record import (
+    MapResult,
+    collected_warnings,
+    describe_run,
+    earlier_result,
+    run_manifest,
+    versions,
+)
+from bumpymap.survey.second_pass import NeighbourRating, SplitClosing, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
-from bumpymap.survey.written import write_layers
-from bumpytiles import Grid
+from bumpytiles import BLOCK_TILES, Bounds, Grid, TileWindow
 
 if TYPE_CHECKING:
     from bumpytiles import Workers
 
-__all__ = ["map_surveys", "recorded_result"]
+__all__ = ["map_surveys", "recorded_result", "write_layers"]
+
+_COMPARED = ("inputs", "settings", "made with")
+
+
+def write_layers(
+    table: CostTable,
+    config: MapConfig,
+    inputs: SurveyInputs,
+    run_spec: Mapping[str, Any],
+    manifest: Mapping[str, Any],
+    progress: Progress,
+) -> tuple[tuple[Path, ...], MapSummary, int]:
+    """Write the layers; return the files, the statistics of the map, and the number of sheets, 0 for one map.
+
+    For errors see `bumpymap.layers.write_products` and `bumpymap.layers.write_sheets`.
+    """
+    # These bring GDAL and Arrow, for which reading need not wait.
+    from bumpymap.layers import SheetRun, write_products, write_sheets
+
+    if inputs.sheets is None:
+        files, summary = write_products(table, config.out, local=config.local, manifest=manifest, progress=progress)
+        remove_sheets(config.out)  # of an earlier run
+        return tuple(files), summary, 0
+
+    extents = {recorded_place(reader.info.path): reader.info.bounds for reader in inputs.readers}
+
+    def manifest_of(window: TileWindow) -> dict[str, Any]:
+        # Only the files that matter: there may be thousands of files and hundreds of sheets.
+        near = table.tiles.grid.window_bounds(_with_ring(window))
+        return {**manifest, "inputs": [file for file in manifest["inputs"] if _meets(extents[str(file["path"])], near)]}
+
+    compared = json.dumps({name: run_spec[name] for name in _COMPARED}, sort_keys=True)
+    key = hashlib.sha256(compared.encode("utf-8", "backslashreplace")).hexdigest()
+    run = SheetRun(inputs.sheets, key, config.resume, manifest_of)
+    files, summary = write_sheets(table, config.out, run, local=config.local, manifest=manifest, progress=progress)
+    return tuple(files), summary, len(inputs.sheets.places(table.tiles))
+
+
+def _with_ring(window: TileWindow) -> TileWindow:
+    """Add a block on each side: tiles depend on their neighbours, and points may lie a little outside of extents."""
+    ring = BLOCK_TILES
+    return TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+
+
+def _meets(extent: Bounds | None, box: Bounds) -> bool:
+    """Return whether a file whose points have this extent (None: unknown) may have some in a box."""
+    return extent is None or (
+        extent.west <= box.east and extent.east >= box.west and extent.south <= box.north and extent.north >= box.south
+    )
 
 
 def map_surveys(

@@ -1,8 +1,15 @@
-"""What a run depends on, and what it records in ``run.json``."""
+"""The result of a run, what it depends on, and what it records in ``run.json``."""
 
-from collections.abc import Mapping, Sequence
+import logging
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import date
+from os.path import abspath
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
 from bumpymap.core import (
     BadInputError,
@@ -10,6 +17,7 @@ from bumpymap.core import (
     MapConfig,
     differences,
     flat_settings,
+    join_checksums,
     read_record,
     recorded_place,
     recorded_settings,
@@ -28,15 +36,135 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import SurveyInfo, identity
+from bumpymap.readers import Location, SurveyInfo, identity, is_url
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
-from bumpymap.survey.result import MapResult
-from bumpymap.survey.survey_record import survey_record
 from bumpymap.survey.tile_rating import RatingModels
 
-__all__ = ["describe_run", "earlier_result", "run_manifest", "versions"]
+__all__ = [
+    "MapResult",
+    "WarningCollector",
+    "collected_warnings",
+    "describe_run",
+    "earlier_result",
+    "run_manifest",
+    "survey_record",
+    "versions",
+]
+
+
+class WarningCollector(logging.Handler):
+    """Keeps warnings, those of the thread that made it or of all, as pairs of level and message."""
+
+    def __init__(self, *, every_thread: bool = False) -> None:
+        super().__init__(logging.WARNING)
+        self.kept: list[tuple[str, str]] = []
+        self._thread = None if every_thread else threading.get_ident()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record."""
+        try:
+            if self._thread in {None, record.thread}:
+                self.kept.append((record.levelname.lower(), record.getMessage()))
+        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
+            self.handleError(record)
+
+
+@contextmanager
+def collected_warnings() -> Iterator[list[str]]:
+    """Collect the warnings of bumpymap during the body, beside their being logged."""
+    collector, logger, texts = WarningCollector(), logging.getLogger("bumpymap"), list[str]()
+    logger.addHandler(collector)
+    try:
+        yield texts
+    finally:
+        logger.removeHandler(collector)
+        texts += [message for _, message in collector.kept]
+
+
+@dataclass(frozen=True, slots=True)
+class MapResult:
+    """What a run wrote and found."""
+
+    files: tuple[Path, ...]
+    """Files written, in the order of writing."""
+    summary: MapSummary
+    """Statistics of the rated tiles."""
+    points: int
+    """Points read that are neither withheld nor noise; duplicates are included."""
+    ground_only: bool
+    """Only ground was measured: points of class 2, or those that the cloth filter found (``ground = "csf"``)."""
+    skipped: dict[str, str]
+    """Inputs that could not be read, with the error message (``skip_bad``)."""
+    seconds: dict[str, float]
+    """Wall time by stage."""
+    lines: FlightLines
+    """Steps between flight lines, and what was taken off."""
+    rates_thin: bool
+    """Thin tiles were rated from their points."""
+    sheets: int = 0
+    """Sheets that the layers are written in; 0: one map."""
+    already_done: bool = False
+    """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
+
+
+def survey_record(
+    given: Sequence[Location],
+    files: Sequence[Location],
+    checksums: Sequence[str | None],
+    dates: Sequence[date | None],
+) -> dict[str, Any]:
+    """Return name, checksum and dates of a survey; nothing in them depends on where its files lie.
+
+    Parameters
+    ----------
+    given : sequence of Path or str
+        Files and folders as the user named them; URLs are str.
+    files : sequence of Path or str
+        The files that were read.
+    checksums : sequence of str or None
+        Checksum of each file; None for a URL.
+    dates : sequence of date or None
+        Date in the header of each file.
+
+    Returns
+    -------
+    dict
+        ``name``: that of the one file without its suffix, or of the folder that was given or that holds all files, or
+        ``N files``. ``checksum``: that of the one file, or one made from those of all; None if a file has none.
+        ``dates``: the first and the last in the headers, ISO 8601; None if no header has one.
+    """
+    known = [checksum for checksum in checksums if checksum is not None]
+    whole = len(known) == len(files)
+    days = sorted(day for day in dates if day is not None)
+    return {
+        "name": _printable(_name(given, files)),
+        "checksum": None if not whole else known[0] if len(known) == 1 else join_checksums(known),
+        "dates": [days[0].isoformat(), days[-1].isoformat()] if days else None,
+    }
+
+
+def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
+    paths = [_path(file) for file in files]
+    if len(paths) == 1:
+        return paths[0].stem.removesuffix(".copc") or paths[0].name
+    folders = {path.parent for path in paths} if len(given) > 1 else {_path(given[0])}
+    name = folders.pop().name if len(folders) == 1 else ""
+    return name or f"{len(files)} files"
+
+
+def _path(location: Location) -> Path:
+    """Return the absolute path of a file or folder; of a URL without its server and its query, which may hold a key."""
+    if is_url(location):
+        return Path(unquote(urlsplit(str(location)).path))
+    return Path(abspath(location))  # noqa: PTH100 (resolve() follows links)
+
+
+def _printable(name: str) -> str:
+    """Replace what is not text (bytes that are not UTF-8, control characters): metadata of layers cannot hold it."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+
 
 _WITHOUT_EFFECT = {
     "surveys",

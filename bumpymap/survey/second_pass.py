@@ -8,7 +8,7 @@ divided among files, tasks or machines.
 
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
 from threading import Lock
@@ -17,11 +17,56 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Progress
+from bumpymap.core import (
+    CANOPY,
+    FAIL_SHARE,
+    FREE,
+    NO_CLASS,
+    OBSTACLE,
+    SEEN,
+    SIDES,
+    SOLID,
+    UNSEEN,
+    Barred,
+    Compat,
+    FeatureSettings,
+    MapConfig,
+    Progress,
+    Rating,
+    Reason,
+    neighbour_columns,
+)
+from bumpymap.patches import find_standing, settle_solids
+from bumpymap.rating import (
+    BlockRating,
+    Calibration,
+    TileSteps,
+    apply_steps,
+    close_split_tiles,
+    crossing_fails,
+    dense_share,
+    edge_usable,
+    find_passable,
+    find_steps,
+    free_areas,
+    is_rateable,
+    motion_felt,
+    rate_thin,
+    settle_objects,
+)
 from bumpymap.survey.engine import TileSink
-from bumpytiles import BLOCK_TILES, BlockKey, Column, JoinedPack, Pack, TileTable, run_blocks
+from bumpymap.survey.tile_rating import RatingModels
+from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, JoinedPack, Pack, TileTable, run_blocks
 
-__all__ = ["KEPT_BYTES", "RING", "NeighbourRater", "NeighbourWindow", "add_neighbours"]
+__all__ = [
+    "KEPT_BYTES",
+    "RING",
+    "NeighbourRater",
+    "NeighbourRating",
+    "NeighbourWindow",
+    "SplitClosing",
+    "add_neighbours",
+]
 
 RING = 1
 """Width of the ring around a block, tiles."""
@@ -204,3 +249,234 @@ def _read_window(blocks: _Blocks, names: Sequence[str], key: BlockKey) -> Neighb
                 columns[name] = np.full((_SIDE, _SIDE, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
             columns[name][cells] = values if beside == key else values[inside]
     return NeighbourWindow(columns, present)
+
+
+Columns = dict[str, NDArray[Any]]
+_RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
+_OBJECTS = ("obstacle", "obstacle_height", "clearance")
+_WIDEST = 2.6
+"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
+_BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
+"""Rows and columns to the tile beyond each side; rows go south."""
+_LEAST_PIXELS = 10
+"""With fewer pixels along the side of a tile, steps are not told."""
+
+
+@dataclass(frozen=True, slots=True)
+class NeighbourRating:
+    """Rates the tiles of a block with their neighbours: thin tiles, steps, and ways between obstacles."""
+
+    grid: Grid
+    calibration: Calibration
+    rating: Rating
+    compat: Compat
+    max_hole: float = FeatureSettings().max_hole
+    """m, see `settle_solids`."""
+    speeds: tuple[float, ...] = ()
+    """Speeds besides that of the map, m/s."""
+
+    @classmethod
+    def of(cls, config: MapConfig, models: RatingModels) -> "NeighbourRating":
+        """Choose the steps that the settings ask for."""
+        speeds = config.speeds or ()
+        return cls(
+            Grid(config.tile_size, config.pixels),
+            models.calibration,
+            config.rating,
+            config.compat,
+            config.features.max_hole,
+            speeds,
+        )
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns of the finished tiles that it reads."""
+        return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._motion)
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns that it returns."""
+        return neighbour_columns(self.grid.pixels, len(self.speeds))
+
+    @property
+    def _motion(self) -> tuple[str, ...]:
+        """The column of other speeds, if they were asked for."""
+        return ("motion",) if self.speeds else ()
+
+    @property
+    def rates_thin(self) -> bool:
+        """Whether thin tiles are rated from their points."""
+        return self.rating == "ride" and self.compat == "none" and self.calibration.thin is not None
+
+    def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
+        """Return the columns of n tiles of a block if all are unknown and stay so; None if neighbours matter.
+
+        Parameters
+        ----------
+        own : mapping
+            ``needs`` without ``heights``, (n, ...) each.
+        """
+        if (own["class_id"] != NO_CLASS).any() or (self.rates_thin and self._known(own).any()):
+            return None
+        tiles = len(own["class_id"])
+        nothing = np.full(tiles, np.nan, np.float32)
+        # As in a block with known tiles: what is not in the way there is unseen.
+        states = own["objects"] % SEEN
+        overhead = np.where((states == CANOPY) | (states == SOLID), np.uint8(CANOPY), np.uint8(UNSEEN))
+        objects = np.where(states == OBSTACLE, np.uint8(OBSTACLE), overhead)
+        return (
+            {name: own[name] for name in (*_RATED, *_OBJECTS, *self._motion)}
+            | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), nothing)
+            | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
+            | {"objects": objects, "passage": np.zeros_like(objects)}
+        )
+
+    def __call__(self, window: NeighbourWindow) -> Columns:
+        """Return `neighbour_columns` of the inner tiles."""
+        own = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}
+        known = self._known(window.columns)
+        if self.rates_thin:
+            own |= asdict(
+                rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
+            )
+        objects = window.mosaic("objects")
+        if self.compat == "none":
+            objects[self._standing(window) & (objects != UNSEEN)] = OBSTACLE
+        objects = settle_objects(settle_solids(objects, self.grid, self.max_hole), self.grid.pixels)
+        objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
+        steps = self._steps(window)
+        if self.compat == "none":
+            # Few points make steps of rough ground: in thin tiles they bar the way, but do not change the ride.
+            share = dense_share(own["coverage"]) if self.rates_thin else 1.0
+            own |= apply_steps(own, steps.unseen * share, self.calibration)
+            barred = self._sweep(own, known, objects, steps)
+        else:
+            barred = self.calibration.cost_rule.barred(own)
+        areas = free_areas(objects, barred, self.calibration.body, self.grid.tile_size)
+        states = self._inner(objects)
+        share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
+        obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
+        nothing, height = np.float32(np.nan), own["obstacle_height"]
+        return (
+            {name: own[name] for name in _RATED}
+            | _by_side(steps)
+            | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
+            | {"objects": states, "passage": areas, "obstacle": obstacle}
+            # A roof is an obstacle of unknown height, and nothing that hangs over the way.
+            | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
+            | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
+            | {name: self._felt(window.inner(name), own["c_r"]) for name in self._motion}
+        )
+
+    def _felt(self, factors: NDArray[np.float32], c_r: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return what is felt at other speeds, (16, 16, 3 k), from the factors on C_r; NaN in unknown tiles."""
+        return motion_felt(self.calibration, self.speeds, factors, c_r)
+
+    def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
+        """Return which tiles have a class, or will have one."""
+        known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
+        return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
+
+    def _standing(self, window: NeighbourWindow) -> NDArray[np.bool_]:
+        """Return the pixels of narrow, steep things in the relief of tiles whose points all count as ground."""
+        relief = window.present & np.isnan(window["obstacle"])
+        if not relief.any():
+            return np.zeros(self._pixels(relief).shape, np.bool_)
+        body = self.calibration.body
+        size = self.grid.pixel_size
+        found = find_standing(window.mosaic("heights"), body, size, width=_WIDEST, least=body.lowest_obstacle_m)
+        return found & self._pixels(relief)
+
+    def _steps(self, window: NeighbourWindow) -> TileSteps:
+        if self.grid.pixels >= _LEAST_PIXELS:
+            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels)
+        rows, cols = window.inner("class_id").shape
+        shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
+        return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
+
+    def _sweep(
+        self, own: Mapping[str, NDArray[Any]], known: NDArray[np.bool_], objects: NDArray[np.uint8], steps: TileSteps
+    ) -> NDArray[np.uint8]:
+        """Return what bars the inner tiles."""
+        alone = self.calibration.cost_rule.barred(own)
+        crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known)
+        barred = find_passable(objects, alone, crossed, self.calibration.body, self.grid.tile_size)
+        # The rating sees a wall as a ramp between two pixels, which is easier to climb. A wall on a border bars both of
+        # its tiles, or a way over the cost layer, which knows no borders, would cross it.
+        fails = crossing_fails(np.fmax(steps.inner, steps.edge_step), self.calibration) >= FAIL_SHARE
+        barred[(barred == Barred.NO) & fails] = Barred.STEP
+        return barred
+
+    def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Give every pixel of a mosaic the value of its tile."""
+        return np.repeat(np.repeat(of_tiles, self.grid.pixels, axis=0), self.grid.pixels, axis=1)
+
+    def _inner(self, mosaic: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Cut the inner tiles out of a mosaic, (16, 16, pixels, pixels)."""
+        px = self.grid.pixels
+        tiles = len(mosaic) // px
+        apart = mosaic.reshape(tiles, px, tiles, px).swapaxes(1, 2)
+        return apart[RING:-RING, RING:-RING]
+
+
+@dataclass(frozen=True, slots=True)
+class SplitClosing:
+    """Bars the tiles of a block that obstacles split, from the results of `NeighbourRating` around them."""
+
+    grid: Grid
+    calibration: Calibration
+    compat: Compat
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Columns that it reads, and returns again."""
+        return ("barred", "passable", "passage")
+
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Columns that it returns."""
+        return tuple(column for column in neighbour_columns(self.grid.pixels) if column.name in self.needs)
+
+    def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
+        """Return the columns of n tiles of a block if the vehicle fits nowhere in them; else None."""
+        return None if own["passage"].any() else {name: own[name] for name in self.needs}
+
+    def __call__(self, window: NeighbourWindow) -> Columns:
+        """Return the columns of the inner tiles."""
+        missing = ~window.present
+        areas, barred = window["passage"].copy(), window["barred"].copy()
+        areas[missing], barred[missing] = 0, Barred.UNKNOWN
+        closed, areas = close_split_tiles(areas, barred, self.calibration.body, self.grid.tile_size)
+        if self.compat != "none":
+            closed = window.inner("barred")
+        return {"barred": closed, "passable": (closed == Barred.NO).astype(np.uint8), "passage": areas}
+
+
+def _first(window: NeighbourWindow) -> BlockRating:
+    """Return what the first pass found."""
+    columns = {name: window[name] for name in _RATED}
+    missing = np.where(window.present, columns.pop("reason"), np.uint8(Reason.NO_POINTS))
+    return BlockRating(**columns, reason=missing)
+
+
+def _crossed(
+    usable: NDArray[np.bool_], unseen: NDArray[np.bool_], known: NDArray[np.bool_]
+) -> NDArray[np.bool_]:  # fmt: skip
+    """Return which sides of the inner tiles the vehicle can cross, (16, 16, 4).
+
+    Where nobody saw a step, such as in a thin survey, none is assumed between known tiles: the rating of both tiles
+    holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
+    no neighbour is known.
+    """
+    rows, cols = (side - 2 * RING for side in known.shape)
+    beyond = np.stack(
+        [known[RING + down : RING + down + rows, RING + right : RING + right + cols] for down, right in _BESIDE],
+        axis=-1,
+    )
+    alone = ~beyond.any(axis=-1, keepdims=True)
+    return np.asarray((beyond & (usable | unseen)) | alone)
+
+
+def _by_side(steps: TileSteps) -> Columns:
+    by_side = {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
+    return by_side | {"edge_step": steps.edge_step, "inner_step": steps.inner}

@@ -24,8 +24,7 @@ from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.lab.simulate.steps import WallGround, cross
 from bumpymap.rating import Vehicle, crossing_fails
-from bumpymap.survey.neighbour_rating import NeighbourRating
-from bumpymap.survey.second_pass import add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid, TileBuckets, TileTable
 

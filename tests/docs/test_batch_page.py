@@ -11,7 +11,7 @@ import pytest
 
 from bumpymap.core import UsageError
 from bumpymap.layers import SurveyRow
-from bumpymap.survey.batch.table import read_table
+from bumpymap.survey.batch.source import read_table
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "batch.md").read_text(encoding="utf-8")
 

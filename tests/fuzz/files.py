@@ -253,8 +253,7 @@ def _settings(folder):
     from bumpymap.core import MapConfig, read_settings_file
     from bumpymap.core.run_folder import RunFolder, work_folder
     from bumpymap.rating import Calibration, TextureModel, Vehicle
-    from bumpymap.survey.batch.source import read_text
-    from bumpymap.survey.batch.table import read_table
+    from bumpymap.survey.batch.source import read_table, read_text
 
     def of(read):
         def call(path, out):

@@ -13,7 +13,7 @@ from pyproj import CRS
 
 from bumpymap.cli import main
 from bumpymap.layers import PRODUCT_NAMES
-from bumpymap.survey.engine.checkpoints import Checkpoints
+from bumpymap.survey.engine.collector import Checkpoints
 
 pytestmark = pytest.mark.slow
 

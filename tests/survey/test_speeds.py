@@ -13,7 +13,7 @@ from pyproj import CRS
 import bumpymap
 from bumpymap.cli import main
 from bumpymap.core import UsageError
-from bumpymap.survey.batch.table import read_table
+from bumpymap.survey.batch.source import read_table
 
 NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
 

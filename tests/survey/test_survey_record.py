@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from small_surveys import write_survey
 
 from bumpymap.cli import main
-from bumpymap.survey.survey_record import survey_record
+from bumpymap.survey.run_record import survey_record
 
 
 def named(given, files):

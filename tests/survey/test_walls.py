@@ -6,8 +6,7 @@ import pytest
 from bumpymap.core.config import MapConfig
 from bumpymap.core.progress import SilentProgress
 from bumpymap.core.types import Barred, Georeference, rated_columns
-from bumpymap.survey.neighbour_rating import NeighbourRating
-from bumpymap.survey.second_pass import add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid, TileBuckets, TileTable
 

@@ -1,10 +1,8 @@
-from .api import (
-    BatchSettings as BatchSettings,
-    map_batch as map_batch,
-)
-from .night import (
+from .run import (
     BatchReport as BatchReport,
     BatchResult as BatchResult,
+    BatchSettings as BatchSettings,
+    map_batch as map_batch,
     run_batch as run_batch,
 )
 from .settings import (

@@ -1,22 +1,28 @@
-"""What a worker process of a batch does: map one survey, and say what became of it.
+"""Worker processes of a batch: each maps one survey after another, so that Python and its libraries start once.
 
-Nothing that a survey can cause ends the worker but a crash of native code or of memory: `bumpymap.survey.batch.workers`
-then starts another.
+Processes, not threads: a survey that crashes native code, or takes the last memory, ends its worker alone, and another
+is started. Everything else that a survey can cause is in its row of the results.
 """
 
 import logging
 import tempfile
 import time
 import traceback
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
+from multiprocessing.connection import wait
 from pathlib import Path
+from time import perf_counter
 from typing import Any
 
 from bumpymap.core import (
     BumpymapError,
+    Child,
+    ChildDiedError,
+    ChildError,
     Holder,
     MapConfig,
     OutputError,
@@ -43,10 +49,11 @@ from bumpymap.layers import (
     read_thumbnail,
     write_manifest,
 )
-from bumpymap.survey.batch.remote import naming_remote
-from bumpymap.survey.result import MapResult, WarningCollector
+from bumpymap.survey.batch.settings import naming_remote
+from bumpymap.survey.run_record import MapResult, WarningCollector
+from bumpytiles import compile_packages
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one"]
+__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
 
 _MOST_WAIT_S = 5.0
 _NOT_RESUME = " instead of `resume=True`"
@@ -165,7 +172,7 @@ def _mapped(task: MapTask) -> SurveyRow:
 
 
 def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
-    from bumpymap.survey.end_of_run import require_known
+    from bumpymap.survey.advice import require_known
 
     message = ""
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
@@ -248,3 +255,89 @@ def _collected_warnings() -> Iterator[list[dict[str, Any]]]:
         events[:0] = [{"event": level, "message": message} for level, message in collector.kept]
         for logger, (handlers, propagate) in zip(loggers, before, strict=True):
             logger.handlers, logger.propagate = handlers, propagate
+
+
+_MODULE = "bumpymap.survey.batch.one_survey"
+
+
+def map_tasks(
+    tasks: Sequence[MapTask], jobs: int, started: Callable[[MapTask], None]
+) -> Generator[TaskEnd, None, None]:
+    """Map surveys, up to ``jobs`` at a time; yield what became of each as soon as it is known.
+
+    Parameters
+    ----------
+    tasks : sequence of MapTask
+        They are begun in this order.
+    jobs : int
+    started : callable
+        Called when a task is begun.
+
+    Raises
+    ------
+    UsageError
+        No process can be started.
+    """
+    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is told, and not done by each worker
+    workers = _Workers()
+    waiting = deque(tasks)
+    try:
+        while waiting or workers.busy:
+            while waiting and len(workers.busy) < jobs:
+                task = waiting.popleft()
+                started(task)
+                workers.begin(task)
+            yield from workers.ended()
+    finally:
+        workers.close()  # a run that is under way is ended as by a kill; the next start continues it
+
+
+class _Workers:
+    """The processes, and what each of them does."""
+
+    def __init__(self) -> None:
+        self.busy: dict[Child, tuple[MapTask, float]] = {}
+        self._idle: list[Child] = []
+
+    def begin(self, task: MapTask) -> None:
+        """Give a task to an idle worker, or to a new one."""
+        while self._idle:
+            child = self._idle.pop()
+            try:
+                child.begin("map_one", task)
+            except ChildDiedError:  # meanwhile, of something else
+                child.close()
+                continue
+            self.busy[child] = task, perf_counter()
+            return
+        child = Child("to map surveys", _MODULE)
+        self.busy[child] = task, perf_counter()  # first: if it died at once, `ended` says so
+        try:
+            child.begin("map_one", task)
+        except ChildDiedError:
+            return
+
+    def ended(self) -> Iterator[TaskEnd]:
+        """Wait until at least one task has ended, and yield what became of it."""
+        links = {child.link: child for child in self.busy}
+        for link in wait(list(links)):
+            child = links[link]  # type: ignore[index]
+            task, begun = self.busy.pop(child)
+            try:
+                end: TaskEnd = child.finish()
+                self._idle.append(child)
+            except (ChildDiedError, ChildError) as error:
+                child.close()
+                end = _lost(task, f"its process {error}", perf_counter() - begun)
+            yield end
+
+    def close(self) -> None:
+        """End all processes."""
+        for child in (*self.busy, *self._idle):
+            child.close()
+
+
+def _lost(task: MapTask, why: str, seconds: float) -> TaskEnd:
+    message = f"{why}. If memory ran out, give fewer `jobs` or less `memory`; the next start continues this survey"
+    survey = " ".join(map(str, task.config.surveys))
+    return TaskEnd(SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey), ())

@@ -1,20 +1,278 @@
-"""Find the surveys of a batch: in a folder, in a list of paths, or in the rows of a CSV."""
+"""Find the surveys of a batch, in a folder, in a list of paths or in the rows of a CSV, and name their folders."""
 
+import csv
+import io
 import logging
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path, PurePosixPath
+from typing import Any, get_args, get_origin
+from urllib.parse import urlsplit
 
-from bumpymap.core import BadInputError, UsageError, path_fault, read_regular, refuse_faults
+from bumpymap.core import (
+    CLASHES,
+    BadInputError,
+    BumpymapError,
+    MapConfig,
+    UsageError,
+    parse_crs,
+    parse_record,
+    parse_share,
+    path_fault,
+    read_regular,
+    refuse_clashes,
+    refuse_faults,
+)
+from bumpymap.layers import BATCH_NAMES
+from bumpymap.rating import find_calibration
 from bumpymap.readers import find_surveys
-from bumpymap.survey.batch.names import name_surveys, usual_name
-from bumpymap.survey.batch.settings import SurveyPer
-from bumpymap.survey.batch.table import read_table
+from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 
-__all__ = ["ListedSurvey", "list_surveys", "read_text"]
+__all__ = [
+    "ListedSurvey",
+    "SettingsCheck",
+    "list_surveys",
+    "name_surveys",
+    "plain_name",
+    "read_table",
+    "read_text",
+    "usual_name",
+]
+
+_TWO_PARTS = ".copc"
+"""Of ``site.copc.laz``, which is the survey ``site``."""
+
+
+def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], root: Path) -> list[str]:
+    """Return a folder name for each survey; no two are the same, even where upper and lower case are.
+
+    A survey is named after its file without the suffix. Those of one name get the names of their folders too
+    (``north_site``, ``south_site``), those of one folder their suffix (``site_las``), and what is left a number.
+
+    Parameters
+    ----------
+    surveys : sequence of Path or str
+        File, folder or URL of each.
+    given : sequence of str or None
+        Names that the user chose, which are kept.
+    root : Path
+        Folders below this one count for a name.
+    """
+    parts = [_parts(_path(survey), root) for survey in surveys]
+    usual = [usual_name(survey) for survey in surveys]
+    longer = ["_".join([*own[:-1], name]) for own, name in zip(parts, usual, strict=True)]
+    whole = [f"{name}_{_path(survey).suffix[1:]}" for name, survey in zip(longer, surveys, strict=True)]
+    names = [own or name for own, name in zip(given, usual, strict=True)]
+    for candidates in (longer, whole):
+        taken = Counter(name.casefold() for name in names)
+        names = [
+            name if own or (taken[name.casefold()] == 1 and not _is_reserved(name)) else _clean(candidate)
+            for name, own, candidate in zip(names, given, candidates, strict=True)
+        ]
+    return _numbered(names, given)
+
+
+def usual_name(survey: Path | str) -> str:
+    """Return the name of a survey that shares it with no other: that of its file without the suffix, or its folder."""
+    path = _path(survey)
+    return _clean(path.name if isinstance(path, Path) and path.is_dir() else _stem(path))
+
+
+def plain_name(name: str) -> str:
+    """Return what is wrong with a name that a user gave; empty if it can be that of a folder."""
+    if "/" in name or "\0" in name or name.startswith(".") or _is_reserved(name):
+        return "it must be the name of a folder: no slash, no dot at its start, no name of a file of the batch"
+    return ""
+
+
+def _numbered(names: list[str], given: Sequence[str | None]) -> list[str]:
+    """Append numbers to names that are still taken, or not allowed."""
+    used = {name.casefold() for name, own in zip(names, given, strict=True) if own}
+    for place, name in enumerate(names):
+        if given[place]:
+            continue
+        free, number = name, 2
+        while free.casefold() in used or _is_reserved(free):
+            free, number = f"{name}_{number}", number + 1
+        used.add(free.casefold())
+        names[place] = free
+    return names
+
+
+def _path(survey: Path | str) -> PurePosixPath | Path:
+    """Return the path of a survey; of a URL without user and query, which may hold a key."""
+    if isinstance(survey, Path):
+        return survey
+    parts = urlsplit(survey)
+    return PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
+
+
+def _parts(path: PurePosixPath | Path, root: Path) -> tuple[str, ...]:
+    try:
+        return path.relative_to(root).parts
+    except ValueError:
+        return path.parts[-2:]
+
+
+def _stem(path: PurePosixPath | Path) -> str:
+    stem = path.stem
+    return stem[: -len(_TWO_PARTS)] if stem.lower().endswith(_TWO_PARTS) else stem
+
+
+def _clean(name: str) -> str:
+    """Return a name that is not hidden and not empty."""
+    return name.strip().lstrip(".") or "survey"
+
+
+def _is_reserved(name: str) -> bool:
+    return name.casefold() in {*BATCH_NAMES, "run.json"}
+
+
+_SURVEY, _NAME = "survey", "name"
+_TABLES = ("features", "csf")
+"""Settings that are tables, which a cell cannot hold."""
+_KINDS = {item.name: item.type for item in fields(MapConfig) if item.name not in {*OWN_SETTINGS, *_TABLES}}
+"""Column -> type of its setting."""
+_WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+
+Row = tuple[Path | str, str | None, dict[str, Any]]
+
+
+def read_table(
+    text: str, origin: str, folder: Path, check: Callable[[Mapping[str, Any]], list[str]] = lambda _: []
+) -> list[Row]:
+    """Parse the CSV of a batch.
+
+    Parameters
+    ----------
+    text : str
+        With the column ``survey``, if wanted ``name``, and settings of a map, spelled as options or as in Python. An
+        empty cell means that the setting is not given. A table that Excel wrote with semicolons is read too.
+    origin : str
+        Name of the file, for messages.
+    folder : Path
+        Folder at which relative paths start.
+    check : callable, optional
+        Returns what else is wrong with the settings of a row.
+
+    Returns
+    -------
+    list of (place, name or None, settings)
+
+    Raises
+    ------
+    UsageError
+        Unknown columns or values that are not allowed; the message lists all.
+    """
+    header, _, _ = text.partition("\n")
+    lines = csv.reader(io.StringIO(text), delimiter=";" if ";" in header and "," not in header else ",")
+    try:
+        rows = [(lines.line_num, [cell.strip() for cell in row]) for row in lines]
+    except csv.Error as error:
+        raise UsageError(f"{origin}: line {lines.line_num} is not CSV: {error}") from error
+    rows = [(number, row) for number, row in rows if any(row)]
+    columns = _columns(rows[0][1] if rows else [], origin)
+    faults: list[str] = []
+    found = [_row(number, row, columns, folder, faults, check) for number, row in rows[1:]]
+    names = [name.casefold() for _, name, _ in found if name]
+    faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
+    refuse_faults(faults, origin, UsageError)
+    return found
+
+
+def _columns(titles: list[str], origin: str) -> list[str]:
+    columns = [title.lower().lstrip("-").replace("-", "_") for title in titles]
+    unknown = [title for title, name in zip(titles, columns, strict=True) if name not in {_SURVEY, _NAME, "", *_KINDS}]
+    if _SURVEY not in columns or unknown:
+        what = f"unknown column {', '.join(unknown)}" if unknown else f"there is no column {_SURVEY}"
+        raise UsageError(f"{origin}: {what}; there are: {', '.join([_SURVEY, _NAME, *_KINDS])}")
+    if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
+        raise UsageError(f"{origin}: the column {', '.join(repeated)} is there twice")
+    return columns
+
+
+def _row(
+    number: int,
+    cells: list[str],
+    columns: list[str],
+    folder: Path,
+    faults: list[str],
+    check: Callable[[Mapping[str, Any]], list[str]],
+) -> Row:
+    """Return a row; append what is wrong with it to ``faults``."""
+    wrong = [f"it has {len(cells)} cells, the header has {len(columns)}"] if any(cells[len(columns) :]) else []
+    given = {name: cell for name, cell in zip(columns, cells, strict=False) if cell and name}
+    place, name = given.pop(_SURVEY, ""), given.pop(_NAME, None)
+    if not place or path_fault(place):
+        wrong.append(path_fault(place) or "the survey is empty")
+    if name is not None and (why := plain_name(name)):
+        wrong.append(f"the name is {name!r}; {why}")
+    elif "://" not in place and not (folder / place).exists():
+        wrong.append(f"there is no file or folder {folder / place}")
+    settings, more = parse_record({key: _value(key, cell) for key, cell in given.items()}, MapConfig, folder)
+    if not more:
+        with _noted(more):
+            refuse_clashes(settings, CLASHES)
+            MapConfig(surveys=(), out=Path(), **settings)
+            more += check(settings)
+    wrong += more
+    faults += [f"line {number}: {why}" for why in wrong]
+    return (place if "://" in place else folder / place, name, settings)
+
+
+def _value(name: str, text: str) -> Any:
+    """Convert a cell to the type of its setting; one that cannot be is left for the message."""
+    kinds = get_args(_KINDS[name]) or (_KINDS[name],)
+    if name == "max_unknown":
+        share = parse_share(text)
+        return text if share is None else share
+    if bool in kinds:
+        return _WORDS.get(text.lower(), text)
+    if any(get_origin(kind) is tuple for kind in kinds):  # of numbers
+        with suppress(ValueError):
+            return [float(word) for word in text.replace(",", " ").split()]
+    for kind in (int, float):
+        if kind in kinds:
+            with suppress(ValueError):
+                return kind(text)
+    return text
+
+
+class SettingsCheck:
+    """Finds what is wrong with the settings of surveys: values, CRS, and vehicles and files that are not there."""
+
+    def __init__(self) -> None:
+        self._calibration = cache(find_calibration)
+
+    def faults(self, settings: Mapping[str, Any], *, complete: bool = True) -> list[str]:
+        """Return the faults; ``complete``: no others come to these, so that they must also fit each other."""
+        faults: list[str] = []
+        for name in ("crs", "force_crs"):
+            if settings.get(name) is not None:
+                with _noted(faults):
+                    parse_crs(settings[name], name)
+        with _noted(faults):
+            config = MapConfig(surveys=(), out=Path(), **settings)
+            calibration = self._calibration(config.vehicle, config.calibration)
+            if complete:
+                calibration.require_grid(config.tile_size, config.pixels)
+        if settings.get("model") is not None and not settings["model"].is_file():
+            faults.append(f"there is no file {settings['model']}, given as the model")
+        return faults
+
+
+@contextmanager
+def _noted(faults: list[str]) -> Iterator[None]:
+    """Append the message of an error to a list instead."""
+    try:
+        yield
+    except BumpymapError as error:
+        faults.append(str(error).replace("`", ""))  # columns: no options of the command line
+
 
 _log = logging.getLogger(__name__)
 _LISTS = (".txt", ".csv")

@@ -1,19 +1,27 @@
-"""How a memory budget is divided: how many points may wait, and how many are read and sorted at a time.
+"""How a memory budget is divided, and the memory, disk space and time that a run will take.
 
 The shares were measured: a waiting point takes 14 or 26 bytes, one that is being read up to 95 (its record, its
 coordinates, its index in a block), one that is being sorted 63. Waiting points may reach one and a half times their
-limit while the older half is written to disk.
+limit while the older half is written to disk. The bounds of the estimate follow from that; rates, and memory outside
+the budget, were measured on two cores of an AMD EPYC server, on synthetic surveys of 1 to 20 million points and on real
+ones.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from bumpymap.core import MapConfig, auto_memory, is_auto, memory_bytes
+from bumpymap.core import MapConfig, auto_memory, is_auto, memory_bytes, neighbour_columns, rated_columns
+from bumpymap.readers import SurveyInfo
+from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 __all__ = [
     "FLOAT_POINT_BYTES",
     "POINT_BYTES",
     "Budget",
+    "Estimate",
+    "estimate",
+    "most_tiles",
     "requests_at_once",
     "with_memory",
 ]
@@ -94,3 +102,149 @@ class Budget:
         reading += _DECODING_BYTES * min(points, self.chunk_points * further)
         sorting = _SORTING_BYTES * min(points, self.block_points * self.threads)
         return max(reading, min(self.memory, waiting + reading + sorting))
+
+
+_READING_BASE = 330 << 20
+"""Interpreter, libraries and decoder while points are read and measured, bytes."""
+_DECODER = 10 << 20
+"""Each further decoder process (measured: 9 MB), bytes."""
+_WRITING_BASE = 700 << 20
+"""The same while layers are written, bytes: with the caches of the libraries that write them, and with what the rasters
+of three groups hold at the same time, which differs by 160 MB from run to run."""
+_RASTER_BLOCK, _RASTER_IN_MEMORY, _RASTER_COPIES = 512, 128 << 20, 7 / 3
+"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels; largest raster that it keeps in memory, bytes;
+copies of it there: the scratch raster, the finished one, if nothing can be compressed, and the overviews."""
+_ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
+"""Tiles of a row group of tiles.parquet, which is written at the same time, and copies of their heightmaps."""
+
+_PACK_BYTES, _ENTRY_BYTES = 8192, 32
+"""Size of the header of a pack, and of its index entry of a block, bytes."""
+_LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 350
+"""Layers before compression: bytes per pixel of a heightmap (stored twice) and of obstacle.tif, and other bytes per
+tile."""
+
+_START_S = 1.6
+"""Time for imports, checks and the files that every run writes, s."""
+_POINT_NS = {"LAZ": 330.0, "COPC": 330.0, "LAS": 130.0, "PLY": 180.0, "PCD": 100.0}
+"""CPU time per point by format: decoding, grouping, measuring, ns."""
+_TEXT_POINT_NS = 600.0
+_SPILLED_POINT_NS = 100.0
+"""CPU time to write a point to disk and read it again, ns."""
+_TILE_NS = 30_000.0
+"""CPU time per tile: classifying and writing it, ns."""
+_WRITERS = 2
+"""Cores that are used while layers are written."""
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The resources that ``map`` needs on one machine."""
+
+    points: int
+    """Number according to the headers."""
+    tiles: int | None
+    """Upper bound; None if the bounds of the points are not known."""
+    memory: int
+    """Upper bound of resident memory, helper processes included, bytes."""
+    scratch: int
+    """Upper bound of the points on disk, bytes; less if blocks are complete early."""
+    out: int | None
+    """Upper bound of the folder of the layers, finished tiles and layers together, bytes."""
+    seconds: float
+    """Approximate wall time."""
+
+
+def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int | None = None) -> Estimate:
+    """Estimate the resources of a run.
+
+    Parameters
+    ----------
+    infos : sequence of SurveyInfo
+        From the headers of its files (at least one).
+    grid : Grid
+    budget : Budget
+    tiles : int, optional
+        Number of tiles with points, if they were counted.
+    """
+    points = sum(info.point_count for info in infos)
+    boxes = [info.bounds for info in infos]
+    most = tiles if tiles is not None else most_tiles(boxes, points, grid)
+    blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
+    waiting = sum(info.point_count * _point_bytes(info.format) for info in infos)
+    scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
+    tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
+    tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
+    tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
+    further = requests_at_once(budget.chunk_points, budget.threads) - 1
+    return Estimate(
+        points=points,
+        tiles=most,
+        memory=max(
+            _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting),
+            _WRITING_BASE + _writing(boxes, points, grid),
+        ),
+        scratch=scratch,
+        out=None if most is None else most * tile_bytes,
+        seconds=_seconds(infos, points if scratch else 0, most or 0, budget.threads),
+    )
+
+
+def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int | None:
+    """Return the most tiles that points in these boxes can fall into; None if a box is not known."""
+    total = 0
+    for box in boxes:
+        if box is None:
+            return None
+        cols, rows = _sides(box, grid)
+        total += cols * rows
+    return min(total, points)
+
+
+def _writing(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int:
+    """Return the most bytes of heightmaps in memory while layers are written: a raster in whole blocks, a row group."""
+    raster = _RASTER_IN_MEMORY
+    for box in _around(boxes):
+        across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in _sides(box, grid))
+        raster = min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
+    rows = _ROW_GROUP_COPIES * min(points, _ROW_GROUP) * grid.pixels**2 * 4
+    return int(_RASTER_COPIES * raster) + rows
+
+
+def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
+    """Return the box around all known boxes, as a list of one; an empty list if none is known."""
+    known = [box for box in boxes if box is not None]
+    if not known:
+        return []
+    west, south = min(box.west for box in known), min(box.south for box in known)
+    return [Bounds(west, south, max(box.east for box in known), max(box.north for box in known))]
+
+
+def _sides(box: Bounds, grid: Grid) -> tuple[int, int]:
+    """Return the columns and rows of tiles that a box overlaps."""
+    cols = int(box.east // grid.tile_size) - int(box.west // grid.tile_size) + 1
+    rows = int(box.north // grid.tile_size) - int(box.south // grid.tile_size) + 1
+    return cols, rows
+
+
+def _scratch(points: int, waiting: int, blocks: int | None, files: int, budget: Budget) -> int:
+    """Return the bytes of the packs if every block waits until the end; 0 if all points fit into memory."""
+    if waiting <= budget.waiting_bytes:
+        return 0
+    # Each pack holds half of what may wait, but for the last one of each file.
+    packs = 2 * waiting // budget.waiting_bytes + 1 + files
+    entries = points if blocks is None else min(points, packs * blocks)
+    return waiting + packs * (_PACK_BYTES + files * _ENTRY_BYTES) + entries * _ENTRY_BYTES
+
+
+def _point_bytes(kind: str) -> int:
+    return POINT_BYTES if kind.startswith(("LAS", "LAZ", "COPC")) else FLOAT_POINT_BYTES
+
+
+def _seconds(infos: Sequence[SurveyInfo], spilled: int, tiles: int, cores: int) -> float:
+    work = sum(info.point_count * _point_ns(info.format) for info in infos) + spilled * _SPILLED_POINT_NS
+    return _START_S + 1e-9 * (work / cores + tiles * _TILE_NS / min(cores, _WRITERS))
+
+
+def _point_ns(kind: str) -> float:
+    text = "text" in kind or "ascii" in kind
+    return _TEXT_POINT_NS if text else _POINT_NS[kind[:4].rstrip(" ,")]

@@ -5,7 +5,7 @@ from pathlib import Path
 from hypothesis import given, strategies as st
 
 from bumpymap.layers import BATCH_NAMES
-from bumpymap.survey.batch.names import name_surveys, plain_name
+from bumpymap.survey.batch.source import name_surveys, plain_name
 
 ROOT = Path("/surveys")
 WORDS = st.sampled_from(["a", "A", "site", "a_site", ".b", "summary.csv", "log.jsonl", "a_2", "site_laz"])

@@ -403,7 +403,7 @@ def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys
 
 def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkeypatch):
     """So that those of a batch that is killed are not of the batch before."""
-    monkeypatch.setattr("bumpymap.survey.batch.results._EVERY_S", -1.0)
+    monkeypatch.setattr("bumpymap.survey.batch.run._EVERY_S", -1.0)
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'nothing.laz'}\n")
     seen = []
 

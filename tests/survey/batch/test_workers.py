@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core import MapConfig
-from bumpymap.survey.batch import workers
+from bumpymap.survey.batch import one_survey
 from bumpymap.survey.batch.one_survey import MapTask
 
 pytestmark = pytest.mark.slow
@@ -13,12 +13,12 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def ended(monkeypatch):
-    monkeypatch.setattr(workers, "_MODULE", "worker_of_a_batch")
+    monkeypatch.setattr(one_survey, "_MODULE", "worker_of_a_batch")
 
     def run(names, jobs):
         tasks = [MapTask(name, MapConfig((Path(f"{name}.laz"),), Path("o")), overwrite=False) for name in names]
         begun = []
-        ends = list(workers.map_tasks(tasks, jobs, lambda task: begun.append(task.name)))
+        ends = list(one_survey.map_tasks(tasks, jobs, lambda task: begun.append(task.name)))
         assert begun == names
         assert sorted(end.row.name for end in ends) == sorted(names)
         return {end.row.name: end.row for end in ends}

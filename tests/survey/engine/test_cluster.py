@@ -27,10 +27,7 @@ from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
 from bumpymap.survey import BlockWork
-from bumpymap.survey.engine.catalogue import BlockCatalogue
-from bumpymap.survey.engine.completion import BlockCompletion
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
-from bumpymap.survey.engine.tasks import (
+from bumpymap.survey.engine.cluster import (
     ALIVE,
     FileSource,
     RunContext,
@@ -40,6 +37,9 @@ from bumpymap.survey.engine.tasks import (
     opened,
     read_ranges,
 )
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
+from bumpymap.survey.engine.reading import BlockCompletion
+from bumpymap.survey.engine.results import BlockCatalogue
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 pytestmark = pytest.mark.slow
@@ -151,7 +151,7 @@ def here(monkeypatch):
     monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
     monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 2)
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
-    monkeypatch.setattr("bumpymap.survey.engine.catalogue.MOST_BLOCKS", 3)
+    monkeypatch.setattr("bumpymap.survey.engine.results.MOST_BLOCKS", 3)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 5_000)

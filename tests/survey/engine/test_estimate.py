@@ -16,7 +16,7 @@ from bumpymap.cli import main
 from bumpymap.layers import write_products as write
 from bumpymap.readers import ReadOptions, open_survey
 from bumpymap.survey import Budget, estimate
-from bumpymap.survey.engine.resource_estimate import most_tiles
+from bumpymap.survey.engine.budget import most_tiles
 from bumpytiles import Bounds, Grid
 
 pytestmark = pytest.mark.slow

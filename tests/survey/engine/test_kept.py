@@ -17,8 +17,8 @@ from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
-from bumpymap.survey.engine.checkpoints import Checkpoints
-from bumpymap.survey.engine.sink import TileSink
+from bumpymap.survey.engine.block_work import TileSink
+from bumpymap.survey.engine.collector import Checkpoints
 
 pytestmark = pytest.mark.slow
 
@@ -103,7 +103,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
         return finish(child, supply)
 
     # One request at a time: otherwise all may have been made before the first tiles are finished.
-    monkeypatch.setattr("bumpymap.survey.engine.chunk_stream.requests_at_once", lambda *_: 1)
+    monkeypatch.setattr("bumpymap.survey.engine.reading.requests_at_once", lambda *_: 1)
     after_tiles(lambda: monkeypatch.setattr(Child, "finish", kill))
     out, scratch = tmp_path / "out", tmp_path / "scratch"
     result = run("map", surveys, "--out", out, "--scratch", scratch)

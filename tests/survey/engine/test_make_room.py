@@ -11,10 +11,9 @@ from bumpymap.core.progress import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork
-from bumpymap.survey.engine.chunk_stream import OpenRange
+from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.plan import cut_ranges, single_task
-from bumpymap.survey.engine.reading import RangeReader
-from bumpymap.survey.engine.sink import TileSink
+from bumpymap.survey.engine.reading import OpenRange, RangeReader
 from bumpytiles import Bounds, Column, Grid, MemoryLimits, Pack, TileBuckets
 
 GRID = Grid()

@@ -12,9 +12,8 @@ from bumpymap.core.progress import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork
-from bumpymap.survey.engine.chunk_stream import OpenRange
 from bumpymap.survey.engine.plan import cut_ranges, single_task
-from bumpymap.survey.engine.reading import RangeReader, refuse_no_points
+from bumpymap.survey.engine.reading import OpenRange, RangeReader, refuse_no_points
 from bumpytiles import Grid, TileBuckets
 
 GRID = Grid()

@@ -1,0 +1,398 @@
+"""Map the surveys of a batch: find them, map what is not done, note what fails, and summarise.
+
+``log.jsonl`` says what happened and when, one JSON object per line; every start appends to it.
+"""
+
+import json
+import logging
+import os
+import stat
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from time import monotonic
+from typing import Any, TypeAlias, Unpack
+
+from bumpymap.core import (
+    BumpymapError,
+    Holder,
+    MapConfig,
+    OutputError,
+    UsageError,
+    brief_repr,
+    count_text,
+    locked,
+    path_of_call,
+    refuse_faults,
+    refuse_unknown,
+    remove_empty_on_error,
+    short_repr,
+    without_keys,
+)
+from bumpymap.layers import (
+    BATCH_LOG,
+    SurveyRow,
+    SurveyStatus,
+    SurveyView,
+    check_batch_out,
+    is_complete,
+    map_facts,
+    write_batch_summary,
+    write_catalog,
+)
+from bumpymap.survey.api import EachSettings, PathLike, map_settings
+from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks
+from bumpymap.survey.batch.settings import BatchConfig, SurveyPer, check_remote_out, fetch_log, upload_summary
+from bumpymap.survey.batch.source import ListedSurvey, SettingsCheck, list_surveys
+from bumpymap.survey.engine import connect
+
+__all__ = ["BatchLog", "BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
+
+
+class BatchLog:
+    """Appends events to a file. A full disk does not end a batch: an event that cannot be written is lost."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    @classmethod
+    @contextmanager
+    def opened(cls, path: Path) -> Iterator["BatchLog"]:
+        """Open or create the file; a link is not followed.
+
+        Raises
+        ------
+        OutputError
+            It cannot be written, or is no plain file.
+        """
+        flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK
+        try:
+            descriptor = os.open(path, flags, 0o666)
+        except OSError as error:
+            raise OutputError(f"cannot write {path}: {error.strerror}. Choose another `out`") from error
+        try:
+            found = os.fstat(descriptor)
+            if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
+                raise OutputError(f"{path} is not a plain file of its own, and was not touched. Remove it")
+            if (
+                found.st_size and os.pread(descriptor, 1, found.st_size - 1) != b"\n"
+            ):  # a killed batch wrote half a line
+                os.write(descriptor, b"\n")
+            yield cls(descriptor)
+        finally:
+            os.close(descriptor)
+
+    def write(self, event: str, **facts: Any) -> None:
+        """Append one event with the current time; URLs in its texts without keys."""
+        facts = {name: without_keys(fact) if isinstance(fact, str) else fact for name, fact in facts.items()}
+        time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+        line = json.dumps({"time": time, "event": event, **facts}) + "\n"
+        with suppress(OSError):
+            os.write(self._descriptor, line.encode())
+
+
+_log = logging.getLogger(__name__)
+_EVERY_S = 60.0
+"""After a kill, or while the batch runs, the page is at most so much older than the last survey that ended."""
+_WAITING = "the batch has not come to it yet, or ended before"
+_EARLIER = "the batch has not come to it; it has layers of an earlier start, not compared with its files and settings"
+
+
+class Results:
+    """The rows of a batch, and its summary and page in a folder.
+
+    Parameters
+    ----------
+    tasks : sequence of MapTask
+    folder : Path
+        Gets summary.csv, summary.parquet, index.html and, unless the layers go to a server, catalog.json.
+    title : str
+        Of the page.
+    """
+
+    def __init__(self, tasks: Sequence[MapTask], folder: Path, title: str) -> None:
+        self._tasks, self._folder, self._title = {task.name: task for task in tasks}, folder, title
+        self._rows = {
+            task.name: SurveyRow(task.name, "not reached", _WAITING, survey=without_keys(str(task.config.surveys[0])))
+            for task in tasks
+        }
+        self._views: dict[str, SurveyView] = {}
+        self._ended: set[str] = set()
+        self._written = monotonic()
+
+    @property
+    def rows(self) -> tuple[SurveyRow, ...]:
+        """One for each survey, by name."""
+        return tuple(self._rows[name] for name in sorted(self._rows))
+
+    def add(self, row: SurveyRow, view: SurveyView) -> None:
+        """Note what became of a survey; write the files if that is long ago."""
+        self._rows[row.name], self._views[row.name] = row, view
+        self._ended.add(row.name)
+        if monotonic() - self._written > _EVERY_S:
+            try:
+                self._write(" while the batch was running")
+            except OutputError as error:
+                _log.warning("%s", error)
+            self._written = monotonic()
+
+    def write_last(self) -> None:
+        """Write the files; of surveys that were not reached, with what their layers of earlier starts say.
+
+        Raises
+        ------
+        OutputError
+            They cannot be written.
+        """
+        for name in self._rows.keys() - self._ended:
+            task = self._tasks[name]
+            if task.remote is None and not task.config.out.is_symlink() and is_complete(task.config.out):
+                with suppress(BumpymapError):
+                    facts = map_facts(task.config.out)
+                    self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
+                    self._views[name] = look_at(task.config.out, task.thumbnail_bytes)
+        if all(task.remote is None for task in self._tasks.values()):
+            write_catalog(self._folder, [row.name for row in self.rows if row.status != "failed"], title=self._title)
+        self._write()
+
+    def _write(self, when: str = "") -> None:
+        note = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}"
+        write_batch_summary(self.rows, self._folder, self._views, self._title, note)
+
+
+_GOOD: tuple[SurveyStatus, ...] = ("done", "already done")
+_WITH_LAYERS: tuple[SurveyStatus, ...] = (*_GOOD, "incomplete")
+_ALL, _SOME, _NONE = 0, 4, 3
+_MOST_THUMBNAIL, _MOST_THUMBNAILS = 12_000, 900_000
+"""Bytes of one picture, and of all on the page together."""
+
+BatchReport: TypeAlias = Callable[[SurveyRow], None]
+"""Receives the row of each survey that has ended."""
+
+
+@dataclass(frozen=True, slots=True)
+class BatchResult:
+    """What became of the surveys of a batch."""
+
+    __repr__ = brief_repr
+
+    rows: tuple[SurveyRow, ...]
+    """One for each survey, by name."""
+
+    def with_status(self, *statuses: SurveyStatus) -> list[SurveyRow]:
+        """Return the rows with one of these statuses."""
+        return [row for row in self.rows if row.status in statuses]
+
+    @property
+    def exit_code(self) -> int:
+        """0: all surveys are done. 4: some are. 3: none has layers."""
+        if len(self.with_status(*_GOOD)) == len(self.rows):
+            return _ALL
+        return _SOME if self.with_status(*_WITH_LAYERS) else _NONE
+
+
+def run_batch(
+    config: BatchConfig,
+    report: BatchReport | None = None,
+    begin: Callable[[int], None] | None = None,
+    spell: Callable[[str], str] = str,
+) -> BatchResult:
+    """Map many surveys, each to a folder of its own in ``config.out``.
+
+    A survey that is done, by inputs, settings and versions, is left as it is; one whose run was interrupted is
+    continued; one that fails is noted. A batch that was ended at any moment is continued by the same call.
+
+    Parameters
+    ----------
+    config : BatchConfig
+    report : callable, optional
+        Receives the row of each survey when it has ended.
+    begin : callable, optional
+        Receives the number of surveys before the first begins.
+    spell : callable, optional
+        Changes messages before they are written, as `as_options` of the command line does.
+
+    Raises
+    ------
+    BadInputError
+        The source holds no surveys.
+    UsageError
+        Settings or rows of a CSV that are not allowed; nothing was begun.
+    OutputError
+        ``config.out`` cannot be written, is in use, or holds files of something else.
+    """
+    settings = SettingsCheck()
+    refuse_faults(settings.faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
+    surveys = list_surveys(config.source, config.survey_per, lambda own: settings.faults(config.merged(own)))
+    tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
+    _require_scheduler(tasks[0].config)
+    if remote is None:
+        check_batch_out(folder)
+    else:
+        with remove_empty_on_error(folder):
+            check_remote_out(remote, folder)
+    if begin is not None:
+        begin(len(surveys))
+    with remove_empty_on_error(folder), locked(folder):
+        if remote is not None:
+            fetch_log(remote, folder)
+        with BatchLog.opened(folder / BATCH_LOG) as log:
+            log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
+            _note_renamed(log, surveys)
+            results = Results(tasks, folder, _title(config.out))
+            ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
+            try:
+                with closing(ends):
+                    for end in ends:
+                        row = end.row
+                        message, survey = map(without_keys, (spell(row.message), row.survey))
+                        warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
+                        row = replace(row, message=message, warnings=warnings, survey=survey)
+                        _note(log, replace(end, row=row))
+                        results.add(row, end.view)
+                        if report is not None:
+                            report(row)
+            finally:
+                results.write_last()
+                result = BatchResult(results.rows)
+                counts = {kind: len(result.with_status(kind)) for kind in sorted({row.status for row in result.rows})}
+                log.write("end", counts=counts, exit_code=result.exit_code)
+                if remote is not None:
+                    upload_summary(remote, folder)
+    if remote is not None:
+        with suppress(OSError):  # layers that could not be uploaded are in it
+            folder.rmdir()
+    return result
+
+
+def _require_scheduler(config: MapConfig) -> None:
+    """Raise UsageError if the scheduler does not answer: else each survey would wait for it."""
+    if config.scheduler is not None:
+        with connect(config.scheduler):
+            pass
+
+
+def _title(out: Path | str) -> str:
+    """Return the name of a batch: that of its folder."""
+    return str(out).rstrip("/").rsplit("/", 1)[-1] if isinstance(out, str) else out.absolute().name
+
+
+def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
+    """Return the surveys to map: by name, or the largest first if several run at a time, so that none is left alone."""
+    jobs, holder = min(config.jobs, len(surveys)), Holder.here()
+    tasks = [
+        MapTask(
+            survey.name,
+            config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
+            config.overwrite,
+            None if config.remote is None else config.remote.below(survey.name),
+            min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
+            config.of_survey(survey.settings).memory,
+            holder,
+        )
+        for survey in surveys
+    ]
+    return tasks if jobs == 1 else sorted(tasks, key=lambda task: -_size(task.config.surveys[0]))
+
+
+def _size(place: Path | str) -> int:
+    """Return the bytes of a local file or of those in a folder; 0 if that is not known."""
+    if isinstance(place, str):
+        return 0
+    with suppress(OSError):
+        files = place.rglob("*") if place.is_dir() else [place]
+        return sum(file.stat().st_size for file in files if file.is_file())
+    return 0
+
+
+def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
+    renamed = [survey for survey in surveys if survey.renamed]
+    for survey in renamed:
+        log.write("renamed", name=survey.name, survey=str(survey.place))
+    if renamed:
+        first = renamed[0]
+        _log.warning(
+            "%s the name of another; a longer name is used, such as %s for %s",
+            count_text(len(renamed), "survey has", "surveys have"),
+            first.name,
+            without_keys(str(first.place)),
+        )
+
+
+def _note(log: BatchLog, end: TaskEnd) -> None:
+    row = end.row
+    for event in end.events:
+        log.write(**{**event, "name": row.name})
+    facts = {"status": row.status, "seconds": row.seconds, "points": row.points, "message": row.message}
+    log.write("survey ended", name=row.name, **{key: value for key, value in facts.items() if value not in {None, ""}})
+    for warning in row.warnings:
+        _log.warning("%s: %s", row.name, warning)
+    if row.status in {"failed", "incomplete"}:
+        _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
+
+
+_OF_BATCH = ("survey_per", "jobs")
+
+
+class BatchSettings(EachSettings, total=False):
+    """Settings of `map_batch`: those of ``BatchConfig``, and of ``MapConfig`` for each survey."""
+
+    survey_per: SurveyPer
+    jobs: int
+
+
+def map_batch(
+    source: PathLike,
+    out: PathLike,
+    report: Callable[[SurveyRow], None] | None = None,
+    **settings: Unpack[BatchSettings],
+) -> BatchResult:
+    """Map many surveys, each to a folder of its own, as ``bumpymap batch`` does.
+
+    The same call again skips what is done, continues what was interrupted and tries again what has failed. A survey
+    that fails raises nothing: its row says why.
+
+    Parameters
+    ----------
+    source : path
+        A folder of surveys; a ``.txt`` file with a path in each line; or a ``.csv`` file with the column ``survey``.
+    out : path or URL
+        Gets a folder of layers for each survey, the summary and index.html.
+    report : callable, optional
+        Called with the `SurveyRow` of each survey when it has ended.
+    **settings
+        ``survey_per`` and ``jobs``, and those of `map_survey` but ``resume``, for all surveys. They override the
+        columns of a CSV.
+
+    Returns
+    -------
+    BatchResult
+        ``rows``: one for each survey, by name, with the columns of summary.csv. ``exit_code``: that of the command:
+        0 all are done, 4 some are, 3 none.
+
+    Raises
+    ------
+    BumpymapError
+        The source holds no surveys, a setting is not allowed, or ``out`` cannot be used.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> night = bumpymap.map_batch("sample_data", "night", ground="all")
+    >>> [(row.name, row.status) for row in night.rows]
+    [('quarry', 'done'), ('quarry_part', 'failed')]
+    >>> night.exit_code
+    4
+    """
+    known = [*_OF_BATCH, *EachSettings.__annotations__]
+    refuse_unknown(settings, known, "map_batch")
+    given: dict[str, Any] = {name: value for name, value in settings.items() if value is not None}
+    own = {name: given.pop(name) for name in _OF_BATCH if name in given}
+    if report is not None and not callable(report):
+        raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
+    places = [path_of_call("source", source), path_of_call("out", out)]
+    target = places[1] if "://" in places[1] else Path(places[1])
+    config = BatchConfig(Path(places[0]), target, map_settings(given, "map_batch", known), **own)
+    return run_batch(config, report)
