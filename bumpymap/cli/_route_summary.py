@@ -36,6 +36,8 @@ def show(result: RouteResult, config: RouteConfig, *, as_json: bool) -> None:
             print_line(line)
     if result.reach is not None:
         print_line(_reached(result.reach))
+        for note in result.notes:
+            print_line(f"Note: {note}")
     if config.out is not None:
         folder = result.files[0].parent if result.files else config.out
         print_line(f"Files in {folder}: {', '.join(path.name for path in result.files)}")

@@ -33,6 +33,7 @@ from .reach import (
     Reach as Reach,
 )
 from .search import (
+    BETWEEN_OBSTACLES as BETWEEN_OBSTACLES,
     FROM_START as FROM_START,
     NOT_REACHED as NOT_REACHED,
     Way as Way,

@@ -4,7 +4,7 @@ passage.tif numbers the areas of each tile in which the middle of the vehicle ca
 where pixels of two areas touch across the border of their tiles is an arc. So there is a path in the graph exactly
 where there is a way on pixels. Nodes that are two or three arcs apart are joined straight as well, so that a path is
 not as long as the steps of a staircase. The way is then searched on the pixels of all tiles that lie on a path which
-costs little more than the cheapest.
+costs little more than the cheapest. What can be reached is the cost of the paths to all nodes.
 """
 
 import math
@@ -23,7 +23,7 @@ from bumpytiles import TileWindow
 if TYPE_CHECKING:
     from bumpymap.route.ground import CostGround
 
-__all__ = ["LEAST_SAVING_M", "way_over_areas"]
+__all__ = ["BYTES_PER_TILE", "LEAST_SAVING_M", "reach_over_areas", "way_over_areas"]
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,10 @@ _DEARER = 1.06
 _SECTION_TILES, _AROUND_TILES = 96, 12
 """Longest path that is searched at once, and the tiles around a section of a longer one."""
 _TINY = 1e-9
-_BYTES_PER_TILE = 7000
+_CHEAPER, _CORNER_TILES = 0.97, 2.0
+"""Paths go straight from middle to middle of areas up to three arcs apart, and so cut corners. One takes the place of a
+way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
+BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
 
 
@@ -47,8 +50,23 @@ class AreaGraph(NamedTuple):
     """(rows, pixels, cols, pixels) the node of each pixel, -1 where closed."""
     tile: NDArray[np.int64]
     """(n,) the tile of a node, counted row by row."""
+    middle: Floats
+    """(n, 2) the mean place of its pixels, tiles south and east of the window's corner."""
     arcs: sparse.csr_array
     """(n, n) cost from node to node, in tiles."""
+
+
+class AreaReach(NamedTuple):
+    """What is reached in the tiles of a window; all arrays are (rows, cols)."""
+
+    cost: Floats
+    """Cost of the cheapest way to the tile, in tiles; infinite where none leads."""
+    length: Floats
+    """Length of that way, in tiles."""
+    is_between: NDArray[np.bool_]
+    """Tiles to which that way leads over areas, between obstacles."""
+    has_room: NDArray[np.bool_]
+    """Tiles in which the vehicle fits somewhere."""
 
 
 def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats | None:
@@ -70,7 +88,7 @@ def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats 
     pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
     while True:
         window = _window(ground, ends, pad)
-        if window.rows * window.cols * _BYTES_PER_TILE > ground.memory_bytes:
+        if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
         found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
@@ -92,6 +110,82 @@ def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats 
     # The points between sections lie anywhere in their tiles: a way between the middles of sections is free of them.
     again = _on_pixels(ground, [start, *(_middle(part) for part in _parts(line, points)), goal], window, corridor)
     return again if again is not None else line
+
+
+def reach_over_areas(
+    ground: "CostGround", window: TileWindow, start: Floats, cost: Floats, length: Floats
+) -> AreaReach:
+    """Extend what is reached over whole tiles by what is reached over the areas of tiles.
+
+    Parameters
+    ----------
+    ground : CostGround
+        The map, with costs.
+    window : TileWindow
+        It takes ``BYTES_PER_TILE`` of memory for each tile.
+    start : array (2,)
+        Easting and northing, m.
+    cost, length : array (rows, cols)
+        Of the cheapest way over whole tiles to each tile, in tiles; the cost is infinite where none leads.
+    """
+    graph = _graph(ground, window)
+    count, cost_of_tile, length_of_tile = len(graph.tile), cost.ravel().copy(), length.ravel().copy()
+    per_tile = ground.on_tiles(window).ravel()[graph.tile].astype(np.float64)
+    # A way over whole tiles ends in the largest area of its tile, from where it goes on.
+    size = np.bincount(graph.node.ravel() + 1, minlength=count + 1)[1:]
+    seeds = _least_of_each(graph.tile, -size)
+    seeds = seeds[np.isfinite(cost_of_tile[graph.tile[seeds]])]
+    seed_cost, seed_length = cost_of_tile[graph.tile[seeds]], length_of_tile[graph.tile[seeds]]
+    own = _node_at(ground, graph, window, start)
+    if own >= 0:
+        straight = math.dist(ground.in_window(start[None], window)[0] / ground.site.grid.pixels, graph.middle[own])
+        seeds, seed_length = np.append(seeds, own), np.append(seed_length, straight)
+        seed_cost = np.append(seed_cost, straight * per_tile[own])
+    kept = _least_of_each(seeds, seed_cost)
+    seeds, seed_cost, seed_length = seeds[kept], np.maximum(seed_cost[kept], _TINY), seed_length[kept]
+    arcs = graph.arcs
+    with_start = sparse.csr_array(  # a node of its own, behind all others, from which the arcs to the seeds go
+        (
+            np.append(arcs.data, seed_cost),
+            np.append(arcs.indices, seeds.astype(arcs.indices.dtype)),
+            np.append(arcs.indptr, arcs.indptr[-1] + len(seeds)),
+        ),
+        (count + 1, count + 1),
+    )
+    spent, before = csgraph.dijkstra(with_start, indices=count, return_predecessors=True)
+    spent, before = spent[:-1], np.where(before[:-1] >= 0, before[:-1], count)
+    hop = np.zeros(count)
+    follows = before < count
+    hop[follows] = np.hypot(*(graph.middle[follows] - graph.middle[before[follows]]).T)
+    at_seed = seeds[~follows[seeds]]
+    hop[at_seed] = seed_length[~follows[seeds]]
+    nearest = _least_of_each(graph.tile, spent)
+    tiles = graph.tile[nearest]
+    is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
+    nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
+    cost_of_tile[tiles], length_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
+    is_between, has_room = np.zeros(cost.size, np.bool_), np.zeros(cost.size, np.bool_)
+    is_between[tiles] = has_room[graph.tile] = True
+    return AreaReach(
+        cost_of_tile.reshape(cost.shape),
+        length_of_tile.reshape(cost.shape),
+        is_between.reshape(cost.shape),
+        has_room.reshape(cost.shape),
+    )
+
+
+def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:
+    """Return the place of the least value of each group; groups are numbers from 0."""
+    order = np.lexsort((value, group))
+    return order[np.diff(group[order], prepend=-1) > 0]
+
+
+def _sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
+    """Add the values of all nodes before each one, (n,), to its own; the first of a path has ``before`` n."""
+    total, ahead = np.append(value, 0.0), np.append(before, len(value))
+    while (ahead < len(value)).any():  # each pass doubles how many are added
+        total, ahead = total + total[ahead], ahead[ahead]
+    return total[:-1]
 
 
 def _window(ground: "CostGround", points: Floats, pad: int) -> TileWindow:
@@ -127,9 +221,9 @@ def _graph(ground: "CostGround", window: TileWindow) -> AreaGraph:
     a, b = joined.coords
     kept = a != b
     a, b = a[kept], b[kept]
-    cost = ground.on_tiles(window).ravel()[tile].astype(np.float64)
-    weight = np.hypot(at[0][a] - at[0][b], at[1][a] - at[1][b]) * 0.5 * (cost[a] + cost[b])
-    return AreaGraph(node, tile, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
+    cost, middle = ground.on_tiles(window).ravel()[tile].astype(np.float64), np.column_stack(at)
+    weight = np.hypot(*(middle[a] - middle[b]).T) * 0.5 * (cost[a] + cost[b])
+    return AreaGraph(node, tile, middle, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
 
 
 def _contacts(first: NDArray[np.int32], other: NDArray[np.int32], count: int) -> sparse.csr_array:

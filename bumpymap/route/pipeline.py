@@ -3,6 +3,7 @@
 Open the map, find the points on it, plan the ways, measure them, write them.
 """
 
+import logging
 import math
 from dataclasses import asdict, dataclass, replace
 from itertools import combinations
@@ -36,6 +37,8 @@ from bumpymap.route.stops import Stops, find_stops
 from bumpymap.route.visits import MOST_VISITS, best_order
 
 __all__ = ["RouteResult", "plan_routes", "reach_from"]
+
+_log = logging.getLogger(__name__)
 
 Floats = NDArray[np.float64]
 
@@ -153,7 +156,10 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
 def reach_from(config: RouteConfig) -> ReachField:
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
     planner = _planner(open_map(config.layers), config)
-    return _reach_field(planner, _find_reach(planner, find_stops(planner, config), config))
+    found = _find_reach(planner, find_stops(planner, config), config)
+    for note in found.notes:
+        _log.warning(note)
+    return _reach_field(planner, found)
 
 
 def _find_reach(planner: Planner, stops: Stops, config: RouteConfig) -> Reach:
@@ -168,6 +174,7 @@ def _reach_field(planner: Planner, found: Reach) -> ReachField:
 
 def _write_reach(planner: Planner, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
     found = _find_reach(planner, stops, config)
+    notes = (*stops.notes, *found.notes)
     levels = None
     if config.isochrones:
         levels = ReachLevels(config.isochrones, "minutes")
@@ -178,7 +185,7 @@ def _write_reach(planner: Planner, stops: Stops, config: RouteConfig, out: Path)
         planner.site,
         out,
         levels=levels,
-        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": stops.notes},
+        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )
-    return RouteResult((), found, tuple(files), stops.notes)
+    return RouteResult((), found, tuple(files), notes)

@@ -6,14 +6,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError
+from bumpymap.core import Barred, UsageError
 from bumpymap.route._moves import MOVES
 from bumpymap.route._reach_kernels import add_up_lengths
+from bumpymap.route.ground import CostGround
+from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas
 from bumpymap.route.planner import Planner
-from bumpymap.route.search import spread
+from bumpymap.route.search import BETWEEN_OBSTACLES, spread
 from bumpytiles import TileWindow
 
 __all__ = ["Reach", "find_reach", "window_within"]
+
+_IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
+"""Tiles that are closed as a whole, but in which the vehicle may fit."""
+_ONLY_WHOLE = (
+    "ways between obstacles were not looked for, which would take {size} GB of memory: what lies behind a tile that "
+    "obstacles split is not counted. Raise `memory`, or give `isochrones` or `isocosts`"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +36,15 @@ class Reach:
     """Driving time of that way at the profile's speed, min; NaN likewise."""
     back: NDArray[np.uint8]
     """The move by which that way enters the tile, see `bumpymap.route.MOVES`; `FROM_START` (254) if it leads straight
-    from the start to the middle of the tile, `NOT_REACHED` (255) if there is none."""
+    from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where there are
+    no moves, `NOT_REACHED` (255) if there is none."""
     passable: int
-    """Tiles of the window that are not closed."""
+    """Tiles of the window that are not closed, or in which the vehicle fits between obstacles."""
     tile_size: float
     limit_m: float | None = None
     """How far from the start the window reaches to each side, m; None: it is the whole map."""
+    notes: tuple[str, ...] = ()
+    """Remarks, such as that ways between obstacles were not looked for."""
 
     @property
     def tiles(self) -> int:
@@ -56,7 +68,9 @@ class Reach:
 
 
 def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = math.inf) -> Reach:
-    """Find what can be reached from a point.
+    """Find what can be reached from a point: over whole tiles, and between obstacles in tiles that they close in part.
+
+    Between obstacles the cost is that of a path from area to area, which is up to 3 % off.
 
     Parameters
     ----------
@@ -81,12 +95,23 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
     cost = planner.load(window)
     place = planner.place(start, window)
     spent, back = spread(cost, place, margin=planner.margin)
-    passable = int(np.isfinite(cost).sum())
+    is_passable = np.isfinite(cost)
     del cost  # a map may fill the memory that the search is given: what follows takes no more
-    spent[np.isinf(spent)] = np.nan
-    spent *= site.grid.tile_size
     length = np.full(spent.shape, np.nan)
     add_up_lengths(back, MOVES, *place, length)
+    notes: tuple[str, ...] = ()
+    if np.isin(site.read(window, ()).barred, _IN_PART).any():
+        ground = CostGround(planner)
+        if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
+            notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
+        else:
+            found = reach_over_areas(ground, window, start, spent, length)
+            spent, length = found.cost, found.length
+            back[found.is_between] = BETWEEN_OBSTACLES
+            _mark_all_between(back)
+            is_passable |= found.has_room
+    spent[np.isinf(spent)] = np.nan
+    spent *= site.grid.tile_size
     length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0
     length[np.isnan(spent)] = np.nan
     return Reach(
@@ -94,10 +119,22 @@ def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = mat
         cost=spent.astype(np.float32),
         minutes=length.astype(np.float32),
         back=back,
-        passable=passable,
+        passable=int(is_passable.sum()),
         tile_size=site.grid.tile_size,
         limit_m=None if window == site.window else most_m,
+        notes=notes,
     )
+
+
+def _mark_all_between(back: NDArray[np.uint8]) -> None:
+    """Set `BETWEEN_OBSTACLES` for all tiles whose moves lead to one that has it."""
+    row, col = np.indices(back.shape, np.int32)
+    has_move = back < len(MOVES)
+    move = MOVES[np.where(has_move, back, 0)] * has_move[..., None]
+    ahead = ((row - move[..., 0]) * back.shape[1] + col - move[..., 1]).ravel()
+    while not np.array_equal(ahead, further := ahead[ahead]):  # each pass doubles how far is looked
+        ahead = further
+    back[(back.ravel()[ahead] == BETWEEN_OBSTACLES).reshape(back.shape)] = BETWEEN_OBSTACLES
 
 
 def window_within(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileWindow:

@@ -18,12 +18,23 @@ from numpy.typing import NDArray
 
 from bumpymap.route._frame import Point, SearchFrame, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
-from bumpymap.route._search_kernels import FROM_START, NOT_REACHED, SETTLED, walk_back
+from bumpymap.route._search_kernels import BETWEEN_OBSTACLES, FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import RingedWindow
 from bumpymap.route.line import as_cost, line_cost, wide_margin
 from bumpymap.route.straighten import LEAST_SAVING, pull_tight, thin_out
 
-__all__ = ["FROM_START", "NOT_REACHED", "Found", "Way", "find_way", "follow_back", "seek", "spread", "tight_way"]
+__all__ = [
+    "BETWEEN_OBSTACLES",
+    "FROM_START",
+    "NOT_REACHED",
+    "Found",
+    "Way",
+    "find_way",
+    "follow_back",
+    "seek",
+    "spread",
+    "tight_way",
+]
 
 Floats = NDArray[np.float64]
 
@@ -175,7 +186,7 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     Parameters
     ----------
     back : array (rows, cols) uint8
-        From `spread`.
+        From `spread`, or of a `Reach`.
     row, col : int
         A tile that has been reached.
 
@@ -184,9 +195,16 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     array (n, 2) float64
         Field coordinates of the middles of its tiles, the given one first; the start itself is not among them. Moves
         that follow each other in one direction are one.
+
+    Raises
+    ------
+    ValueError
+        There is no way to the tile, or it leads between obstacles, where there are no moves.
     """
     if back[row, col] == NOT_REACHED:
         raise ValueError(f"there is no way to the tile in row {row}, column {col}")
+    if back[row, col] == BETWEEN_OBSTACLES:
+        raise ValueError(f"the way to the tile in row {row}, column {col} leads between obstacles: plan it as a route")
     back, count = np.ascontiguousarray(back), np.zeros(1, np.int64)
     path = np.empty((sum(back.shape), 2), np.int64)
     walk_back(back, MOVES, row, col, path, count)

@@ -57,9 +57,7 @@ def find_stops(planner: Planner, config: RouteConfig, compared: Path | None = No
     vehicle = planner.site.vehicle.name
     where, of = ("", "") if compared is None else (f"in {compared} ({vehicle}), ", f"{vehicle}: ")
     named = _named(planner, config)
-    points = [
-        _usable(planner, where + name, point, config.snap, on_pixels=not config.is_reach) for name, point in named
-    ]
+    points = [_usable(planner, where + name, point, config.snap) for name, point in named]
     names, notes = [], []
     for (name, point), used in zip(named, points, strict=True):
         if used == point:
@@ -91,17 +89,14 @@ def _named(planner: Planner, config: RouteConfig) -> list[tuple[str, GridPoint]]
     ]
 
 
-def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float, *, on_pixels: bool) -> GridPoint:
-    """Return a point, or the nearest one on ground that can be used. Raises BadInputError if that is too far.
-
-    A way needs a pixel on which the vehicle fits; what can be reached is searched on whole tiles.
-    """
+def _usable(planner: Planner, name: str, point: GridPoint, snap_m: float) -> GridPoint:
+    """Return a point, or the nearest pixel on which the vehicle fits. Raises BadInputError if that is too far."""
     site, size = planner.site, planner.site.grid.tile_size
-    cells, margin = (site.grid.pixels, 0.5) if on_pixels else (1, planner.margin)
+    cells, margin = site.grid.pixels, 0.5
     reach, most = (math.ceil(metres / size) + 1 for metres in (_NEAR_M, max(snap_m, _LOOK_M)))
     while True:
         window = window_within(site.window, np.array(point) / size, reach)
-        cost = CostGround(planner).on_pixels(window) if on_pixels else planner.load(window)
+        cost = CostGround(planner).on_pixels(window)
         place = (cells * at for at in place_in_window(point, site.grid, window))
         found = nearest_usable(np.isfinite(cost), *place, margin=margin)
         too_many = 4 * window.cols * window.rows * cells**2 > planner.memory_tiles

@@ -12,7 +12,7 @@ from bumpymap.route import follow_back
 from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import NOT_REACHED
+from bumpymap.route.search import BETWEEN_OBSTACLES, NOT_REACHED
 from bumpymap.route.settings import CostSettings
 
 
@@ -81,3 +81,69 @@ def test_the_field_takes_no_more_memory_than_the_search():
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert most < 1.3 * BYTES_PER_TILE * cost.size
+
+
+def walled(gap):
+    """30 x 40 tiles with a wall from north to south; ``gap`` [m] in it, in the middle of a tile; and a start."""
+    barred = np.zeros((30, 40), np.uint8)
+    barred[:, 20] = Barred.SPLIT
+    site = TileMap(np.full((30, 40), 0.2), barred)
+    (east, south), (_, middle), (_, north) = (site.at(row, 20.5) for row in (30, 10.5, 0))
+    wall = np.arange(south + 0.1, north, 0.2)
+    site.stones = [(east + 0.1, float(y)) for y in wall if abs(y - middle) >= 0.5 * gap]
+    return site, site.at(15.5, 8.5)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1.0])
+def test_nothing_is_reached_through_a_wall(gap):
+    site, start = walled(gap)
+    reach = find_reach(Planner(site, CostSettings(), 10**6), start)
+    assert np.isfinite(reach.cost[:, :20]).all()
+    assert np.isnan(reach.cost[:, 21:]).all()
+    assert (reach.back[:, 21:] == NOT_REACHED).all()
+
+
+def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
+    site, start = walled(2.6)
+    planner = Planner(site, CostSettings(), 10**6)
+    reach = find_reach(planner, start)
+    assert np.isfinite(reach.cost).all()
+    assert reach.share == 1.0
+    for row, col in ((10, 21), (2, 30), (28, 39), (15, 24)):
+        cost = planner.leg_cost(start, site.at(row + 0.5, col + 0.5))
+        assert reach.cost[row, col] == pytest.approx(cost, rel=0.04), (row, col)
+        assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 2.0 / 60.0, rel=1e-4)
+    assert (reach.back[:, :20] != BETWEEN_OBSTACLES).all()
+    assert (reach.back[:, 21:] == BETWEEN_OBSTACLES).all()
+    with pytest.raises(ValueError, match="leads between obstacles"):
+        follow_back(reach.back, 10, 30)
+
+
+def test_a_way_back_leads_nowhere_but_to_the_start():
+    """Of tiles whose moves lead over one that is reached more cheaply between obstacles."""
+    site, start = walled(2.6)
+    site.barred[29, 20] = Barred.NO
+    site.stones = [stone for stone in site.stones if stone[1] > site.at(29, 0)[1]]  # a second gap, of a whole tile
+    reach = find_reach(Planner(site, CostSettings(), 10**6), start)
+    back = reach.back
+    assert (back[:, 21:] == BETWEEN_OBSTACLES).any()
+    assert (back[:, 21:] < BETWEEN_OBSTACLES).any()
+    for row, col in np.argwhere(back < BETWEEN_OBSTACLES):
+        line = np.concatenate([follow_back(back, int(row), int(col)), [[15.5, 8.5]]])
+        length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
+        assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
+
+
+def test_a_start_beside_an_obstacle_in_a_split_tile_reaches_its_side():
+    site, _ = walled(0.0)
+    reach = find_reach(Planner(site, CostSettings(), 10**6), site.at(15.5, 20.1))
+    assert np.isfinite(reach.cost[:, :20]).all()
+    assert np.isnan(reach.cost[:, 21:]).all()
+
+
+def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():
+    site, start = walled(2.6)
+    reach = find_reach(Planner(site, CostSettings(), 2000), start)
+    assert np.isnan(reach.cost[:, 21:]).all()
+    (note,) = reach.notes
+    assert "between obstacles were not looked for" in note

@@ -59,6 +59,8 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
     else:
         with pytest.raises(bumpymap.BadInputError, match="come closest at"):
             bumpymap.find_routes(tmp_path / "layers", start, goal, snap=6.0)
+    reach = bumpymap.map_reach(tmp_path / "layers", start, snap=6.0)
+    assert bool(np.isfinite(reach.cost.sel(x=goal[0], y=goal[1], method="nearest"))) == fits
     for file in ("layers/cost.tif", "pixels/cost.tif"):
         if file.startswith("pixels"):
             export_map(open_map([tmp_path / "layers"]), tmp_path / "pixels", ExportSettings(to="cost"))

@@ -34,9 +34,11 @@ class Mission:
     home_z: float
     """Height of the ground at the first waypoint, m; 0 if unknown."""
     speed_mps: float
+    obstacle_m: float = 0.0
+    """Length on which the vehicle touches obstacles, m."""
 
 
-def read_route_line(path: Path, *, through_obstacles: bool = False) -> NDArray[np.float64]:
+def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:
     """Read the first line of a route file.
 
     Parameters
@@ -48,8 +50,10 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> NDArray[n
 
     Returns
     -------
-    float64 (n, 2)
+    line : float64 (n, 2)
         Longitude and latitude of its corners, degrees.
+    obstacle_m : float
+        Length on which it touches obstacles, m.
 
     Raises
     ------
@@ -74,7 +78,7 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> NDArray[n
     longitude, latitude = corners.T
     if len(corners) < 2 or not (np.abs(longitude) <= 180.0).all() or not (np.abs(latitude) <= 90.0).all():
         raise BadInputError(f"the line in {path} is not one of two or more points in longitude and latitude (degrees)")
-    return corners
+    return corners, touched
 
 
 def _first_line(record: Any) -> tuple[list[Any], Any]:
@@ -156,7 +160,8 @@ def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
         },
     }
     write_json(folder / "route.plan", record)
-    return {"plan": {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}}
+    about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
+    return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
 
 
 def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:

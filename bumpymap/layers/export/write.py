@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, get_args
 
@@ -158,7 +158,8 @@ def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
         raise BadInputError(
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    mission = make_mission(area.route_map, read_route_line(path, through_obstacles=settings.through_obstacles))
+    line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
+    mission = replace(make_mission(area.route_map, line), obstacle_m=touched)
     return lambda folder: write_plan(folder, mission)
 
 

@@ -44,6 +44,7 @@ _FIGURES = (
     ("c_r_max", "largest C_r", 3, " rad/m"),
     ("p_arrives", "chance to arrive", 2, ""),
     ("unknown_m", "on ground that is not known", 0, " m"),
+    ("obstacle_m", "touching obstacles", 1, " m"),
     ("climb_m", "climb", 1, " m"),
     ("descent_m", "descent", 1, " m"),
 )

@@ -125,8 +125,9 @@ def _point(parent: ET.Element, tag: str, position: NDArray[np.float64], height: 
 
 def _description(route: Route) -> str:
     figures = route.figures
+    touching = f"touches obstacles on {figures.obstacle_m:.1f} m, " if figures.obstacle_m > 0.0 else ""
     return (
-        f"{figures.length_m:.1f} m for {route.vehicle.name}, mean ride cost {figures.c_r_mean:.3f} rad/m, "
+        f"{figures.length_m:.1f} m for {route.vehicle.name}, {touching}mean ride cost {figures.c_r_mean:.3f} rad/m, "
         f"P(arrives) {figures.p_arrives:.3f} ({P_ARRIVES_NOTE})"
     )
 

@@ -203,10 +203,11 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
             f"{_length(figures.length_m)}, cost {figures.cost_m:,.0f} m",
             _of_ride(figures),
             f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
+            *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
         )
         for place, text in enumerate(lines):
             pen.text((left + 54, row + 34 + 20 * place), text, FAINT, size=14)
-        row += 106
+        row += 46 + 20 * len(lines)
     if len(routes) > len(shown):
         pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
 

@@ -16,8 +16,9 @@ from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 __all__ = ["NO_MOVE", "ReachField", "write_reach", "write_reach_back"]
 
-TO_START, NO_MOVE = 254, 255
-"""Values of ``ReachField.back``: straight to the start, from tiles that see it; where no way leads."""
+BETWEEN_OBSTACLES, TO_START, NO_MOVE = 253, 254, 255
+"""Values of ``ReachField.back``: the way leads between obstacles, without moves; straight to the start, from tiles that
+see it; where no way leads."""
 _BLOCK = 128
 _WINDOW = 16 * BLOCK_TILES
 """Side of a window, tiles."""
@@ -35,8 +36,8 @@ class ReachField:
     minutes: NDArray[np.float32] | None = None
     """Time along that way at the profile's speed, min."""
     back: NDArray[np.uint8] | None = None
-    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start, ``NO_MOVE`` if no
-    way leads there."""
+    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start,
+    ``BETWEEN_OBSTACLES`` if it leads between obstacles, without moves, ``NO_MOVE`` if no way leads there."""
     moves: NDArray[np.int64] | None = None
     """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""
 
@@ -96,7 +97,8 @@ def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | N
     """Write reach_back.tif: a uint8 COG, the move that leads back from each tile along its cheapest way.
 
     The metadata entry ``moves`` holds the moves as JSON: rows to the south and columns to the east of move 0, 1, ...;
-    ``straight_to_start`` is the value of tiles from whose middle the way goes straight to the start.
+    ``straight_to_start`` is the value of tiles from whose middle the way goes straight to the start, and
+    ``between_obstacles`` that of tiles to which the way leads between obstacles, where there are no moves.
     For parameters and errors see `write_reach`; ``reach`` has ``back`` and ``moves``.
     """
     if reach.back is None or reach.moves is None:
@@ -105,6 +107,7 @@ def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | N
         "title": "move that leads back to the start",
         "moves": json.dumps(reach.moves.tolist()),
         "straight_to_start": str(TO_START),
+        "between_obstacles": str(BETWEEN_OBSTACLES),
     }
     spec = RasterSpec(
         bands=[

@@ -5,6 +5,7 @@ src/MissionManager/MissionController.cc (_loadJsonMissionFileV2) and MissionItem
 """
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -155,3 +156,13 @@ def test_the_manifest_of_a_route_is_no_route(make_field, write_map, tmp_path):
     route_map = open_map([write_map(make_field(6, 5, easy=True), tmp_path / "layers")])
     with pytest.raises(BadInputError, match=r"from .*route\.json: it is no GeoJSON\. Give"):
         export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=path))
+
+
+def test_a_route_that_touches_obstacles_is_taken_only_with_the_word_and_recorded(route_map, tmp_path):
+    route = route_file(tmp_path / "route.geojson", {"type": "LineString", "coordinates": line_on(route_map).tolist()})
+    route.write_text(route.read_text().replace('"name": "route"', '"name": "route", "obstacle_m": 3.25'))
+    settings = ExportSettings(to="plan", route=route)
+    with pytest.raises(BadInputError, match="touches obstacles on 3.2 m"):
+        export_map(route_map, tmp_path / "refused", settings)
+    done = export_map(route_map, tmp_path / "out", replace(settings, through_obstacles=True))
+    assert done.record["plan"]["obstacle_m"] == 3.25
