@@ -162,7 +162,7 @@ def test_a_route_that_touches_obstacles_is_taken_only_with_the_word_and_recorded
     route = route_file(tmp_path / "route.geojson", {"type": "LineString", "coordinates": line_on(route_map).tolist()})
     route.write_text(route.read_text().replace('"name": "route"', '"name": "route", "obstacle_m": 3.25'))
     settings = ExportSettings(to="plan", route=route)
-    with pytest.raises(BadInputError, match="touches obstacles on 3.2 m"):
+    with pytest.raises(BadInputError, match=r"touches obstacles on 3\.2 m"):
         export_map(route_map, tmp_path / "refused", settings)
     done = export_map(route_map, tmp_path / "out", replace(settings, through_obstacles=True))
     assert done.record["plan"]["obstacle_m"] == 3.25
