@@ -481,8 +481,8 @@ def test_wrong_settings_of_a_check_are_named(layers, settings, words):
     [
         "bumpymap.survey.api",
         "bumpymap.survey.batch.run",
-        "bumpymap.change.api",
-        "bumpymap.check.api",
+        "bumpymap.change.pipeline",
+        "bumpymap.check.pipeline",
         "bumpymap.layers.opened",
         "bumpymap.scan.classifier",
     ],

@@ -10,9 +10,9 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.change import DiffConfig
-from bumpymap.change.api import DiffSettings
+from bumpymap.change.pipeline import DiffSettings
 from bumpymap.check import CheckConfig
-from bumpymap.check.api import CheckSettings
+from bumpymap.check.pipeline import CheckSettings
 from bumpymap.cli import main
 from bumpymap.cli._wording import _SPELLED, as_options
 from bumpymap.core import PolarSettings, Scan

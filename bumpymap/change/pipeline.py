@@ -3,21 +3,27 @@
 Open both, find which tiles both have, compare heights and ride costs, decide, connect, write.
 """
 
-from collections.abc import Mapping
+import math
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.change.compare import Decision, decide
-from bumpymap.change.ground import GroundChange
-from bumpymap.change.heights import cell_pixels, ground_changes, height_offset
-from bumpymap.change.notes import remarks
+from bumpymap.change.compare import (
+    CommonError,
+    Decision,
+    GroundChange,
+    cell_pixels,
+    decide,
+    ground_changes,
+    height_offset,
+    ride_z,
+)
 from bumpymap.change.regions import connect, describe_regions, region_names
-from bumpymap.change.ride import CommonError, ride_z
-from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
@@ -26,15 +32,21 @@ from bumpymap.core import (
     Barred,
     Progress,
     SilentProgress,
+    UsageError,
     brief_repr,
+    count_text,
+    path_of_call,
+    settings_of_call,
 )
 from bumpymap.layers import (
     ChangeField,
+    Layers,
     RouteMap,
     SurveyPair,
     SurveyTiles,
     change_regions,
     check_change_out,
+    folder_of,
     open_pair,
     write_change,
 )
@@ -42,9 +54,104 @@ from bumpymap.layers import (
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["ChangeResult", "find_changes"]
+__all__ = ["ChangeResult", "DiffConfig", "diff_surveys", "find_changes", "remarks"]
 
-_CLASSES = len(CLASS_NAMES)
+
+@dataclass(frozen=True, slots=True)
+class DiffConfig:
+    """All settings of a ``diff`` run."""
+
+    before: Path
+    """Layers of the earlier survey."""
+    after: Path
+    """Layers of the later one."""
+    out: Path | None = None
+    """Folder for the files; None: only the summary."""
+    fdr: float = 0.05
+    """Share of the changed tiles that may be found by mistake."""
+    min_tiles: int = 2
+    """Fewest connected tiles of a change; smaller ones are left out."""
+    offset: float | None = None
+    """Height that is taken off the later survey, m; None: the median difference, as measured."""
+    overwrite: bool = False
+    """Replace files of an earlier run."""
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.fdr) and 0.0 < self.fdr < 1.0):
+            raise UsageError(f"`fdr` is {self.fdr!r}; it must be a number between 0 and 1, such as 0.05")
+        if self.min_tiles < 1:
+            raise UsageError(f"`min_tiles` is {self.min_tiles!r}; it must be a whole number of at least 1")
+        if self.offset is not None and not math.isfinite(self.offset):
+            raise UsageError(f"`offset` is {self.offset!r}; it must be a number of metres, such as 0")
+
+
+_DENSITY = 2.0
+"""Ratio of the densities from which surveys are unlike."""
+
+
+_WIDE = 1.5
+"""Widening from which the surveys do not fit each other."""
+
+
+_MOST_CHANGED = 0.3
+"""Share of changed tiles from which the rest may be no measure of what has not changed."""
+
+
+_RIDE = 0.05
+"""Median change of the ride cost, as a share, that is told."""
+
+
+def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return remarks and warnings, a sentence each."""
+    return tuple(_remarks(fit, counts))
+
+
+def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
+    if fit["offset_m"] is not None:
+        taken = fit["offset_taken_off_m"]
+        what = "taken off" if taken == fit["offset_m"] else f"{taken:+.3f} m was taken off, as asked"
+        side = "higher" if fit["offset_m"] > 0.0 else "lower"
+        lies = f"{abs(fit['offset_m']):.3f} m {side}"
+        level = abs(fit["offset_m"]) < 0.0005
+        yield f"the later survey lies {'level with the earlier one' if level else lies} in the median tile; {what}"
+    low, high = sorted(fit["median_density_m2"])
+    if high > _DENSITY * low:
+        yield (
+            f"the surveys have unlike densities, {low:,.0f} and {high:,.0f} points per m2: a ride cost depends on it a "
+            "little, so changes of the ride count less than those of the ground"
+        )
+    wide = {name: factor for name, factor in fit["widened"].items() if factor > _WIDE}
+    if wide:
+        told = ", ".join(f"{name} {factor:.1f} times" for name, factor in wide.items())
+        yield (
+            f"the surveys differ everywhere by more than their noise ({told}), as if they did not fit each other: "
+            "spreads were widened, and small changes are not found. Align them to the same control points"
+        )
+    ratio = fit["median_ratio_c_r"]
+    if ratio is not None and abs(ratio - 1.0) > _RIDE:
+        yield f"the ride cost of the median tile is {ratio:.2f} times what it was: the surveys may be what differs"
+    if counts["changed"] > _MOST_CHANGED * max(counts["compared"], 1):
+        yield (
+            f"{counts['changed']:,} of {count_text(counts['compared'], 'tile')} have changed: too many for the rest to "
+            "tell offset and noise well"
+        )
+    left = counts["in_both"] - counts["compared"]
+    if left:
+        yield f"{count_text(left, 'tile has', 'tiles have')} too few pixels in common to be compared"
+    if None not in fit["versions"] and fit["versions"][0] != fit["versions"][1]:
+        yield f"the layers were made by versions {' and '.join(fit['versions'])}; map both with one"
+
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+class DiffSettings(TypedDict, total=False):
+    """Settings of `diff_surveys`: fields of ``DiffConfig``."""
+
+    fdr: float
+    min_tiles: int
+    offset: float | None
+    overwrite: bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,6 +192,59 @@ class ChangeResult:
             The extra ``notebook`` is not installed.
         """
         return change_regions(self.field, region_names())
+
+
+def diff_surveys(
+    before: "PathLike | Layers",
+    after: "PathLike | Layers",
+    out: PathLike | None = None,
+    **settings: Unpack[DiffSettings],
+) -> ChangeResult:
+    """Find what has changed between two surveys of a site, as ``bumpymap diff`` does.
+
+    Parameters
+    ----------
+    before, after : path or Layers
+        What `map_survey` or ``bumpymap map`` wrote of the earlier and of the later survey.
+    out : path, optional
+        Folder for change.tif, change.geojson, change.json, their style and page; without it nothing is written.
+    fdr : float
+        Share of the changed tiles that may be found by mistake, on average; default 0.05.
+    min_tiles : int
+        Fewest connected tiles of a change, default 2; smaller ones are left out.
+    offset : float, optional
+        Height to take off the later survey, m; by default the median difference.
+    overwrite : bool
+        Replace the files of an earlier comparison.
+
+    Returns
+    -------
+    ChangeResult
+        ``counts`` and ``transitions`` (tiles), ``fit``, ``notes``, ``folder``, ``files``; ``regions()`` is a table of
+        the places that have changed.
+
+    Raises
+    ------
+    BadInputError
+        The layers cannot be read, cannot be compared, or have no tile in common.
+    UsageError
+        A setting is wrong.
+    OutputError
+        The files cannot be written.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> change = bumpymap.diff_surveys("site_layers", "site_layers")
+    >>> change.counts["changed"], len(change.regions())
+    (0, 0)
+    """
+    own = settings_of_call(settings, DiffConfig, "diff_surveys", DiffSettings.__annotations__)
+    target = None if out is None else Path(path_of_call("out", out))
+    return find_changes(DiffConfig(folder_of("before", before), folder_of("after", after), target, **own))
+
+
+_CLASSES = len(CLASS_NAMES)
 
 
 def find_changes(config: DiffConfig, progress: Progress | None = None) -> ChangeResult:

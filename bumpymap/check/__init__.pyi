@@ -1,19 +1,13 @@
-from .agreement import (
-    agreement_of as agreement_of,
-)
-from .api import (
-    check_drives as check_drives,
-)
-from .drive_measure import (
+from .measure import (
     LEFT_OUT as LEFT_OUT,
     DriveMeasure as DriveMeasure,
     WayStretch as WayStretch,
-)
-from .measure import (
     measure_drive as measure_drive,
 )
 from .pipeline import (
     CheckRun as CheckRun,
+    agreement_of as agreement_of,
+    check_drives as check_drives,
     run_check as run_check,
 )
 from .places import (

@@ -7,21 +7,232 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from bumpymap.check.attitude import heading_of, levelling, turned, upward_in_sensor
-from bumpymap.check.clock import ClockFit, fit_clock, refuse_wrong_unit
-from bumpymap.check.drive_measure import COUNTS, LEFT_OUT, DriveMeasure
-from bumpymap.check.mounting import DrivenMotion, Mounting, find_mounting, gravity_is_plausible, level_force
-from bumpymap.check.places import MetrePlaces, near_place
+from bumpymap.check.mounting import (
+    ClockFit,
+    DrivenMotion,
+    Mounting,
+    find_mounting,
+    fit_clock,
+    gravity_is_plausible,
+    level_force,
+    refuse_wrong_unit,
+)
+from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
 from bumpymap.check.settings import ReadingSettings
-from bumpymap.check.signals import EvenImu, even_imu, low_pass, rolling_mean
-from bumpymap.check.standing import find_standing, rate_bias, rough_speed
+from bumpymap.check.signals import (
+    EvenImu,
+    even_imu,
+    heading_of,
+    levelling,
+    low_pass,
+    pieces,
+    rolling_mean,
+    turned,
+    upward_in_sensor,
+)
 from bumpymap.check.track import DrivenTrack, TrackStart, fit_track
-from bumpymap.core import BadInputError, DriveLog
+from bumpymap.core import BadInputError, DriveLog, WheelTrack
 
-__all__ = ["SlopeAt", "measure_drive"]
+__all__ = [
+    "COUNTS",
+    "LEFT_OUT",
+    "DriveMeasure",
+    "RoughSpeed",
+    "SlopeAt",
+    "WayStretch",
+    "find_standing",
+    "measure_drive",
+    "rate_bias",
+    "rough_speed",
+]
 
 Floats = NDArray[np.float64]
+
+COUNTS = 0
+"""Value of ``DriveMeasure.reason`` for samples that count."""
+LEFT_OUT = (
+    "",
+    "gap in the record of the IMU",
+    "no position",
+    "too slow",
+    "turning",
+    "too short between the parts left out",
+    "off the map",
+    "unknown ground",
+)
+"""Why a part of the way does not count, by the value of ``DriveMeasure.reason``."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriveMeasure:
+    """One drive at the even samples of its inertial sensor."""
+
+    name: str
+    time: Floats
+    """(n,) s, on the clock of the IMU."""
+    pitch_rate: Floats
+    """(n,) about the vehicle's own y axis, low-passed, rad/s."""
+    speed: Floats
+    """(n,) m/s."""
+    easting: Floats
+    """(n,) m; from the start where there are no positions."""
+    northing: Floats
+    """(n,) m."""
+    reason: NDArray[np.uint8]
+    """(n,) number in ``LEFT_OUT``; 0: counts."""
+    track: DrivenTrack
+    hertz: float
+    band_hz: float
+    clock_offset_s: float
+    """What to add to the times of the positions; NaN if it cannot be told."""
+    clock_offset_sd_s: float
+    clock_drift_ppm: float
+    mount_deg: tuple[float, float, float]
+    floor_radps: float
+    """Mean absolute pitch rate at standstill, rad/s; NaN without one."""
+    notes: tuple[str, ...]
+
+    @property
+    def floor(self) -> float:
+        """The floor, 0 where it is not known, rad/s."""
+        return 0.0 if np.isnan(self.floor_radps) else self.floor_radps
+
+
+@dataclass(frozen=True, slots=True)
+class WayStretch:
+    """Stretches of one drive, one row each."""
+
+    label: NDArray[np.int64]
+    """(samples,) number of the stretch of each sample, -1 where it belongs to none."""
+    start_s: Floats
+    """(n,) s."""
+    end_s: Floats
+    """(n,) s."""
+    way_m: Floats
+    """(n,) m."""
+    speed_mps: Floats
+    """(n,) mean speed."""
+    measured: Floats
+    """(n,) rad/m."""
+    measured_sd: Floats
+    """(n,) rad/m."""
+    easting: Floats
+    """(n,) middle, m."""
+    northing: Floats
+    """(n,) m."""
+
+
 Mask = NDArray[np.bool_]
+
+_WINDOW_S = 1.0
+_QUIET = 3.0
+"""A standing vehicle shakes at most this many times as much as in its quietest second."""
+_QUIET_SHARE = 0.35
+"""And at most this share of what it shakes in the middle of the record."""
+_SILENT_RADPS = 1e-5
+"""No moving vehicle is quieter."""
+_LEAST_S = 2.0
+_MARGIN_S = 0.5
+"""Taken off at both ends of a stop: the vehicle still rocks."""
+_SLOW_MPS = 0.15
+"""A vehicle whose positions move less than this may stand."""
+_TURNING_MPS = 0.03
+"""Wheels that turn faster move the vehicle, however quiet the ground is."""
+_MOST_ERROR_MPS = 0.3
+"""Of the speed by positions."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoughSpeed:
+    """How fast the vehicle may have moved, before its way is known."""
+
+    value: Floats
+    """(n,) at the samples of the IMU, m/s; NaN where not known. Of wheels, that of the faster side."""
+    slow: float
+    """A vehicle that is slower may stand, m/s."""
+    sure: bool = False
+    """By wheels: a vehicle that is slower stands unless it shakes."""
+
+
+def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | None) -> RoughSpeed:
+    """Return a rough speed, from wheels if their speed is known, else from positions."""
+    if wheels is not None and np.isfinite(wheels.speed).sum() > 1:
+        good = np.isfinite(wheels.speed)
+        faster = np.abs(wheels.speed[good]) + 0.5 * np.abs(np.nan_to_num(wheels.difference[good]))
+        return RoughSpeed(
+            np.interp(imu.time, wheels.time[good], faster, left=np.nan, right=np.nan), _TURNING_MPS, sure=True
+        )
+    if places is None:
+        return RoughSpeed(np.full(len(imu.time), np.nan), _SLOW_MPS)
+    even = np.arange(imu.time[0], imu.time[-1], 0.1)
+    velocity, known = smooth_velocity(places, even, 1.0)
+    speed = np.where(known, np.abs(velocity), np.nan)
+    still = speed[np.isfinite(speed)]
+    error = min(float(np.quantile(still, 0.02)) if len(still) else 0.0, _MOST_ERROR_MPS)
+    return RoughSpeed(np.interp(imu.time, even, speed), _SLOW_MPS + 2.0 * error)
+
+
+def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
+    """Return when the vehicle stood still.
+
+    Parameters
+    ----------
+    imu : EvenImu
+    speed : RoughSpeed
+        From positions or wheels.
+    band_hz : float
+
+    Returns
+    -------
+    bool array (n,)
+    """
+    rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
+    samples = round(_WINDOW_S * imu.hertz)
+    mean = rolling_mean(rate, samples)
+    spread = np.sqrt(np.maximum(rolling_mean(rate**2, samples) - mean**2, 0.0).sum(axis=1))
+    slow = ~(speed.value > speed.slow)
+    known = imu.known & slow
+    if not known.any():
+        return np.zeros_like(known)
+    moving = speed.value > 2.0 * speed.slow
+    usual = float(np.median(spread[imu.known & moving])) if (imu.known & moving).any() else np.inf
+    limit = min(_QUIET * float(np.quantile(spread[known], 0.02)), np.inf if speed.sure else _QUIET_SHARE * usual)
+    quiet = known & (spread <= max(limit, _SILENT_RADPS))
+    standing = np.zeros_like(known)
+    margin = round(_MARGIN_S * imu.hertz)
+    for part in pieces(quiet):
+        if part.stop - part.start >= _LEAST_S * imu.hertz:
+            standing[part.start + margin : part.stop - margin] = True
+    return standing
+
+
+def rate_bias(imu: EvenImu, standing: Mask, upward: Floats) -> Floats:
+    """Return what the gyroscope reads without turning: its mean at each stop, and straight lines between stops.
+
+    Without a stop it is the mean of the whole record about level axes, since no vehicle keeps rolling over; about the
+    upward axis it is then 0.
+
+    Parameters
+    ----------
+    imu : EvenImu
+    standing : bool array (n,)
+    upward : float64 array (3,)
+        Unit vector in the axes of the sensor.
+
+    Returns
+    -------
+    float64 array (n, 3)
+        rad/s.
+    """
+    stops = pieces(standing)
+    if not stops:
+        whole = imu.rate[imu.known].mean(axis=0)
+        return np.broadcast_to(whole - (whole @ upward) * upward, imu.rate.shape)
+    middle = np.array([0.5 * (imu.time[part.start] + imu.time[part.stop - 1]) for part in stops])
+    mean = np.stack([imu.rate[part].mean(axis=0) for part in stops])
+    return np.stack([np.interp(imu.time, middle, mean[:, axis]) for axis in range(3)], axis=1)
+
+
 SlopeAt = Callable[[Floats, Floats, Floats], tuple[Floats, Floats]]
 """Easting, northing [m] and course [rad] -> rise of the ground ahead and to the left over a metre, NaN if unknown."""
 

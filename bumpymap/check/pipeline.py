@@ -3,26 +3,31 @@
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
 
-from collections.abc import Callable, Iterable
+import os
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeAlias, TypedDict, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri
+from scipy.stats import rankdata
 
-from bumpymap.check.agreement import agreement_by_class, agreement_of
-from bumpymap.check.drive_measure import COUNTS, DriveMeasure, WayStretch
-from bumpymap.check.ground import DriveSteps, MapReading, drive_steps, read_along, with_ground
-from bumpymap.check.measure import measure_drive
-from bumpymap.check.notes import drive_warnings, left_out, map_warnings, refuse_without_stretches
-from bumpymap.check.place_on_map import places_alone, places_on_map
-from bumpymap.check.places import MetrePlaces
-from bumpymap.check.settings import CheckConfig, ReadingSettings
-from bumpymap.check.slopes import SlopeMap, window_around
-from bumpymap.check.stretches import cut_stretches
-from bumpymap.check.tiles import TileDrive, driven_tiles
+from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
+from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
+from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig, ReadingSettings
+from bumpymap.check.stretches import (
+    DriveSteps,
+    MapReading,
+    TileDrive,
+    cut_stretches,
+    drive_steps,
+    driven_tiles,
+    read_along,
+    with_ground,
+)
 from bumpymap.core import (
     NO_CLASS,
     BadInputError,
@@ -31,17 +36,261 @@ from bumpymap.core import (
     CheckResult,
     DriveLog,
     DrivenStretches,
+    MapAgreement,
     Progress,
     SilentProgress,
     TileField,
+    UsageError,
     counted,
+    path_of_call,
+    refuse_unknown,
+    settings_of_call,
+    short_repr,
 )
-from bumpymap.layers import RouteMap, check_check_out, open_map, write_check
+from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_map, write_check
 from bumpymap.readers import close_log_reader, read_drive
 
-__all__ = ["CheckRun", "run_check"]
+__all__ = [
+    "CheckRun",
+    "agreement_by_class",
+    "agreement_of",
+    "check_drives",
+    "drive_warnings",
+    "left_out",
+    "map_warnings",
+    "refuse_without_stretches",
+    "run_check",
+    "spearman",
+]
 
 Floats = NDArray[np.float64]
+
+_LEAST_STRETCHES = 5
+"""With fewer, no rank correlation is given."""
+_END_80 = float(ndtri(0.9))
+
+
+def spearman(first: Floats, second: Floats) -> float:
+    """Return the rank correlation of two series; NaN where one is constant, or with fewer than five values."""
+    if len(first) < _LEAST_STRETCHES:
+        return float("nan")
+    ranks = rankdata(first), rankdata(second)
+    one, two = (rank - rank.mean() for rank in ranks)
+    power = float(np.sqrt((one @ one) * (two @ two)))
+    return float(one @ two) / power if power > 0.0 else float("nan")
+
+
+def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = None) -> MapAgreement:
+    """Return how well map and drives agree over stretches that are on the map.
+
+    ``inside`` counts a stretch whose measured C_r lies in the map's interval after its ends have been moved outwards,
+    in quadrature, by the error of the measurement and by what the error of the positions makes of the map.
+
+    Parameters
+    ----------
+    stretches : DrivenStretches
+    chosen : bool array (n,), optional
+        Stretches to look at; None: all on the map.
+    """
+    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
+    on &= np.ones_like(on) if chosen is None else chosen
+    predicted, measured = stretches.c_r[on], stretches.measured[on]
+    if not len(measured):
+        nothing = float("nan")
+        return MapAgreement(0, 0.0, nothing, nothing, nothing, nothing, nothing)
+    ratio = predicted / measured
+    error = _END_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
+    below = np.hypot(predicted - stretches.c_r_low[on], error)
+    above = np.hypot(stretches.c_r_high[on] - predicted, error)
+    inside = (measured >= predicted - below) & (measured <= predicted + above)
+    return MapAgreement(
+        stretches=int(on.sum()),
+        way_m=float(stretches.way_m[on].sum()),
+        spearman=spearman(predicted, measured),
+        median_ratio=float(np.median(ratio)),
+        median_error=float(np.median(np.abs(ratio - 1.0))),
+        inside=float(inside.mean()),
+        same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
+    )
+
+
+def agreement_by_class(stretches: DrivenStretches) -> dict[int, MapAgreement]:
+    """Return the agreement over the stretches of each class of the map that was driven."""
+    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
+    return {
+        int(number): agreement_of(stretches, stretches.class_id == number)
+        for number in np.unique(stretches.class_id[on])
+    }
+
+
+_OTHER_SPEED = 0.2
+_OTHER_VEHICLE = 1.5
+"""A map that is off by more than this factor in the median was made for another vehicle, or of other ground."""
+_LITTLE_WAY_M = 50.0
+_TILE_M = 3.0
+_SHORT = "too short between the parts left out"
+
+
+def left_out(drive: DriveMeasure, cut: WayStretch) -> dict[str, float]:
+    """Return the length that does not count by reason, m; without reasons that take nothing."""
+    way = np.abs(drive.speed) / drive.hertz
+    reason = np.where((drive.reason == COUNTS) & (cut.label < 0), LEFT_OUT.index(_SHORT), drive.reason)
+    length = np.bincount(reason, way, minlength=len(LEFT_OUT))
+    return {name: float(metres) for name, metres in zip(LEFT_OUT, length, strict=True) if name and metres > 0.05}
+
+
+def refuse_without_stretches(drive: DriveMeasure, cut: WayStretch) -> None:
+    """Refuse a drive that leaves no stretch.
+
+    Raises
+    ------
+    BadInputError
+        The message says where the way went.
+    """
+    if len(cut.start_s):
+        return
+    lost = ", ".join(f"{name} {metres:.0f} m" for name, metres in left_out(drive, cut).items())
+    length = float((np.abs(drive.speed) / drive.hertz).sum())
+    raise BadInputError(
+        f"{drive.name}: no stretch of {LEAST_WINDOW_M:g} m or more is left of {length:.0f} m of way: {lost}. "
+        "Drive straight on for at least 10 m at a time, over ground that the map knows"
+    )
+
+
+def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool) -> list[str]:
+    """Return what makes the readings of a drive less sure."""
+    found = []
+    if np.isnan(drive.floor_radps):
+        found.append(
+            f"{drive.name}: the vehicle never stands still, so what sensor and engine alone read is not known and not "
+            "taken off; C_r of smooth ground may read high. Let it stand for 10 s with its engine on before the drive"
+        )
+    elif (share := _median_share(drive, cut)) > 0.5:
+        found.append(
+            f"{drive.name}: sensor and engine alone read {share:.0%} of what was recorded on the way, so C_r is unsure"
+        )
+    if has_positions and np.isnan(drive.clock_offset_s):
+        found.append(
+            f"{drive.name}: the offset of the clocks of IMU and positions cannot be told; "
+            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way tell it"
+        )
+    if has_positions and drive.track.scatter.total_m > 0.5 * _TILE_M:
+        found.append(
+            f"{drive.name}: positions are off by {drive.track.scatter.total_m:.1f} m, about as much as a tile is wide, "
+            "so readings of single tiles are blurred"
+        )
+    if cut.way_m.sum() < _LITTLE_WAY_M:
+        found.append(f"{drive.name}: only {cut.way_m.sum():.0f} m count, too little to judge a map by")
+    return found
+
+
+def _median_share(drive: DriveMeasure, cut: WayStretch) -> float:
+    """Return the median share of the floor in what was read."""
+    floor: NDArray[np.float64] = drive.floor / np.maximum(cut.speed_mps, 1e-9)
+    return float(np.median(floor / np.maximum(np.hypot(cut.measured, floor), 1e-9)))
+
+
+def map_warnings(ground: CheckedMap, speeds: list[tuple[str, float]], agreement: MapAgreement) -> list[str]:
+    """Return where drives and the vehicle profile of a map do not fit.
+
+    Parameters
+    ----------
+    ground : CheckedMap
+    speeds : list of (str, float)
+        Name and median speed of each drive, m/s.
+    agreement : MapAgreement
+    """
+    found = [
+        f"{name} was driven at {speed:.2f} m/s and the map is made for {ground.speed_mps:g} m/s; C_r "
+        f"changes with speed. Drive at {ground.speed_mps:g} m/s, or map the survey with `speed={speed:.2g}`"
+        for name, speed in speeds
+        if abs(speed / ground.speed_mps - 1.0) > _OTHER_SPEED
+    ]
+    ratio = agreement.median_ratio
+    if agreement.stretches and not 1.0 / _OTHER_VEHICLE < ratio < _OTHER_VEHICLE:
+        found.append(
+            f"the map reads {ratio:.2g} times what was measured. Was the vehicle a {ground.vehicle}, as the map "
+            "assumes, and has the ground stayed as it was surveyed?"
+        )
+    return found
+
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+
+class CheckSettings(TypedDict, total=False):
+    """Settings of `check_drives`: fields of ``CheckConfig``."""
+
+    columns: Mapping[str, str] | None
+    band_hz: float
+    window_m: float
+    overwrite: bool
+
+
+def check_drives(
+    layers: "PathLike | Layers | None",
+    drives: PathLike | Iterable[PathLike],
+    out: PathLike | None = None,
+    **settings: Unpack[CheckSettings],
+) -> CheckResult:
+    """Hold a map against real drives over it, as ``bumpymap check`` does.
+
+    Parameters
+    ----------
+    layers : path, Layers or None
+        What `map_survey` or ``bumpymap map`` wrote; None measures the drives alone.
+    drives : path, or several
+        Each a log (CSV, a bag of ROS, ULog), or the files of one drive joined by commas.
+    out : path, optional
+        Folder for the page, the picture, tables and GIS layers; without it nothing is written.
+    columns : mapping, optional
+        Quantity -> column or topic that holds it, such as ``{"rate_y": "GyrY[deg/s]"}``; by default they are guessed.
+    band_hz : float
+        Rates are low-passed at this frequency, Hz; default 10.
+    window_m : float
+        Length of a stretch, at least 5 m; default 10.
+    overwrite : bool
+        Replace the files of an earlier check.
+
+    Returns
+    -------
+    CheckResult
+        ``agreement`` and ``by_class`` say how well they agree, ``drives`` what was found of each drive and its
+        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says. ``skipped`` names
+        the drives that could not be used, with the reason.
+
+    Raises
+    ------
+    BadInputError
+        The layers cannot be read, or no drive can be used.
+    UsageError
+        A setting is wrong.
+    OutputError
+        The files cannot be written.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> result = bumpymap.check_drives("site_layers", "drive.csv")
+    >>> result.agreement.stretches == len(result.stretches.measured)
+    True
+    """
+    refuse_unknown(settings, CheckSettings.__annotations__, "check_drives")
+    columns = settings.pop("columns", None)
+    if columns is not None and not (
+        isinstance(columns, Mapping) and all(isinstance(text, str) for entry in columns.items() for text in entry)
+    ):
+        raise UsageError(f"columns is {short_repr(columns)}; give a dict, such as {{'rate_y': 'GyrY[deg/s]'}}")
+    own = settings_of_call(settings, CheckConfig, "check_drives")
+    each = [drives] if isinstance(drives, str | os.PathLike) else drives
+    if not isinstance(each, Iterable):
+        raise UsageError(f"drives is {short_repr(drives)}; give the log of a drive, or a list of logs")
+    named = tuple(path_of_call("drives", drive) for drive in each)
+    site = None if layers is None else folder_of("layers", layers)
+    target = None if out is None else Path(path_of_call("out", out))
+    return run_check(CheckConfig(named, site, target, columns, **own)).result
+
+
 Found = TypeVar("Found")
 
 _MARGIN_M = 12.0

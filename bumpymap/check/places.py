@@ -1,14 +1,26 @@
-"""Positions of a drive in metres, and how far they scatter."""
+"""Positions of a drive in metres, how far they scatter, and where they lie on the grid of a map."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter1d
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
-from bumpymap.core import BadInputError, PlaceTrack
+from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
+from bumpymap.layers import RouteMap
+from bumpytiles import TileWindow
 
-__all__ = ["MetrePlaces", "local_metres", "metre_places", "scatter_of", "smooth_velocity"]
+__all__ = [
+    "MetrePlaces",
+    "SlopeMap",
+    "local_metres",
+    "metre_places",
+    "places_alone",
+    "places_on_map",
+    "scatter_of",
+    "smooth_velocity",
+    "window_around",
+]
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
@@ -182,3 +194,136 @@ def _far_variance(places: MetrePlaces, time: Floats, heading: Floats, offset: fl
     left = (moved[1] - moved[0]) - turn * (driven[1] - driven[0])
     across = left * np.exp(-1j * np.angle(moved[0] + moved[1]))
     return float((_NORMAL_MAD * np.median(np.abs(across.imag))) ** 2)
+
+
+_LEAST_INSIDE = 0.02
+"""With a smaller share of its positions in the extent of the map, a drive was somewhere else."""
+
+
+def places_alone(log: DriveLog) -> MetrePlaces | None:
+    """Return the positions of a drive in metres, from any zero; None if it has none."""
+    track = log.places
+    if track is None:
+        return None
+    metres = local_metres(track.x, track.y) if track.kind == "lonlat" else (track.x, track.y)
+    return metre_places(track, *metres, log.name)
+
+
+def places_on_map(log: DriveLog, site: RouteMap) -> MetrePlaces:
+    """Return the positions of a drive on the grid of a map, m.
+
+    Raises
+    ------
+    BadInputError
+        There are none, they do not say where on Earth they are, or they lie off the map.
+    """
+    track = log.places
+    if track is None:
+        raise BadInputError(
+            f"{log.name} has no positions, so it is not known which part of the map was driven. Give the log of the "
+            "receiver with it (files of one drive are joined by commas), name its columns with `columns`, or leave "
+            "out the layers to measure the drive alone"
+        )
+    if track.kind == "local":
+        raise BadInputError(
+            f"{log.name} has positions of odometry alone, which do not say where on the map they are. Give longitude "
+            "and latitude or coordinates of the map's CRS, or leave out the layers to measure the drive alone"
+        )
+    if track.kind == "lonlat" and not site.has_crs:
+        raise BadInputError(
+            f"{log.name} has longitude and latitude, but the map has no CRS. Map the survey with `crs='EPSG:CODE'`, or "
+            "give positions in the survey's own coordinates"
+        )
+    convert = site.from_lonlat if track.kind == "lonlat" else site.to_grid
+    places = metre_places(track, *convert(track.x, track.y), log.name)
+    _refuse_off_map(log.name, track, places, site)
+    return places
+
+
+def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: RouteMap) -> None:
+    size, window = site.grid.tile_size, site.window
+    west, south = window.col * size, window.row * size
+    east, north = west + window.cols * size, south + window.rows * size
+    inside = (places.place.real > west) & (places.place.real < east)
+    inside &= (places.place.imag > south) & (places.place.imag < north)
+    if inside.mean() > _LEAST_INSIDE:
+        return
+    if track.kind == "lonlat":
+        where = f"around longitude {_middle(track.x, 5)}, latitude {_middle(track.y, 5)}"
+        lon, lat = site.to_lonlat(np.array([west, east]), np.array([south, north]))
+        there = f"longitude {lon[0]:.5f} to {lon[1]:.5f}, latitude {lat[0]:.5f} to {lat[1]:.5f}"
+        remedy = "Check that longitude and latitude are not exchanged, and that it is the drive of this site"
+    else:
+        where = f"around {_middle(track.x, 1)}, {_middle(track.y, 1)}"
+        ends = site.to_crs(np.array([west, east]), np.array([south, north]))
+        (x0, x1), (y0, y1) = ends
+        crs = site.georeference.crs
+        there = f"{x0:.1f} to {x1:.1f}, {y0:.1f} to {y1:.1f}" + (f" in {describe_crs(crs)}" if crs is not None else "")
+        remedy = "Give positions in the CRS of the map, or longitude and latitude"
+    raise BadInputError(f"{name} is off the map: the drive lies {where}; the map covers {there}. {remedy}")
+
+
+def _middle(values: Floats, digits: int) -> str:
+    return f"{float(np.nanmedian(values)):.{digits}f}"
+
+
+_PIXELS = 5
+"""Along a tile: 0.6 m at the usual size, which is finer than a vehicle is long."""
+_MOST_PIXELS = 4000
+"""Along a side; larger windows are read coarser."""
+_SPREAD_M = 0.6
+"""Heights are smoothed by a Gaussian of this standard deviation: what four wheels average."""
+_LEAST_KNOWN = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class SlopeMap:
+    """Rise of the ground eastwards and northwards over a metre, in a window of a map."""
+
+    west: float
+    north: float
+    pixel_m: float
+    eastward: Floats
+    """(rows, cols), north row first; NaN where unknown."""
+    northward: Floats
+
+    @classmethod
+    def of(cls, site: RouteMap, window: TileWindow) -> "SlopeMap":
+        """Read the heights of a window and take their slopes."""
+        size = site.grid.tile_size
+        each = min(_PIXELS, max(_MOST_PIXELS // max(window.rows, window.cols), 1))
+        height = site.relief(window, (window.rows * each, window.cols * each)).astype(np.float64)
+        pixel = size / each
+        known = np.isfinite(height)
+        middle = float(np.median(height[known])) if known.any() else 0.0
+        sigma = _SPREAD_M / pixel
+        weight = gaussian_filter(known.astype(np.float64), sigma)
+        smooth = gaussian_filter(np.where(known, height - middle, 0.0), sigma) / np.maximum(weight, 1e-9)
+        smooth[weight < _LEAST_KNOWN] = np.nan
+        down, across = np.gradient(smooth, pixel) if min(smooth.shape) > 1 else (smooth * np.nan, smooth * np.nan)
+        return cls(window.col * size, (window.row + window.rows) * size, pixel, across, -down)
+
+    def slope_at(self, easting: Floats, northing: Floats, course: Floats) -> tuple[Floats, Floats]:
+        """Return the rise ahead and to the left over a metre, (n,) each; NaN where it is not known.
+
+        Parameters
+        ----------
+        easting, northing : float64 arrays (n,)
+            m, on the grid.
+        course : float64 array (n,)
+            Heading, rad, east 0.
+        """
+        at = np.stack([(self.north - northing) / self.pixel_m - 0.5, (easting - self.west) / self.pixel_m - 0.5])
+        east, north = (map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (self.eastward, self.northward))
+        cosine, sine = np.cos(course), np.sin(course)
+        return east * cosine + north * sine, north * cosine - east * sine
+
+
+def window_around(site: RouteMap, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:
+    """Return the window of the map's tiles around some places, m; it does not extend beyond the map."""
+    size, whole = site.grid.tile_size, site.window
+    ends = []
+    for values, first, count in ((easting, whole.col, whole.cols), (northing, whole.row, whole.rows)):
+        least, most = np.floor(np.array([values.min() - margin_m, values.max() + margin_m]) / size)
+        ends.append(np.clip(np.array([least, most]), first, first + count - 1).astype(np.int64))
+    return TileWindow.around(*ends)

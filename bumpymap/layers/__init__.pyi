@@ -35,26 +35,20 @@ from .change_pair import (
 from .check.folder import (
     write_check as write_check,
 )
-from .check.ground import (
-    CheckGround as CheckGround,
-)
-from .check.names import (
+from .check.record import (
     CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
     CHECK_NAMES as CHECK_NAMES,
     CHECK_VIEW_NAMES as CHECK_VIEW_NAMES,
     check_check_out as check_check_out,
-)
-from .check.record import (
     read_check as read_check,
 )
-from .check.tables import (
-    warnings_of as warnings_of,
-)
+from .check.vectors import CheckGround as CheckGround
 from .check.words import (
     check_headline as check_headline,
     check_verdict as check_verdict,
     columns_words as columns_words,
     level_words as level_words,
+    warnings_of as warnings_of,
 )
 from .colours import (
     BARRED_COLOURS as BARRED_COLOURS,

@@ -7,18 +7,14 @@ from .decoder import (
     start_decoder as start_decoder,
 )
 from .detect import (
+    find_surveys as find_surveys,
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
-from .drives.choice import (
-    parse_columns as parse_columns,
-)
+from .drives.columns import parse_columns as parse_columns
 from .drives.read import (
     close_log_reader as close_log_reader,
     read_drive as read_drive,
-)
-from .find import (
-    find_surveys as find_surveys,
 )
 from .frames.bag import (
     BagReader as BagReader,
@@ -26,12 +22,6 @@ from .frames.bag import (
 )
 from .frames.deskew_kernels import (
     deskew as deskew,
-)
-from .frames.find import (
-    BagTopics as BagTopics,
-    bags_at as bags_at,
-    find_frames as find_frames,
-    find_sources as find_sources,
 )
 from .frames.kitti import (
     BIN_COLUMNS as BIN_COLUMNS,
@@ -54,7 +44,11 @@ from .frames.raw import (
     points_of as points_of,
 )
 from .frames.read import (
+    BagTopics as BagTopics,
     Robot as Robot,
+    bags_at as bags_at,
+    find_frames as find_frames,
+    find_sources as find_sources,
     read_message as read_message,
     read_scan as read_scan,
     scene_points as scene_points,

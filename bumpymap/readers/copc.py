@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.conversion import RecordLayout
-from bumpymap.readers.decoder import decoder
-from bumpymap.readers.guard import DecoderError
+from bumpymap.readers.decoder import DecoderError, decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location, decoding, refuse_count

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Georeference, Place, georeference
-from bumpymap.readers.chunking import group_laz_chunks, split_rows
 from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, convert_las_points
 from bumpymap.readers.copc import (
     ChunkTable,
@@ -25,7 +24,16 @@ from bumpymap.readers.copc import (
 from bumpymap.readers.decoder import Stream, StreamLostError, decoder
 from bumpymap.readers.las_header import RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import LineRules
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyBase, SurveyInfo
+from bumpymap.readers.protocol import (
+    CHUNK_POINTS,
+    Chunk,
+    ChunkPoints,
+    ReadOptions,
+    SurveyBase,
+    SurveyInfo,
+    group_laz_chunks,
+    split_rows,
+)
 from bumpymap.readers.source import (
     Location,
     decoding,

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.columns import TextRows, read_rows
-from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
+from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted, read_rows
 from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 
 __all__ = ["PcdTable"]

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PLY_TYPES, BadInputError
-from bumpymap.readers.columns import SerialRows, TextRows, read_rows
-from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
+from bumpymap.readers.point_table import PointTable, SerialRows, TableInfo, TextRows, Wanted, read_rows
 from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 
 __all__ = ["PlyTable"]

@@ -3,13 +3,11 @@ from ._place_kernels import (
 )
 from .classifier import (
     ScanClassifier as ScanClassifier,
+    ScanResult as ScanResult,
     classify_scan as classify_scan,
 )
 from .config import (
     ScanConfig as ScanConfig,
-)
-from .fit import (
-    fit_frames as fit_frames,
 )
 from .learned import (
     CHANNELS as CHANNELS,
@@ -19,19 +17,13 @@ from .learned import (
     classify_learned as classify_learned,
     network_input as network_input,
 )
-from .paper import (
-    classify_paper as classify_paper,
-    paper_settings as paper_settings,
-)
+from .methods import classify_paper as classify_paper, paper_settings as paper_settings
 from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
 )
 from .polar import (
     polar_sectors as polar_sectors,
-)
-from .result import (
-    ScanResult as ScanResult,
 )
 from .ride import (
     SectorRater as SectorRater,
@@ -40,6 +32,7 @@ from .stripes import (
     StripeFilter as StripeFilter,
     StripeModel as StripeModel,
     classify_filter as classify_filter,
+    fit_frames as fit_frames,
     fit_stripes as fit_stripes,
     load_stripes as load_stripes,
     save_stripes as save_stripes,

@@ -1,26 +1,56 @@
-"""The frames of a scan run: reading them, and skipping bad ones."""
+"""The frames of a scan run, bad ones skipped, and their products, moved to their places when all are complete."""
 
 import logging
-from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
-from bumpymap.core import BadInputError, Scan
-from bumpymap.layers import Frame
-from bumpymap.readers import (
-    BagReader,
-    LabelSet,
-    deskew,
-    label_set,
-    read_message,
-    read_scan,
-    require_label_set,
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from bumpymap.core import BadInputError, ClassedSectors, Scan, move_together, remove_path
+from bumpymap.layers import (
+    ACCUMULATED_NAME,
+    FRAME_FOLDER,
+    SCAN_MANIFEST_NAME,
+    SECTOR_TABLE_NAME,
+    Frame,
+    FramePart,
+    FrameReport,
+    GridBag,
+    SectorTable,
+    file_sizes,
+    frame_files,
+    load_part,
+    open_accumulated,
+    open_table,
+    part_path,
+    remove_stale_products,
+    save_part,
+    sector_rows,
+    sync_to_disk,
+    write_frame,
 )
+from bumpymap.readers import BagReader, LabelSet, deskew, label_set, read_message, read_scan, require_label_set
 from bumpymap.scan.config import ScanConfig
+from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 
-__all__ = ["FrameReader", "naming_frame"]
+__all__ = [
+    "FinishedFrame",
+    "FrameProducts",
+    "FrameReader",
+    "drop_empty_folder",
+    "frame_products",
+    "move_products",
+    "naming_frame",
+    "open_products",
+    "present_products",
+    "staging_folder",
+]
 
 _log = logging.getLogger(__name__)
 
@@ -101,3 +131,153 @@ def naming_frame(frame: Frame) -> Iterator[None]:
         yield
     except BadInputError as error:
         raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
+
+
+_STAGED = "products"
+"""Folder for the products, inside the folder of the run, until all are complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class FinishedFrame:
+    """A frame whose own files are written."""
+
+    part: FramePart
+    placed: PlacedPoints | None
+    """Its points at its pose; None if they are not merged."""
+
+
+@dataclass(frozen=True, slots=True)
+class FrameProducts:
+    """The products of a run while frame after frame is added.
+
+    Several threads may `load` and `write` frames at a time; one alone may `add` them, in their order.
+    """
+
+    config: ScanConfig
+    run_folder: Path
+    """Keeps what a resumed run needs of each finished frame."""
+    staged: Path
+    """Folder of the products until all are complete."""
+    table: SectorTable | None
+    """None if no table is wanted."""
+    accumulated: DriveMerge | None
+    """Merges the points of all frames; None without poses."""
+    grids: GridBag | None
+    """Grids of all frames; None if no bag is wanted."""
+
+    def load(self, frame: Frame, number: int) -> FinishedFrame | None:
+        """Return a frame that an earlier run has finished; None if it is not finished. Raises as `write`."""
+        part = load_part(part_path(self.run_folder, number), frame)
+        if part is None or part.files != file_sizes(self._files(frame, number)):
+            return None
+        return FinishedFrame(part, self._place(frame, number, part.points, part.is_ground))
+
+    def write(
+        self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors
+    ) -> FinishedFrame:
+        """Write the files of a frame's own, and its checkpoint.
+
+        Raises
+        ------
+        BadInputError
+            Its points cannot be placed at its pose; there are no files of its own then.
+        """
+        products, stack = frame_products(self.config, number), classed.sectors
+        placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
+        write_frame(frame.name, scan, classed, self.staged, products, self.config.range_m)
+        if self.grids is not None:
+            self.grids.add(frame, number, scan, classed)
+        kept = slice(None) if self.accumulated is not None else slice(0)
+        part = FramePart(
+            report,
+            sector_rows(frame.name, classed) if self.table is not None else None,
+            scan.points[kept],
+            stack.point_ground[kept],
+            file_sizes(self._files(frame, number)) or {},
+        )
+        save_part(part, part_path(self.run_folder, number))
+        return FinishedFrame(part, placed)
+
+    def add(self, finished: FinishedFrame) -> None:
+        """Add a frame to the files of the run."""
+        if self.accumulated is not None and finished.placed is not None:
+            self.accumulated.add_points(finished.placed)
+        if self.table is not None and finished.part.rows is not None:
+            self.table.add_rows(finished.part.rows)
+
+    def _place(
+        self, frame: Frame, number: int, points: NDArray[np.float32], is_ground: NDArray[np.bool_]
+    ) -> PlacedPoints | None:
+        """Place points (n, 3) at the pose of the frame; if that is refused, remove the files of its own."""
+        if self.accumulated is None or frame.pose is None:
+            return None
+        try:
+            return self.accumulated.place_points(frame.name, points, frame.pose, is_ground)
+        except BadInputError:
+            for path in (part_path(self.run_folder, number), *self._files(frame, number)):
+                path.unlink(missing_ok=True)
+            raise
+
+    def merged(self) -> dict[str, Any] | None:
+        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
+        return None if self.accumulated is None else self.accumulated.record()
+
+    def _files(self, frame: Frame, number: int) -> list[Path]:
+        grids = [] if self.grids is None else [self.grids.part(number)]
+        return [*frame_files(frame.name, self.staged, frame_products(self.config, number)), *grids]
+
+
+def frame_products(config: ScanConfig, number: int) -> tuple[str, ...]:
+    """Return the products of the frame with that number in the run."""
+    return (*config.products, *(["picture"] if config.pictures and number % config.pictures == 0 else []))
+
+
+@contextmanager
+def open_products(
+    config: ScanConfig, frames: Sequence[Frame], crs: CRS | None, run_folder: Path, staged: Path
+) -> Iterator[FrameProducts]:
+    """Open the files that take all frames, and close them after the body."""
+    poses = [frame.pose for frame in frames if frame.pose is not None]
+    with ExitStack() as open_files:
+        table = open_files.enter_context(open_table(staged / SECTOR_TABLE_NAME)) if "table" in config.products else None
+        merge = open_files.enter_context(open_merge(run_folder, poses[0])) if poses else None
+        grids = None if config.bag is None else GridBag(run_folder, config.grid)
+        yield FrameProducts(config, run_folder, staged, table, merge, grids)
+        if merge is not None:
+            with open_accumulated(staged / ACCUMULATED_NAME, poses[0], crs) as survey:
+                merge.write(survey)
+
+
+def staging_folder(run_folder: Path, frames: Sequence[Frame]) -> Path:
+    """Return the folder for products that are not complete; of an earlier run only files of finished frames stay."""
+    staged = run_folder / _STAGED
+    (staged / FRAME_FOLDER).mkdir(parents=True, exist_ok=True)
+    for left in staged.iterdir():
+        if left.name != FRAME_FOLDER:
+            remove_path(left)
+    finished = {frame.name for number, frame in enumerate(frames) if part_path(run_folder, number).exists()}
+    for left in (staged / FRAME_FOLDER).iterdir():
+        if left.stem not in finished:
+            remove_path(left)
+    return staged
+
+
+def present_products(folder: Path) -> tuple[str, ...]:
+    """Return the names of the products of a run that are in a folder, without the map of the drive."""
+    names = (FRAME_FOLDER, SECTOR_TABLE_NAME, ACCUMULATED_NAME, SCAN_MANIFEST_NAME)
+    return tuple(name for name in names if (folder / name).exists())
+
+
+def move_products(staged: Path, out: Path) -> tuple[str, ...]:
+    """Move all products to ``out``, remove those of an earlier run that they do not replace; return their names."""
+    files = present_products(staged)
+    sync_to_disk(path for path in staged.rglob("*") if path.is_file())
+    move_together(staged, out, SCAN_MANIFEST_NAME)
+    remove_stale_products(out, files)
+    return files
+
+
+def drop_empty_folder(staged: Path) -> None:
+    """Remove the folder of the frames' own files if there are none."""
+    with suppress(OSError):
+        (staged / FRAME_FOLDER).rmdir()

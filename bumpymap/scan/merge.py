@@ -20,8 +20,17 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
-from bumpymap.scan.agreement import LIMITS, LOWEST, REACH_M, refuse_wrong_poses
-from bumpymap.scan.align import Alignment, DriveHeights, GroundHeights, align_frames, ground_heights
+from bumpymap.scan.align import (
+    LIMITS,
+    LOWEST,
+    REACH_M,
+    Alignment,
+    DriveHeights,
+    GroundHeights,
+    align_frames,
+    ground_heights,
+    refuse_wrong_poses,
+)
 
 __all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "open_merge"]
 

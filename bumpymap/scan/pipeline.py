@@ -1,28 +1,212 @@
 """The scan job, step by step: frames in, classed sectors and their files out; with poses, a map of the drive."""
 
-from collections.abc import Mapping
+import logging
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
+from pyproj import CRS
+
 from bumpymap.core import (
+    Kept,
+    MapConfig,
+    OutputError,
     Progress,
+    RunFolder,
     ScanMethod,
     SilentProgress,
     Stopwatch,
+    UsageError,
     check_interrupted,
+    in_threads,
     locked,
+    parse_crs,
     remove_empty_on_error,
+    utf8_path,
+    what_to_keep,
 )
-from bumpymap.layers import SCAN_MANIFEST_NAME, FrameReport, check_bag_file, check_scan_folder, is_complete, name_frames
+from bumpymap.layers import (
+    ACCUMULATED_NAME,
+    MAP_FOLDER,
+    SCAN_MANIFEST_NAME,
+    Frame,
+    FrameReport,
+    check_bag_file,
+    check_scan_folder,
+    describe_file,
+    explain_empty_scan,
+    has_finished_parts,
+    is_complete,
+    name_frames,
+    output_errors,
+    report_frame,
+    write_scan_manifest,
+)
+from bumpymap.rating import find_calibration
 from bumpymap.readers import find_sources, place_sources
+from bumpymap.scan.align import WrongPosesError
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.drive import crs_of_poses, drive_settings, map_drive
-from bumpymap.scan.frame_run import FrameRun
-from bumpymap.scan.methods import choose_method
-from bumpymap.scan.run_record import describe_scan, earlier_frames
-from bumpymap.survey import MapResult
+from bumpymap.scan.frames import (
+    FinishedFrame,
+    FrameProducts,
+    FrameReader,
+    drop_empty_folder,
+    move_products,
+    naming_frame,
+    open_products,
+    staging_folder,
+)
+from bumpymap.scan.methods import Method, choose_method
+from bumpymap.scan.run_record import ClassifiedFrames, describe_scan, earlier_frames, scan_manifest
+from bumpymap.survey import MapResult, map_surveys
 
-__all__ = ["ScanRun", "scan_frames"]
+__all__ = ["FrameRun", "ScanRun", "crs_of_poses", "drive_settings", "map_drive", "scan_frames"]
+
+_log = logging.getLogger(__name__)
+
+
+def crs_of_poses(config: ScanConfig) -> CRS | None:
+    """Return the CRS of the poses, None for local coordinates; raise UsageError if its axes are not in metres."""
+    if config.crs is None:
+        return None
+    crs = parse_crs(config.crs)
+    if not crs.is_projected or any(axis.unit_conversion_factor != 1.0 for axis in crs.axis_info):
+        raise UsageError(f"`crs='{config.crs}'` is {crs.name}; poses are in metres, so give a projected CRS in metres")
+    return crs
+
+
+def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | None:
+    """Return the settings of the map of the drive, None without poses; check its calibration before the long work."""
+    if all(frame.pose is None for frame in frames):
+        config.refuse_map_settings()
+        return None
+    own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
+    drive = MapConfig(
+        surveys=(config.out / ACCUMULATED_NAME,),
+        out=config.out / MAP_FOLDER,
+        ground="class",
+        calibration=config.calibration,
+        local=config.crs is None,
+        overwrite=config.overwrite,
+        resume=config.resume,
+        **own,  # type: ignore[arg-type]
+    )
+    calibration = find_calibration(drive.vehicle, drive.calibration)
+    calibration.require_grid(drive.tile_size, drive.pixels)
+    return drive
+
+
+def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> MapResult | None:
+    """Map the merged frames; return None if none of their points is ground.
+
+    Parameters
+    ----------
+    drive : MapConfig
+    accumulated : mapping
+        Number of merged ``points``, and of those that are ``ground``.
+    progress : Progress
+    """
+    if not accumulated["ground"]:
+        _log.warning("no map was made: none of the %d gathered points is ground", accumulated["points"])
+        return None
+    if drive.out.is_symlink():
+        raise OutputError(
+            f"{drive.out} is a link and was not touched. Remove it, or pass `overwrite=True` to replace it"
+        )
+    try:
+        return map_surveys(drive, progress)
+    except BaseException as end:
+        note = "The products of the frames are complete; the map of the drive is missing."
+        end.__notes__ = [note + (" Pass `resume=True` to make it." if what_to_keep(end) is not Kept.NOTHING else "")]
+        raise
+
+
+@dataclass(frozen=True, slots=True)
+class FrameRun:
+    """The frames of a run, and how they are classed."""
+
+    config: ScanConfig
+    frames: Sequence[Frame]
+    method: Method
+    crs: CRS | None
+    """Of the poses; None: local coordinates."""
+    run_spec: dict[str, Any]
+    """See `describe_scan`."""
+
+    def classify(self, progress: Progress, clock: Stopwatch) -> ClassifiedFrames:
+        """Class the frames that an earlier run has not finished, and write the products of all of them.
+
+        Raises
+        ------
+        BumpymapError
+            Bad frames, or a full disk; products in ``config.out`` are replaced when all new ones are complete.
+        """
+        out, reader = self.config.out, FrameReader(self.config)
+        with self._run_folder() as run, output_errors(out), utf8_path(staging_folder(run.path, self.frames)) as staged:
+            with (
+                clock.stage("scan"),
+                open_products(self.config, self.frames, self.crs, run.path, staged) as products,
+            ):
+                reports = self._classify_each(reader, products, progress)
+            accumulated = products.merged()
+            manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
+            manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+            if self.config.bag is not None and products.grids is not None:
+                done = {report.frame.name for report in reports}
+                products.grids.write(self.config.bag, (n for n, f in enumerate(self.frames) if f.name in done))
+                manifest["bag"] = describe_file(self.config.bag)
+            drop_empty_folder(staged)
+            write_scan_manifest(staged, manifest, reports, self.run_spec["inputs"])
+            files = move_products(staged, out)
+        return ClassifiedFrames(files, self.method.name, tuple(reports), reader.skipped, accumulated, clock.seconds)
+
+    def _run_folder(self) -> AbstractContextManager[RunFolder]:
+        how = "in the place of `overwrite=True`" if self.config.overwrite else "to the same command"
+        return RunFolder.opened(
+            self.config.out,
+            self.run_spec,
+            resume=self.config.resume,
+            finished=has_finished_parts,
+            advice=f"Pass `resume=True` {how} to continue from the finished frames.",
+            decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
+        )
+
+    def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:
+        """Read, class and write frames in threads; add them to the files of the run in their order."""
+
+        def finish(numbered: tuple[int, Frame]) -> tuple[FinishedFrame, str]:
+            return self._finish(*numbered, reader, products)
+
+        reports: list[FrameReport] = []
+        progress.start("scanning frames", len(self.frames))
+        with in_threads(finish, enumerate(self.frames), self.config.threads) as results:
+            for frame, result in zip(self.frames, results, strict=True):
+                with reader.skipping(frame):
+                    finished, empty = result()
+                    if empty:
+                        _log.warning("no ground was classified in %s: %s", frame.origin, empty)
+                    products.add(finished)
+                    reports.append(finished.part.report)
+                progress.advance(1)
+        reader.require_any(len(reports))
+        return reports
+
+    def _finish(
+        self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts
+    ) -> tuple[FinishedFrame, str]:
+        """Read and class a frame and write its files, unless an earlier run has; also return why it has no ground."""
+        finished = products.load(frame, number)
+        if finished is not None:
+            return finished, ""
+        version: Mapping[str, Any] | None = self.run_spec["inputs"].get(str(frame.path))
+        begin = time.perf_counter()
+        scan = reader.read(frame)
+        with naming_frame(frame):
+            classed = self.method.classify(scan)
+        report = report_frame(frame, version, scan, classed, time.perf_counter() - begin)
+        return products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,7 @@ from bumpymap.scan._place_kernels import (
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
-from bumpymap.scan.buffers import SectorBuffers
-from bumpymap.scan.drops import ground_ends
-from bumpymap.scan.ground import all_ground, find_ground
+from bumpymap.scan.ground import SectorBuffers, all_ground, find_ground, ground_ends
 
 __all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
 

@@ -27,7 +27,7 @@ from bumpymap.layers import (
 from bumpymap.rating import Calibration
 from bumpymap.readers import LABEL_SETS, FramePoses, bag_files, files_beside_poses, identity, label_file, label_set
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frame_products import frame_products, present_products
+from bumpymap.scan.frames import frame_products, present_products
 from bumpymap.scan.methods import Method
 
 __all__ = ["ClassifiedFrames", "describe_scan", "earlier_frames", "scan_manifest"]

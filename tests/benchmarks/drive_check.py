@@ -22,7 +22,7 @@ from scipy.stats import spearmanr
 
 from bumpymap.check import DriveMeasure, ReadingSettings, WayStretch, agreement_of
 from bumpymap.check.pipeline import _Done, _field, _measured, _stretches
-from bumpymap.check.place_on_map import places_on_map
+from bumpymap.check.places import places_on_map
 from bumpymap.core import BadInputError, MapAgreement
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Calibration, Vehicle

@@ -11,7 +11,7 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.notes import remarks
+from bumpymap.change.pipeline import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid

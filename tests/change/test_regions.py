@@ -2,8 +2,7 @@ import numpy as np
 from hypothesis import given, strategies as st
 from scipy import ndimage
 
-from bumpymap.change.compare import decide
-from bumpymap.change.ground import GroundChange
+from bumpymap.change.compare import GroundChange, decide
 from bumpymap.change.regions import connect
 
 

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.check import check_drives
-from bumpymap.check.place_on_map import places_alone, places_on_map
+from bumpymap.check.places import places_alone, places_on_map
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, PlaceTrack
 from bumpymap.layers import read_check

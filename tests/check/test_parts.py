@@ -6,9 +6,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
 from bumpymap.check import CheckConfig, ReadingSettings, agreement_of, local_metres
-from bumpymap.check.agreement import spearman
-from bumpymap.check.attitude import levelling, turned
-from bumpymap.check.signals import low_pass, pieces, rolling_mean
+from bumpymap.check.pipeline import spearman
+from bumpymap.check.signals import levelling, low_pass, pieces, rolling_mean, turned
 from bumpymap.check.stretches import less_floor
 from bumpymap.core import DrivenStretches, UsageError
 

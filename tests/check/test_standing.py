@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from bumpymap.check import metre_places
+from bumpymap.check.measure import find_standing, rough_speed
 from bumpymap.check.signals import even_imu
-from bumpymap.check.standing import find_standing, rough_speed
 from bumpymap.core import WheelTrack
 
 

@@ -340,7 +340,7 @@ def test_ctrl_c(scan, frame, tmp_path, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bumpymap.scan.frame_products.write_frame", stop)
+    monkeypatch.setattr("bumpymap.scan.frames.write_frame", stop)
     result = scan(frame)
     assert result.exit_code == 130
     assert result.stderr == "Interrupted. No file is half-written.\n"

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from bumpymap.readers import parse_columns
-from bumpymap.readers.drives.column_names import guess_columns
-from bumpymap.readers.drives.quantities import QUANTITIES, UNITS
+from bumpymap.readers.drives.columns import guess_columns
+from bumpymap.readers.drives.signals import QUANTITIES, UNITS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "drive-logs.md").read_text(encoding="utf-8")
 TABLE = [line.split("|") for line in PAGE.split("| quantity | what |")[1].split("\n\n")[0].splitlines()[2:]]

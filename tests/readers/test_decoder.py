@@ -18,8 +18,7 @@ from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.shared_memory import SharedMemory
 from bumpymap.readers import decoder, open_survey
-from bumpymap.readers.decoder import Decoder, LocalDecoder
-from bumpymap.readers.guard import DecoderError
+from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 

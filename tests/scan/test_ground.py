@@ -9,7 +9,7 @@ from hypothesis import given, settings, strategies as st
 from bumpymap.core import PolarSettings, Scan
 from bumpymap.readers import label_set, read_scan
 from bumpymap.scan import classify_filter, polar_sectors
-from bumpymap.scan.buffers import SectorBuffers
+from bumpymap.scan.ground import SectorBuffers
 
 GRID = PolarSettings()
 

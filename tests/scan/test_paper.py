@@ -7,7 +7,7 @@ import pytest
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
 from bumpymap.scan import classify_paper, paper_settings, polar_sectors
-from bumpymap.scan.paper import paper_heights
+from bumpymap.scan.methods import paper_heights
 
 
 def made_scan(seed=1, bumps=0.2, count=30_000):

@@ -26,8 +26,8 @@ from bumpymap.layers.scan.frame import write_polygons
 from bumpymap.readers import Robot, read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.fit import fit_frames
 from bumpymap.scan.pipeline import scan_frames
+from bumpymap.scan.stripes import fit_frames
 
 pytestmark = pytest.mark.slow
 
@@ -310,7 +310,7 @@ def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tm
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.scan.frame_products.remove_stale_products", killed)
+        patch.setattr("bumpymap.scan.frames.remove_stale_products", killed)
         with pytest.raises(KeyboardInterrupt):
             scan_frames(config)
     assert (left / "scan.json").exists()
@@ -578,7 +578,7 @@ def test_a_fit_holds_the_heights_of_many_frames_and_little_else(drive, tmp_path,
         fitted.extend(stacks)
         raise BadInputError("enough")
 
-    monkeypatch.setattr("bumpymap.scan.fit.fit_stripes", keeping)
+    monkeypatch.setattr("bumpymap.scan.stripes.fit_stripes", keeping)
     with pytest.raises(BadInputError, match="enough"):
         fit_frames(ScanConfig((drive / "frames",), tmp_path / "stripes.json"))
     for stack in fitted:

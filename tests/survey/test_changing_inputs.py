@@ -17,7 +17,7 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, open_survey
 from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
-from bumpymap.scan import frame_run
+from bumpymap.scan import pipeline as scan_pipeline
 from bumpymap.scan.frames import FrameReader
 from bumpymap.survey.engine.collector import ResultCollector
 from bumpymap.survey.engine.results import ReadResult
@@ -145,7 +145,7 @@ def write_frame(path, lift=0.0):
     return path
 
 
-@pytest.mark.parametrize(("owner", "moment"), [(FrameReader, "read"), (frame_run, "report_frame")])
+@pytest.mark.parametrize(("owner", "moment"), [(FrameReader, "read"), (scan_pipeline, "report_frame")])
 def test_scan_refuses_a_frame_that_changes(tmp_path, monkeypatch, owner, moment):
     """While it is read, or between that and its checksum."""
     frame, out = write_frame(tmp_path / "a.bin"), tmp_path / "out"

@@ -15,13 +15,23 @@ from bumpymap.core import (
     writing_to,
 )
 from bumpymap.layers._replacing import refuse_present
-from bumpymap.layers.check.ground import CheckGround, CheckPlaces
-from bumpymap.layers.check.names import CHECK_MANIFEST_NAME, CHECK_NAMES, CHECK_VIEW_NAMES, check_check_out
-from bumpymap.layers.check.page import write_check_page
 from bumpymap.layers.check.picture import write_check_picture
-from bumpymap.layers.check.record import CHECK_FORMAT, check_entries
-from bumpymap.layers.check.stretch_csv import write_stretch_table
-from bumpymap.layers.check.vectors import write_driven_tiles, write_stretches
+from bumpymap.layers.check.record import (
+    CHECK_FORMAT,
+    CHECK_MANIFEST_NAME,
+    CHECK_NAMES,
+    CHECK_VIEW_NAMES,
+    check_check_out,
+    check_entries,
+)
+from bumpymap.layers.check.vectors import (
+    CheckGround,
+    CheckPlaces,
+    write_driven_tiles,
+    write_stretch_table,
+    write_stretches,
+)
+from bumpymap.layers.check.words import write_check_page
 from bumpymap.layers.gis.styles import write_check_style
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,

@@ -1,7 +1,8 @@
-"""What a check found as plain JSON, and back."""
+"""The files of a check, and what it found as plain JSON and back. Nothing here needs GDAL, which is slow to import."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,56 @@ from bumpymap.core import (
     DrivenStretches,
     DrivenTiles,
     MapAgreement,
+    UsageError,
     parse_json,
     read_regular,
 )
-from bumpymap.layers.check.names import CHECK_MANIFEST_NAME
-from bumpymap.layers.manifest import plain_manifest
+from bumpymap.layers._replacing import refuse_present, require_folder
+from bumpymap.layers.manifest import MANIFEST_NAME, plain_manifest
+from bumpymap.layers.route.names import OTHER_FILES
 
-__all__ = ["CHECK_FORMAT", "check_entries", "read_check", "result_of"]
+__all__ = [
+    "CHECK_FORMAT",
+    "CHECK_MANIFEST_NAME",
+    "CHECK_NAMES",
+    "CHECK_VIEW_NAMES",
+    "check_check_out",
+    "check_entries",
+    "read_check",
+    "result_of",
+]
+
+CHECK_MANIFEST_NAME = "check.json"
+CHECK_NAMES = (
+    "check.md",
+    "check.png",
+    "stretches.csv",
+    "check.geojson",
+    "check_tiles.geojson",
+    CHECK_MANIFEST_NAME,
+)
+"""Every file that a check may leave in its folder, but those to look at the others with."""
+CHECK_VIEW_NAMES = ("check.qml", "check_tiles.qml")
+"""Styles of QGIS, which rewrites them, so they have no checksum."""
+
+
+def check_check_out(out: Path, *, overwrite: bool) -> None:
+    """Check, before anything is computed, that the files of a check can be written to a folder. Writes nothing.
+
+    Raises
+    ------
+    UsageError
+        ``out`` holds the layers of a survey, or is named like a file.
+    OutputError
+        There are files that must not be replaced, or ``out`` is a file.
+    """
+    if out.suffix.lower() in OTHER_FILES and not out.is_dir():
+        raise UsageError(f"{out} is named like a {out.suffix.lower()} file, but a check is a folder. Give one as `out`")
+    require_folder(out)
+    if lexists(out / MANIFEST_NAME):
+        raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
+    refuse_present(out, (*CHECK_NAMES, *CHECK_VIEW_NAMES), overwrite=overwrite)
+
 
 CHECK_FORMAT = "bumpymap-check"
 _COUNTS = {"drive", "col", "row"}

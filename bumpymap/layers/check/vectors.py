@@ -1,21 +1,145 @@
-"""Write check.geojson, a point for each stretch, and check_tiles.geojson, a square for each tile driven over."""
+"""Write check.geojson, a point for each stretch, check_tiles.geojson, a square for each tile, and stretches.csv."""
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CheckResult, DrivenStretches, DrivenTiles, atomic
-from bumpymap.layers.check.ground import CheckPlaces
+from bumpymap.core import (
+    CLASS_NAMES,
+    NO_CLASS,
+    CheckResult,
+    DrivenStretches,
+    DrivenTiles,
+    Georeference,
+    atomic,
+    write_csv,
+)
 from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
 from bumpymap.layers.lonlat import BoundingBox
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.route.coordinates import RouteCoordinates
+from bumpymap.layers.route.source import MapSource
+from bumpymap.layers.vector import GeoJsonCoordinates
+from bumpytiles import Grid, TileWindow
 
-__all__ = ["stretch_properties", "write_driven_tiles", "write_stretches"]
+__all__ = [
+    "CheckGround",
+    "CheckPlaces",
+    "stretch_properties",
+    "write_driven_tiles",
+    "write_stretch_table",
+    "write_stretches",
+]
+
+
+class CheckGround(MapSource, Protocol):
+    """A map whose windows can be read, and where it lies."""
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of tiles."""
+        ...
+
+    @property
+    def georeference(self) -> Georeference:
+        """CRS and units of the survey."""
+        ...
+
+    @property
+    def window(self) -> TileWindow:
+        """The smallest window around all tiles."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class CheckPlaces:
+    """Where the stretches and tiles of a check lie, for its files."""
+
+    placement: Placement
+    points: NDArray[np.float64]
+    """(n, 2) easting and northing of the middles of the stretches, m; NaN where not known."""
+
+    @classmethod
+    def of(cls, stretches: DrivenStretches, tiles: DrivenTiles | None, ground: CheckGround) -> "CheckPlaces | None":
+        """Return the places; None if no position of a stretch is known."""
+        points = np.column_stack([stretches.easting, stretches.northing])
+        known = points[np.isfinite(points).all(axis=1)]
+        if not len(known):
+            return None
+        col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
+        if tiles is not None:
+            col, row = np.concatenate([col, tiles.col]), np.concatenate([row, tiles.row])
+        return cls(Placement(ground.georeference, ground.grid, TileWindow.around(col, row)), points)
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """(n,) whether the position of a stretch is known."""
+        return np.asarray(np.isfinite(self.points).all(axis=1), dtype=np.bool_)
+
+    @property
+    def files(self) -> GeoJsonCoordinates:
+        """Longitude and latitude if the survey's CRS is known, else the survey's own coordinates."""
+        return GeoJsonCoordinates.of(self.placement, local=True)
+
+    def in_file(self) -> NDArray[np.float64]:
+        """Return the middles of the stretches as GeoJSON holds them, (n, 2); NaN where not known.
+
+        Raises
+        ------
+        BadInputError
+            A point cannot be transformed to longitude and latitude.
+        """
+        found = np.full(self.points.shape, np.nan)
+        coordinates = RouteCoordinates(self.placement.georeference, self.files)
+        found[self.is_known] = coordinates.in_file(self.points[self.is_known])
+        return found
+
+
+def write_stretch_table(result: CheckResult, places: CheckPlaces | None, path: Path) -> None:
+    """Write the stretches as CSV (RFC 4180, UTF-8): positions, then the properties of check.geojson.
+
+    Parameters
+    ----------
+    result : CheckResult
+    places : CheckPlaces or None
+        Where they lie; None: not known.
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        A position cannot be transformed to longitude and latitude.
+    """
+    columns = {**_positions(places, len(result.stretches.drive)), **stretch_properties(result)}
+    write_csv(path, columns, zip(*columns.values(), strict=True))
+
+
+def _positions(places: CheckPlaces | None, rows: int) -> dict[str, Sequence[Any]]:
+    """Return longitude, latitude, and x and y in units of the survey's CRS."""
+    unknown = np.full((rows, 2), np.nan)
+    degrees, own = unknown, unknown
+    if places is not None:
+        own = places.points / places.placement.georeference.metres_per_unit
+        degrees = unknown if places.files.to_degrees is None else places.in_file()
+    return {
+        **dict(zip(("lon", "lat"), _written(degrees, 7), strict=True)),
+        **dict(zip(("x", "y"), _written(own, 3), strict=True)),
+    }
+
+
+def _written(pairs: NDArray[np.float64], decimals: int) -> list[list[str]]:
+    return [["" if np.isnan(value) else f"{value:.{decimals}f}" for value in side] for side in pairs.T.tolist()]
+
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
 _OTHER_DECIMALS = 6

@@ -4,8 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CheckResult, DrivenStretches, count_text
-from bumpymap.layers.check.log_axis import LogAxis
-from bumpymap.layers.check.offset import MapOffset
+from bumpymap.layers.check.offset import LogAxis, MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.report.markup import Html, raw, tag
 

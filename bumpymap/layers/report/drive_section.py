@@ -1,17 +1,17 @@
 """The section of a page on real drives over its map."""
 
 from bumpymap.core import CheckResult
-from bumpymap.layers.check.tables import (
+from bumpymap.layers.check.words import (
     AGREEMENT_HEAD,
     WORST_HEAD,
     agreement_rows,
+    check_headline,
     drive_notes,
     drive_rows,
     left_out_rows,
     warnings_of,
     worst_rows,
 )
-from bumpymap.layers.check.words import check_headline
 from bumpymap.layers.report.charts import lines_of
 from bumpymap.layers.report.drive_chart import drive_chart
 from bumpymap.layers.report.drives import DrawnCheck

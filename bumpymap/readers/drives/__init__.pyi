@@ -1,6 +1,4 @@
-from .choice import (
-    parse_columns as parse_columns,
-)
+from .columns import parse_columns as parse_columns
 from .read import (
     read_drive as read_drive,
 )

@@ -18,18 +18,14 @@ from bumpymap.core import (
     free_memory,
     missing_resource,
 )
-from bumpymap.readers.drives.ardupilot import refuse_binary
-from bumpymap.readers.drives.assemble import assemble
-from bumpymap.readers.drives.bag_signals import bag_signals
-from bumpymap.readers.drives.choice import TOPICS, unknown_quantities
-from bumpymap.readers.drives.quantities import QUANTITIES
-from bumpymap.readers.drives.ros1_bag import is_ros1
-from bumpymap.readers.drives.signals import DriveSignals
-from bumpymap.readers.drives.table_signals import find_columns, table_signals
+from bumpymap.readers.decoder import DecoderError, Guard
+from bumpymap.readers.drives.bag_signals import bag_signals, is_ros1
+from bumpymap.readers.drives.columns import TOPICS, unknown_quantities
+from bumpymap.readers.drives.signals import QUANTITIES, DriveSignals, assemble
+from bumpymap.readers.drives.table_signals import find_columns, refuse_binary, table_signals
 from bumpymap.readers.drives.text_table import TextTable, open_table
 from bumpymap.readers.drives.ulog_signals import is_ulog, ulog_signals
 from bumpymap.readers.frames.bag import bag_files, is_bag
-from bumpymap.readers.guard import DecoderError, Guard
 from bumpymap.readers.source import size_of
 
 __all__ = ["close_log_reader", "read_drive", "read_in_child"]

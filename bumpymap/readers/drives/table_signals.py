@@ -1,34 +1,231 @@
-"""Turn the columns of a table of text into the signals of a drive."""
+"""Turn the columns of a table of text into the signals of a drive: sensors, positions, messages of ArduPilot logs."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, WheelTrack
-from bumpymap.readers.drives import ardupilot
-from bumpymap.readers.drives.attitude import quaternions_of_angles
-from bumpymap.readers.drives.choice import chosen_columns
-from bumpymap.readers.drives.clock import in_order, numbers_of_times, seconds_of_numbers
-from bumpymap.readers.drives.column_names import DriveColumn, guess_columns
-from bumpymap.readers.drives.guesses import guess_acceleration, guess_angle_unit, refuse_odd_rates
-from bumpymap.readers.drives.place_columns import PLACE_GROUPS, read_places
-from bumpymap.readers.drives.quantities import (
+from bumpymap.core import BadInputError, PlaceKind, PlaceTrack, WheelTrack
+from bumpymap.readers.drives.clock import days_of_text, in_order, numbers_of_times, seconds_of_numbers
+from bumpymap.readers.drives.columns import (
+    DriveColumn,
+    check_lonlat,
+    chosen_columns,
+    guess_acceleration,
+    guess_angle_unit,
+    guess_columns,
+    guess_local,
+    refuse_odd_rates,
+)
+from bumpymap.readers.drives.signals import (
     ACCELERATIONS,
     ANGLES,
     DIMENSIONS,
+    EASTING_NORTHING,
+    LOCAL,
+    LONLAT,
     QUATERNION,
     RATES,
     SIDES,
     UNITS,
+    DriveSignals,
+    Floats,
+    Signal,
+    quaternions_of_angles,
 )
-from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
 from bumpymap.readers.drives.text_table import TextTable
-from bumpymap.readers.drives.time_text import days_of_text
+from bumpymap.readers.source import open_source
 
-__all__ = ["find_columns", "table_signals"]
+__all__ = [
+    "PLACE_GROUPS",
+    "find_columns",
+    "fresh_places",
+    "instance_column",
+    "is_dataflash",
+    "keep_first_instance",
+    "read_places",
+    "refuse_binary",
+    "table_signals",
+    "to_flu",
+]
+
+_TIME = "TimeUS"
+_SYNC = b"\xa3\x95"
+"""First bytes of every message of a binary log."""
+_DOWN = ("rate_y", "rate_z", "acc_y", "acc_z", "pitch", "yaw")
+"""Quantities whose sign differs between x forward, y right, z down and x forward, y left, z up."""
+
+
+def is_dataflash(names: Sequence[str]) -> bool:
+    """Return whether columns are those of a message of an ArduPilot log."""
+    return _TIME in names
+
+
+def instance_column(names: Sequence[str]) -> str | None:
+    """Return the column that numbers the sensors of one kind; None if there is none."""
+    return "I" if is_dataflash(names) and "I" in names else None
+
+
+def keep_first_instance(
+    values: Mapping[str, Floats], instance: NDArray[Any], source: str, notes: list[str]
+) -> dict[str, Floats]:
+    """Return the rows of the first sensor only."""
+    numbers = instance.astype(np.float64)
+    first = numbers == np.nanmin(numbers) if np.isfinite(numbers).any() else np.ones(len(numbers), bool)
+    if not first.all():
+        notes.append(f"{source} holds several sensors; the first one is read (I = {np.nanmin(numbers):g})")
+    return {quantity: column[first] for quantity, column in values.items()}
+
+
+def to_flu(
+    values: Mapping[str, Floats], columns: Mapping[str, DriveColumn], source: str, notes: list[str]
+) -> tuple[dict[str, Floats], dict[str, DriveColumn]]:
+    """Turn x forward, y right, z down into x forward, y left, z up; rates are rad/s, angles degrees."""
+    if set(columns) & {*RATES, *ACCELERATIONS, *ANGLES}:
+        notes.append(f"{source} is of ArduPilot: x forward, y right, z down is turned into x forward, y left, z up")
+    units = {
+        **dict.fromkeys(RATES, "rad/s"),
+        **dict.fromkeys(ACCELERATIONS, "m/s2"),
+        **dict.fromkeys(ANGLES, "deg"),
+        "speed": "m/s",
+    }
+    unstated = {quantity for quantity, unit in units.items() if quantity in columns and columns[quantity].unit is None}
+    factor = {quantity: np.deg2rad(1.0) for quantity in ANGLES if quantity in unstated}
+    lowest = {"fix": 2.0}  # 0: no receiver, 1: no fix
+    turned = {
+        quantity: (column - lowest.get(quantity, 0.0))
+        * ((-1.0 if quantity in _DOWN else 1.0) * factor.get(quantity, 1.0))
+        for quantity, column in values.items()
+        if quantity != "time"
+    }
+    stated = {
+        quantity: column._replace(unit=units[quantity]) if quantity in unstated else column
+        for quantity, column in columns.items()
+    }
+    return {**turned, "time": values["time"]}, stated
+
+
+def refuse_binary(path: Path) -> None:
+    """Raise BadInputError for the binary logs of ArduPilot, whose readers cannot be shipped with bumpymap."""
+    with open_source(path) as stream:
+        if stream.read(2) != _SYNC:
+            return
+    stem = path.stem
+    raise BadInputError(
+        f"{path} is a binary log of ArduPilot, which is not read itself. Make CSV files of it with pymavlink: "
+        f"mavlogdump.py --format csv --types IMU {path.name} > {stem}_imu.csv, the same with --types GPS > "
+        f"{stem}_gps.csv, and give {stem}_imu.csv,{stem}_gps.csv"
+    )
+
+
+PLACE_GROUPS = (LONLAT, EASTING_NORTHING, LOCAL)
+_LEAST_FIX = {"fix_type": 2.0, "fix": 1.0, "quality": 1.0, "gps_qual": 1.0}
+"""Name -> least value of a position that was measured; 0 for others (``status`` of ROS)."""
+_HELD = 0.5
+"""From this share of repeated positions on, the table repeats the last one in rows between two positions."""
+
+
+def read_places(
+    source: str, columns: Mapping[str, DriveColumn], values: Mapping[str, Floats], notes: list[str]
+) -> PlaceTrack | None:
+    """Return the positions of a table: longitude and latitude before eastings and northings, these before odometry.
+
+    Raises
+    ------
+    BadInputError
+        Degrees are out of range, or times are out of order.
+    """
+    for group in PLACE_GROUPS:
+        if set(group) <= set(values):
+            found = _track(source, group, (columns, values), notes)
+            if found is not None:
+                return found
+    return None
+
+
+def _track(
+    source: str,
+    group: tuple[str, ...],
+    table: tuple[Mapping[str, DriveColumn], Mapping[str, Floats]],
+    notes: list[str],
+) -> PlaceTrack | None:
+    columns, values = table
+    time, x, y = values["time"], values[group[0]], values[group[1]]
+    rows = np.isfinite(time) & np.isfinite(x) & np.isfinite(y)
+    bad = np.zeros_like(rows)
+    if "fix" in values:
+        name = columns["fix"].name.lower()
+        bad |= values["fix"] < next((least for key, least in _LEAST_FIX.items() if key in name), 0.0)
+    if group == LONLAT:
+        bad |= (x == 0.0) & (y == 0.0)
+    if lost := int((bad & rows).sum()):
+        notes.append(f"{lost:,} positions of {source} were taken without a fix and are left out")
+    places = np.flatnonzero(rows & ~bad)
+    if not len(places):
+        return None
+    keep, note = in_order(time[places], f"the positions of {source}")
+    notes.extend([note] if note else [])
+    places = places[keep]
+    error = values["error"][places] if "error" in values else np.full(len(places), np.nan)
+    return _settled(source, group, (columns, notes), (time[places], x[places], y[places], error))
+
+
+def _settled(
+    source: str,
+    group: tuple[str, ...],
+    told: tuple[Mapping[str, DriveColumn], list[str]],
+    samples: tuple[Floats, Floats, Floats, Floats],
+) -> PlaceTrack:
+    columns, notes = told
+    time, x, y, error = samples
+    kind: PlaceKind = "lonlat" if group == LONLAT else "projected"
+    note: str | None = None
+    if group == LONLAT:
+        x, y, note = check_lonlat(x, y, source, tuple(columns[quantity].name for quantity in group))
+    elif group == LOCAL:
+        kind, note = guess_local(x, y, source)
+    notes.extend([note] if note else [])
+    fresh = fresh_places(time, x, y)
+    if len(fresh) < len(time):
+        notes.append(f"{len(time) - len(fresh):,} positions of {source} only repeat the one before and are left out")
+    return PlaceTrack(time[fresh], x[fresh], y[fresh], error[fresh], kind)
+
+
+def fresh_places(time: Floats, x: Floats, y: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return which positions were measured, where a table repeats the last one in each row until the next.
+
+    Repetitions stay at the receiver's own interval while the vehicle stands: where the next position is as near as
+    positions usually are.
+
+    Parameters
+    ----------
+    time, x, y : (n,) float64
+        s, and positions in any unit.
+
+    Returns
+    -------
+    (m,) int
+        All positions, unless more than half of them repeat the one before.
+    """
+    count = len(time)
+    steps = np.hypot(np.diff(x), np.diff(y))
+    changes = np.flatnonzero(np.append(True, steps > 0.0))
+    if len(changes) < 3 or (count - len(changes)) <= _HELD * count:
+        return np.arange(count)
+    interval = float(np.median(np.diff(time[changes])))
+    usual = 3.0 * float(np.median(steps[changes[1:] - 1]))
+    # A run of equal positions that ends in a usual step is a standstill; one that ends in a long step is a dropout.
+    ends = np.append(steps[changes[1:] - 1] <= usual, True)
+    run = np.searchsorted(changes, np.arange(count), "right") - 1
+    number = np.floor((time - time[changes[run]]) / interval + 1e-6)
+    new_interval = np.append(True, np.diff(number) > 0)
+    first = np.zeros(count, bool)
+    first[changes] = True
+    kept: np.ndarray[tuple[int], np.dtype[np.intp]] = np.flatnonzero(first | (ends[run] & new_interval))
+    return kept
 
 
 _SENSOR = re.compile(r"gyroscope|gyro|acceleration|accelerometer|accel", re.IGNORECASE)
@@ -138,7 +335,7 @@ def _told(column: DriveColumn) -> str:
 def _read(table: TextTable, columns: Mapping[str, DriveColumn]) -> _Values:
     notes: list[str] = []
     source = table.path.name
-    instance = ardupilot.instance_column(table.head.names)
+    instance = instance_column(table.head.names)
     names = list(dict.fromkeys([*(column.name for column in columns.values()), *([instance] if instance else [])]))
     arrays, broken = table.read(names)
     if broken:
@@ -153,9 +350,9 @@ def _read(table: TextTable, columns: Mapping[str, DriveColumn]) -> _Values:
     kept = {quantity: each for quantity, each in values.items() if each is not None}
     kept["time"] = _times(arrays, columns, source, notes)
     if instance is not None:
-        kept = ardupilot.keep_first_instance(kept, arrays[instance].to_numpy(), source, notes)
-    if ardupilot.is_dataflash(table.head.names):
-        kept, columns = ardupilot.to_flu(kept, columns, source, notes)
+        kept = keep_first_instance(kept, arrays[instance].to_numpy(), source, notes)
+    if is_dataflash(table.head.names):
+        kept, columns = to_flu(kept, columns, source, notes)
     return _Values(source, columns, kept, notes)
 
 

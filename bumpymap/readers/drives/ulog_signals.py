@@ -10,7 +10,7 @@ import numpy as np
 
 from bumpymap.core import BadInputError, PlaceTrack, UsageError
 from bumpymap.readers.drives.clock import in_order, sorted_times
-from bumpymap.readers.drives.guesses import check_lonlat
+from bumpymap.readers.drives.columns import check_lonlat
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
 from bumpymap.readers.source import decoding, open_source, size_of
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, FrameSource, PoseTrack
-from bumpymap.readers.frames.find import find_frames
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
 from bumpymap.readers.frames.pose_files import (
     PoseFile,
@@ -25,7 +24,8 @@ from bumpymap.readers.frames.pose_files import (
     seconds_of_names,
     seconds_of_words,
 )
-from bumpymap.readers.frames.table import read_start
+from bumpymap.readers.frames.raw import read_start
+from bumpymap.readers.frames.read import find_frames
 from bumpymap.readers.source import open_source
 
 __all__ = ["FramePoses", "files_beside_poses", "place_sources", "read_poses"]

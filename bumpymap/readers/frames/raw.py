@@ -1,22 +1,90 @@
-"""The record of all returns in a scan file, before any are dropped."""
+"""The record of all returns in a scan file, before any are dropped: KITTI, PLY and PCD."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, UsageError, short_repr
+from bumpymap.readers.detect import read_columns
 
-__all__ = ["TIME_COLUMNS", "RawScan", "point_seconds", "points_of", "read_cloud", "start_of_day_time"]
+__all__ = [
+    "TIME_COLUMNS",
+    "RawScan",
+    "point_seconds",
+    "points_of",
+    "read_cloud",
+    "read_start",
+    "read_table",
+    "start_of_day_time",
+]
 
 TIME_COLUMNS = ("t", "time", "timestamp", "offset_time", "time_stamp", "timestamps", "scalar_timestamp", "scalar_time")
 """Names, in lower case, of columns with the time of each point."""
+
+
+_WANTED = {
+    "label": ("label", "labels", "scalar_label", "semantic", "semantic_label", "sem_id"),
+    "intensity": ("intensity", "scalar_intensity", "reflectivity", "remission"),
+    "time": TIME_COLUMNS,
+}
+
+
+_MOST_ID = 65_535
+
+
+@dataclass(frozen=True, slots=True)
+class RawScan:
+    """All returns of a scan file, in order."""
+
+    points: NDArray[np.float32]
+    """(n, 3) m; (0, 0, 0) for a beam without return; may hold NaN, infinity or any other value."""
+    intensity: NDArray[np.float32] | None
+    """(n,)"""
+    label: NDArray[np.uint16] | None
+    """(n,) semantic ids."""
+    time: NDArray[np.float32] | None = None
+    """(n,) s, see `bumpymap.core.Scan`; NaN if unknown."""
+
+
+def read_table(path: Path) -> RawScan:
+    """Read a PLY or PCD scan; a column ``label`` holds the semantic ids."""
+    columns = read_columns(path, _WANTED)
+    with np.errstate(over="ignore", invalid="ignore"):  # non-finite points are dropped and counted later
+        points = np.stack([columns[axis].astype(np.float32) for axis in "xyz"], axis=1)
+        intensity = columns["intensity"].astype(np.float32) if "intensity" in columns else None
+    return RawScan(
+        points,
+        intensity,
+        _semantic(path, columns["label"]) if "label" in columns else None,
+        point_seconds(columns["time"]) if "time" in columns else None,
+    )
+
+
+def read_start(path: Path) -> float | None:
+    """Return the time of the first return of a PLY or PCD scan, s since 1970; None if it has no times of day."""
+    columns = read_columns(path, {"time": TIME_COLUMNS})
+    return start_of_day_time(columns["time"]) if "time" in columns else None
+
+
+def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:
+    ids = column.astype(np.float64)
+    if not bool(((ids >= 0) & (ids <= _MOST_ID) & (ids == np.rint(ids))).all()):
+        raise BadInputError(f"the labels of {path} are not all whole numbers from 0 to {_MOST_ID:,}: not semantic ids")
+    return ids.astype(np.uint16)
+
+
 _UNITS_S = (1.0, 1e-6, 1e-9)
 """Seconds, microseconds, nanoseconds."""
+
+
 _SPAN_S = (0.005, 2.0)
 """Time that a scan takes: a revolution at 5 to 20 Hz and its parts, or several. Within these limits no time fits two
 units."""
+
+
 _EPOCH_S = 1e8
 """Later than this (1973) is a time of day and not one since the sensor was switched on."""
 
@@ -65,25 +133,17 @@ def _first(times: NDArray[np.float64]) -> float:
     return float(np.nanmin(np.where(times == 0.0, np.nan, times)))
 
 
-@dataclass(frozen=True, slots=True)
-class RawScan:
-    """All returns of a scan file, in order."""
-
-    points: NDArray[np.float32]
-    """(n, 3) m; (0, 0, 0) for a beam without return; may hold NaN, infinity or any other value."""
-    intensity: NDArray[np.float32] | None
-    """(n,)"""
-    label: NDArray[np.uint16] | None
-    """(n,) semantic ids."""
-    time: NDArray[np.float32] | None = None
-    """(n,) s, see `bumpymap.core.Scan`; NaN if unknown."""
-
-
 _ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
+
+
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of numpy of the constants in sensor_msgs/PointField."""
+
+
 _INTENSITY = ("intensity", "intensities", "reflectivity")
 """Names of fields with the strength of the return; the first one that is there is taken."""
+
+
 _SAME_CLOCK_S = 2.0
 """Times of points and of the header that are farther apart are of different clocks: no scan takes longer."""
 

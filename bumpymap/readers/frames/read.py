@@ -1,17 +1,331 @@
-"""Read the points of a scan file; returns that are not points of the scene are dropped and counted."""
+"""Find the scans that the user named, in time order, and read their points; returns of nothing are dropped."""
 
-from dataclasses import dataclass
+import logging
+import os
+import re
+import struct
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, BagMessage, Dropped, Scan, UsageError
-from bumpymap.readers.frames.bag import BagReader
+from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Scan, UsageError
+from bumpymap.readers.frames.bag import BAG_SUFFIXES, CLOUD, BagReader, BagRecord, is_bag
+from bumpymap.readers.frames.kitti import POINT_FOLDERS
+from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.frames.raw import RawScan, read_cloud
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
-__all__ = ["Robot", "read_message", "read_scan", "scene_points"]
+__all__ = ["BagTopics", "Robot", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
+
+_log = logging.getLogger(__name__)
+
+_ODOMETRY, _TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
+
+
+@dataclass(frozen=True, slots=True)
+class BagTopics:
+    """Which topics of a bag are read."""
+
+    cloud: str | None = None
+    """Of the scans; None: the only one of its type."""
+    odometry: str | None = None
+    """Of the odometry; None: the only one of its type, or else the transforms."""
+    poses: bool = True
+    """Whether poses are read at all."""
+
+
+def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+    """Find the scans in bags, in order of time, with their poses if the bags hold any.
+
+    Every message of the topics is read once, one at a time.
+
+    Raises
+    ------
+    BadInputError
+        A bag is damaged, the topic is not there or not clear, or the wanted odometry gives no poses.
+    UsageError
+        The extra ``ros`` is not installed.
+    """
+    bags = [BagReader(path) for path in paths]
+    counts = _counts(bags)
+    cloud = _choose(counts, CLOUD, topics.cloud, "topic")
+    recorded = _Poses(counts if topics.poses else {}, topics.odometry)
+    sources = [
+        FrameSource(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes
+    ]
+    if not sources:
+        raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
+    return recorded.add_poses(sources) if topics.poses else sources
+
+
+def _counts(bags: Iterable[BagReader]) -> dict[str, dict[str, int]]:
+    """Count the messages of all bags: type -> topic -> number."""
+    counts: dict[str, dict[str, int]] = {}
+    for bag in bags:
+        for topic, (kind, count) in bag.topics.items():
+            of_kind = counts.setdefault(kind, {})
+            of_kind[topic] = of_kind.get(topic, 0) + count
+    return counts
+
+
+def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | None, setting: str) -> str:
+    """Return the topic of a type: the wanted one, or the only one."""
+    found = counts.get(kind, {})
+    if wanted is None and len(found) == 1:
+        return next(iter(found))
+    if wanted is not None and wanted in found:
+        return wanted
+    if not found:
+        kinds = ", ".join(sorted(counts)) or "nothing"
+        raise BadInputError(f"the bag holds no topic of type {kind}; it holds {kinds}")
+    listed = ", ".join(f"{topic} ({count:,} messages)" for topic, count in sorted(found.items()))
+    what = "holds several topics" if wanted is None else f"has no topic {wanted}"
+    raise BadInputError(f"the bag {what} of type {kind}: {listed}. Name one of these with `{setting}='NAME'`")
+
+
+def _messages(bag: BagReader, cloud: str, recorded: "_Poses") -> Iterable[BagMessage]:
+    number, place, last = 0, 0, -1
+    for record in bag.messages({cloud, *recorded.topics} & set(bag.topics)):
+        if record.topic != cloud:
+            recorded.add(bag, record)
+            continue
+        place = place + 1 if record.time_ns == last else 0
+        yield _message(bag.path, record, number, place)
+        number, last = number + 1, record.time_ns
+
+
+def _message(path: Path, record: BagRecord, number: int, place: int) -> BagMessage:
+    """Read the header of a scan; its points stay as they are."""
+    try:
+        order = "<" if record.data[1] & 1 else ">"  # of the encapsulation
+        seconds, rest, length = struct.unpack_from(f"{order}iII", record.data, 4)
+        frame = record.data[16 : 16 + length].rstrip(b"\0").decode()
+    except (IndexError, struct.error, UnicodeDecodeError) as error:
+        raise BadInputError(
+            f"message {number} of {record.topic} in {path} has no valid header ({error}). The bag is damaged: "
+            "copy it again"
+        ) from error
+    stamp = seconds * 1_000_000_000 + rest
+    return BagMessage(
+        record.topic, number, record.time_ns, place, stamp or record.time_ns, frame_name(frame), len(record.data)
+    )
+
+
+class _Poses:
+    """The poses of the sensor, collected while a bag is read."""
+
+    def __init__(self, counts: Mapping[str, Mapping[str, int]], wanted: str | None) -> None:
+        self._wanted = wanted
+        self._odometry = (
+            _choose(counts, _ODOMETRY, wanted, "odometry") if wanted or len(counts.get(_ODOMETRY, {})) == 1 else None
+        )
+        self._several = sorted(counts.get(_ODOMETRY, {}))
+        self._transforms = set(counts.get(_TF, {}))
+        self._tree, self._trajectory = FrameTree(), Trajectory(str(self._odometry))
+        self._base: str | None = None
+
+    @property
+    def topics(self) -> Collection[str]:
+        """Topics to read."""
+        return self._transforms | ({self._odometry} if self._odometry else set())
+
+    def add(self, bag: BagReader, record: BagRecord) -> None:
+        """Add a message of one of the topics."""
+        if record.topic in self._transforms:
+            message = bag.decode(record.data, _TF)
+            self._tree.add(message, static=record.topic.endswith("static"))
+            return
+        message = bag.decode(record.data, _ODOMETRY)
+        self._base = frame_name(message.child_frame_id)
+        self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
+
+    def add_poses(self, sources: Sequence[FrameSource]) -> list[FrameSource]:
+        """Return the sources with their poses and motions, as far as they are known."""
+        messages = [source.message for source in sources if source.message is not None]
+        origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
+        times = seconds_since(origin_ns, np.array([message.stamp_ns for message in messages]))
+        try:
+            track = self._by_odometry(sensor, origin_ns) or self._by_transforms(sensor, origin_ns, times)
+        except BadInputError as error:
+            raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
+        if track is None:
+            return list(sources)
+        known, poses = track.covers(times), track.at(times)
+        if not known.all():
+            self._tell_unknown(track, times, known)
+        return [
+            replace(source, pose=pose, motion=track.around(time, SCAN_S)) if ok else source
+            for source, time, pose, ok in zip(sources, times.tolist(), poses, known, strict=True)
+        ]
+
+    def _tell_unknown(self, track: PoseTrack, times: NDArray[np.float64], known: NDArray[np.bool_]) -> None:
+        """Say that some frames have no pose; raise BadInputError if none has one, and the odometry was named."""
+        lost = len(known) - int(known.sum())
+        what = (
+            f"{lost:,} of {len(known):,} frames have no pose: relative to the first frame, frames span 0 "
+            f"to {times[-1]:.1f} s, the recorded poses {track.times[0]:.1f} to {track.times[-1]:.1f} s"
+        )
+        if self._wanted is not None and not known.any():
+            raise BadInputError(f"{what}. Are their headers from different clocks?")
+        _log.warning("%s. Frames without a pose are classified, but not mapped", what)
+
+    def _by_odometry(self, sensor: str, origin_ns: int) -> PoseTrack | None:
+        if self._base is None:
+            return None
+        mount = self._tree.mount(self._base, sensor)
+        if mount is None:
+            if self._wanted is None:
+                return None
+            raise BadInputError(
+                f"{self._odometry} moves the frame '{self._base}', and no static transform (/tf_static) says where the "
+                f"sensor's frame '{sensor}' is on it. Record /tf_static too, or give poses of the sensor with "
+                "`poses='FILE'`"
+            )
+        track = self._trajectory.track(origin_ns)
+        return PoseTrack(track.times, track.poses @ mount)
+
+    def _by_transforms(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
+        track = self._tree.track(sensor, origin_ns, times)
+        if track is None:
+            odometry = ""
+            if self._odometry is not None:
+                odometry = (
+                    f", and no static transform (/tf_static) says where it is on '{self._base}' of {self._odometry}"
+                )
+            elif self._several:
+                odometry = f", and there are several odometries: name one with `odometry` ({', '.join(self._several)})"
+            _log.warning(
+                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames "
+                "are classified, but not mapped",
+                sensor,
+                " and ".join(FIXED_FRAMES),
+                odometry,
+            )
+        return track
+
+
+SUFFIXES = (".ply", ".pcd", ".bin")
+"""File suffixes that a folder is searched for, in any case."""
+_NUMBER = re.compile(r"(\d+)")
+
+
+def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+    """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files and folders of scans, or bags (``.mcap``, ``.db3``, folders with ``metadata.yaml`` or with such files).
+    topics : BagTopics
+        For bags alone.
+
+    Returns
+    -------
+    list of FrameSource
+        Several bags in natural order of their paths.
+
+    Raises
+    ------
+    BadInputError
+        A path does not exist, holds no scans, or a bag cannot be read or leaves open which topic is meant.
+    UsageError
+        Topics are given without a bag, bags are mixed with files of scans, or the extra ``ros`` is not installed.
+    """
+    bags = [bag for path in paths for bag in bags_at(path)]
+    if not bags:
+        if (topics.cloud, topics.odometry) != (None, None):
+            raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
+        return [FrameSource(path) for path in find_frames(paths)]
+    files = [path for path in paths if not bags_at(path)]
+    if files:
+        raise UsageError(f"{files[0]} and {bags[0]} were given; give files of scans or bags, not both")
+    unique = {os.path.realpath(bag): bag for bag in reversed(bags)}
+    return find_messages(sorted(unique.values(), key=natural_key), topics)
+
+
+def bags_at(path: Path) -> list[Path]:
+    """Return the bags at a path: itself, or the files of bags in a folder that lost its metadata; else none."""
+    if path.suffix.lower() == ".bag" and path.is_file():
+        raise BadInputError(f"{path} is a bag of ROS 1; convert it to one of ROS 2 first, with rosbags-convert")
+    if is_bag(path):
+        return [path] if path.exists() else []
+    if not path.is_dir() or _scans(path):
+        return []
+    return [file for file in path.iterdir() if file.suffix.lower() in BAG_SUFFIXES and file.is_file()]
+
+
+def find_frames(paths: Sequence[Path]) -> list[Path]:
+    """Return the scan files at the given paths, in time order.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Files (with any suffix) and folders. If a folder holds no scans itself, its subfolder ``velodyne`` or
+        ``os1_cloud_node_kitti_bin`` is searched, as in the KITTI and RELLIS-3D data sets. Hidden files are ignored.
+
+    Returns
+    -------
+    list of Path
+        In natural order of their paths (``2.bin`` before ``10.bin``), whatever the order of ``paths``; each once.
+
+    Raises
+    ------
+    BadInputError
+        A path does not exist, or a folder holds no scans or scans of several formats.
+    """
+    if not paths:
+        raise BadInputError("no scan was given; name a file of a scan, or a folder of them")
+    found: dict[str, Path] = {}
+    for path in paths:
+        try:
+            for file in _files_of(path):
+                found.setdefault(os.path.realpath(file), file)
+        except OSError as error:
+            raise BadInputError(f"cannot access {path}: {error.strerror}") from error
+    return sorted(found.values(), key=natural_key)
+
+
+def natural_key(path: Path) -> tuple[tuple[tuple[int, int | str], ...], ...]:
+    """Return a sort key that compares numbers in names as numbers, and puts a folder before its contents."""
+    return tuple(
+        tuple((0, int(part)) if part.isdigit() else (1, part) for part in _NUMBER.split(name) if part)
+        for name in path.parts
+    )
+
+
+def _files_of(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    if not path.is_dir():
+        what = "is neither a file nor a folder" if path.exists() else "does not exist"
+        raise BadInputError(f"{path} {what}; name a file of a scan or a folder of them")
+    for folder in (path, *(path / name for name in POINT_FOLDERS)):
+        files = _scans(folder)
+        kinds = sorted({file.suffix.lower() for file in files})
+        if len(kinds) > 1:
+            raise BadInputError(
+                f"the folder {folder} holds scans of several formats ({', '.join(kinds)}): the same frames twice? Name "
+                f"the files of one format, such as: {folder}/*{kinds[0]}"
+            )
+        if files:
+            return files
+    raise BadInputError(
+        f"the folder {path} holds no scans; files ending in {', '.join(SUFFIXES)} are searched for, also in its "
+        f"folders {' and '.join(POINT_FOLDERS)}, and bags ({', '.join(BAG_SUFFIXES)}). Name the folder that holds them"
+    )
+
+
+def _scans(folder: Path) -> list[Path]:
+    if not folder.is_dir():
+        return []
+    return [
+        file
+        for file in folder.iterdir()
+        if file.suffix.lower() in SUFFIXES and not file.name.startswith(".") and file.is_file()
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +393,7 @@ def _read(path: Path, columns: int | None) -> RawScan:
         from bumpymap.readers.frames.kitti import read_kitti
 
         return read_kitti(path, columns)
-    from bumpymap.readers.frames.table import read_table
+    from bumpymap.readers.frames.raw import read_table
 
     return read_table(path)
 

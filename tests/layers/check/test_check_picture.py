@@ -10,10 +10,8 @@ from route_records import MadeUpMap
 
 from bumpymap.layers import write_check
 from bumpymap.layers.check import picture as picture_module
-from bumpymap.layers.check._plots import Box, draw_scatter
-from bumpymap.layers.check.log_axis import LogAxis
-from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.check.picture import paint_check, view_of
+from bumpymap.layers.check.offset import LogAxis, MapOffset
+from bumpymap.layers.check.picture import Box, draw_scatter, paint_check, view_of
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.route._pen import Pen
 

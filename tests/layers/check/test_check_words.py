@@ -8,8 +8,7 @@ from check_records import made_up_check
 
 from bumpymap.core import CLASS_NAMES
 from bumpymap.layers import check_headline, check_verdict, level_words
-from bumpymap.layers.check.page import check_page
-from bumpymap.layers.check.words import metres, percent
+from bumpymap.layers.check.words import check_page, metres, percent
 
 
 def judged(n=40, **figures):

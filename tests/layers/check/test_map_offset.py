@@ -7,7 +7,7 @@ import pytest
 from check_records import made_up_check, stretches_at
 from hypothesis import given, strategies as st
 
-from bumpymap.check.agreement import agreement_of
+from bumpymap.check.pipeline import agreement_of
 from bumpymap.layers.check.offset import NOT_COMPARED, OFF_KINDS, MapOffset
 
 ONE = np.array([[330_000.0, 2_040_000.0]])

@@ -4,8 +4,7 @@ import numpy as np
 from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
-from bumpymap.readers.drives.attitude import body_rates, quaternions_of_angles
-from bumpymap.readers.drives.signals import Signal
+from bumpymap.readers.drives.signals import Signal, body_rates, quaternions_of_angles
 
 angle = st.floats(-3.1, 3.1)
 

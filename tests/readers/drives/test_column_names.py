@@ -3,8 +3,7 @@
 import pytest
 
 from bumpymap.core import UsageError
-from bumpymap.readers.drives.choice import chosen_columns
-from bumpymap.readers.drives.column_names import guess_columns
+from bumpymap.readers.drives.columns import chosen_columns, guess_columns
 
 RATES = ("rate_x", "rate_y", "rate_z")
 HEADERS = {
