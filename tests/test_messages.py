@@ -14,7 +14,7 @@ from bumpymap.change.pipeline import DiffSettings
 from bumpymap.check import CheckConfig
 from bumpymap.check.pipeline import CheckSettings
 from bumpymap.cli import main
-from bumpymap.cli._wording import _SPELLED, as_options
+from bumpymap.cli._text import _SPELLED, as_options
 from bumpymap.core import PolarSettings, Scan
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings

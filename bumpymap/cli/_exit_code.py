@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._events import emit, restored_logging
+from bumpymap.cli._terminal import emit, restored_logging
 from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, flush, print_error
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 

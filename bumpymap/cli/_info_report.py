@@ -8,8 +8,7 @@ from typing import Any
 
 from rich.filesize import decimal
 
-from bumpymap.cli._text import about
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._text import about, as_options
 from bumpymap.core import (
     REASON_TEXT,
     FeatureSettings,

@@ -3,8 +3,7 @@
 import math
 from collections.abc import Iterator
 
-from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._text import as_options, print_json, print_line, print_table
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
 from bumpymap.layers import SHEET_FOLDER, MapSummary, degrees_line
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line

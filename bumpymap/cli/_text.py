@@ -9,11 +9,12 @@ import errno
 import io
 import json
 import os
+import re
+import shlex
 import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
-from bumpymap.cli._wording import as_options
 from bumpymap.core import OutputError, escape_controls
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
 __all__ = [
     "LostOutputError",
     "about",
+    "as_options",
     "error_console",
     "flush",
     "is_plain",
@@ -33,6 +35,34 @@ __all__ = [
     "print_line",
     "print_table",
 ]
+
+_SPELLED = {
+    "start": "from",
+    "goal": "to",
+    "round_trip": "return",
+    "radius_m": "robot-radius",
+    "range_m": "range",
+    "zone_starts_m": "zones",
+    "band_hz": "band",
+    "window_m": "window",
+    "drives": "drive",
+}
+"""Options that do not have the name of the setting: ``from`` and ``return`` are words of Python."""
+_SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
+
+
+def as_options(text: str) -> str:
+    """Replace the settings in backquotes by options: ``--crs EPSG:32614``, ``--overwrite``."""
+    return _SETTING.sub(_option, text) if "`" in text else text
+
+
+def _option(found: re.Match[str]) -> str:
+    name, quoted, plain = found.groups()
+    option = f"--{_SPELLED.get(name, name).replace('_', '-')}"
+    if quoted is not None:
+        return f"{option} {shlex.quote(quoted)}"
+    return option if plain in {None, "True"} else f"{option} {plain}"
+
 
 _AS_TERMINAL = ("FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE")
 """Environment variables by which rich treats a file as a terminal."""

@@ -5,13 +5,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._map_options import rating_options, sheets_option, tolerance_options
-from bumpymap.cli._options import given_options, option_name, output_options
+from bumpymap.cli._options import (
+    given_options,
+    option_name,
+    output_options,
+    rating_options,
+    sheets_option,
+    tolerance_options,
+)
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note
-from bumpymap.cli._text import print_json, print_line
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note, set_up_logging
+from bumpymap.cli._text import as_options, print_json, print_line
 from bumpymap.core import CLASHES, count_text, refuse_clashes
 
 if TYPE_CHECKING:

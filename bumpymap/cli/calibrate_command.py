@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, jobs_option, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note
+from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note, set_up_logging
 from bumpymap.cli._text import about, print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 

@@ -1,22 +1,310 @@
 """``bumpymap check``: a map against real drives over it."""
 
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import FILE, PATH
-from bumpymap.core import BumpymapError, UsageError
+from bumpymap.cli._terminal import FILE, PATH, set_up_logging
+from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import (
+    CLASS_NAMES,
+    BadInputError,
+    BumpymapError,
+    OutputError,
+    UsageError,
+    atomic,
+    locked,
+    parse_json,
+    read_regular,
+)
 
 if TYPE_CHECKING:
-    from bumpymap.cli._check_refit import Refit
-    from bumpymap.core import CheckResult
-    from bumpymap.rating import DriveUpdate
+    from bumpymap.check import CheckConfig, CheckRun
+    from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
+    from bumpymap.layers import RouteMap
+    from bumpymap.rating import Calibration, DriveUpdate
 
-__all__ = ["command"]
+__all__ = ["Refit", "command", "prepare_refit", "show"]
+
+
+def show(run: "CheckRun", config: "CheckConfig", refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
+    """Print what was found, or one JSON object, with what became of the calibration."""
+    if as_json:
+        print_json(_record(run, config) | ({} if refit is None else {"refit": refit}))
+        return
+    from bumpymap.layers import check_headline, warnings_of
+
+    result = run.result
+    for drive in result.drives:
+        for line in _drive_lines(drive):
+            print_line(line)
+    print_line(check_headline(result))
+    if result.by_class:
+        print_table(_classes(result), ("class of the map", "way", "map / measured", "typical error", "in the interval"))
+    for warning in warnings_of(result):
+        print_line(f"Warning: {warning}", "yellow")
+    if config.out is not None:
+        print_line(f"Files in {config.out}: {', '.join(path.name for path in run.files)}")
+
+
+def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
+    from bumpymap.layers import columns_words
+
+    yield (
+        f"{drive.name}: {drive.used_m:.0f} of {drive.way_m:.0f} m count, at {drive.speed_mps:.2f} m/s; rates up to "
+        f"{drive.band_hz:g} Hz of an IMU with {drive.rate_hz:.0f} Hz"
+    )
+    if drive.left_out_m:
+        lost = ", ".join(f"{reason} {metres:.0f} m" for reason, metres in drive.left_out_m.items() if metres >= 0.5)
+        if lost:
+            yield f"  left out: {lost}"
+    for columns in columns_words(drive):
+        yield f"  {columns}"
+    yield f"  {'; '.join(_sensor_words(drive))}"
+    for note in drive.notes:
+        yield f"  {note}"
+
+
+def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
+    angles = zip(("roll", "pitch", "yaw"), drive.mount_deg, strict=True)
+    told = [f"{name} {angle:.1f}" for name, angle in angles if math.isfinite(angle)]
+    yield f"the IMU is mounted at {', '.join(told)} degrees" if told else "how the IMU is mounted is not known"
+    if math.isfinite(drive.floor_radps):
+        yield f"at standstill it reads {drive.floor_radps:.4f} rad/s, which is taken off"
+    if math.isfinite(drive.clock_offset_s):
+        yield f"positions are {drive.clock_offset_s:+.3f} s (+-{drive.clock_offset_sd_s:.3f}) off its clock"
+
+
+def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
+    for number, found in sorted(result.by_class.items()):
+        name = f"{number} {CLASS_NAMES[number]}" if number < len(CLASS_NAMES) else "unknown"
+        yield (
+            name,
+            f"{found.way_m:.0f} m",
+            _number(found.median_ratio),
+            _percent(found.median_error),
+            _percent(found.inside),
+        )
+
+
+def _number(value: float) -> str:
+    return f"{value:.2f}" if math.isfinite(value) else "-"
+
+
+def _percent(value: float) -> str:
+    return f"{value:.0%}" if math.isfinite(value) else "-"
+
+
+def _record(run: "CheckRun", config: "CheckConfig") -> dict[str, Any]:
+    from bumpymap.layers import check_headline
+
+    result = run.result
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in run.files],
+        "headline": check_headline(result),
+        "drives": [_drive_record(drive) for drive in result.drives],
+        "agreement": None if result.agreement is None else _agreement_record(result.agreement),
+        "by_class": {str(number): _agreement_record(found) for number, found in result.by_class.items()},
+        "warnings": list(result.warnings),
+        "skipped": dict(result.skipped),
+    }
+
+
+def _drive_record(drive: "CheckedDrive") -> dict[str, Any]:
+    return {
+        "name": drive.name,
+        "way_m": _plain(drive.way_m),
+        "used_m": _plain(drive.used_m),
+        "left_out_m": {reason: _plain(metres) for reason, metres in drive.left_out_m.items()},
+        "speed_mps": _plain(drive.speed_mps),
+        "clock_offset_s": _plain(drive.clock_offset_s),
+        "mount_deg": [_plain(angle) for angle in drive.mount_deg],
+        "floor_radps": _plain(drive.floor_radps),
+        "notes": list(drive.notes),
+        "warnings": list(drive.warnings),
+    }
+
+
+def _agreement_record(found: "MapAgreement") -> dict[str, Any]:
+    names = ("way_m", "spearman", "median_ratio", "median_error", "inside", "same_class")
+    return {"stretches": found.stretches, **{name: _plain(getattr(found, name)) for name in names}}
+
+
+def _plain(value: float) -> float | None:
+    """Return a rounded number; None for what JSON cannot hold."""
+    return round(float(value), 5) if math.isfinite(value) else None
+
+
+_LEAST_WIDENING = 1.05
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A calibration to move, and the file to write."""
+
+    calibration: "Calibration"
+    out: Path
+    overwrite: bool
+
+    def move(self, stretches: "DrivenStretches", speed_mps: float) -> "DriveUpdate":
+        """Move the calibration to drives over a map at a speed, and write it.
+
+        Raises
+        ------
+        BadInputError
+            The drives are too short, or agree with the calibration.
+        OutputError
+            The file cannot be written.
+        """
+        from bumpymap.rating import UpdateSettings, update_from_drives
+
+        moved, update = update_from_drives(self.calibration, stretches, UpdateSettings(speed_mps=speed_mps))
+        _make_folder(self.out)
+        with locked(self.out.parent, f".{self.out.name}.lock"):
+            _refuse_replacing(self.out, self.overwrite)
+            with atomic(self.out) as beside:
+                beside.write_text(moved.to_json(), encoding="utf-8")
+        return update
+
+    def show(self, update: "DriveUpdate") -> None:
+        """Print what was found, in words."""
+        for line in _words(update):
+            print_line(line)
+        print_line(f"Calibration: {self.out}. Map with it: bumpymap map SURVEY --out DIR --calibration {self.out}")
+
+    def record(self, update: "DriveUpdate") -> dict[str, Any]:
+        """Return what was found, as plain JSON."""
+        return {"out": str(self.out), **update.to_record()}
+
+
+def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, overwrite: bool) -> Refit:
+    """Find the calibration of a map before the drives are measured.
+
+    Parameters
+    ----------
+    layers : Path or None
+        Folder of the map.
+    calibration : Path, optional
+        Its calibration file; None: the one that its run.json names.
+    out : Path
+        The calibration file to write.
+    overwrite : bool
+        Replace that file.
+
+    Raises
+    ------
+    UsageError
+        There is no map, or its calibration is not found.
+    BadInputError
+        The layers or the calibration cannot be read, or do not belong together.
+    OutputError
+        The file exists.
+    """
+    from bumpymap.layers import open_map
+
+    if layers is None:
+        raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
+    _refuse_replacing(out, overwrite)
+    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
+
+
+def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
+    """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
+    own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
+    if not math.isclose(own, speed):
+        raise BadInputError(
+            f"the map is made for {speed:g} m/s, and the calibration {calibration.id} rests on drives at {own:g} m/s, "
+            f"which is what a refit moves. Drive at {own:g} m/s over a map at that speed, or calibrate a profile "
+            f"whose speed is {speed:g} m/s"
+        )
+
+
+def _refuse_replacing(out: Path, overwrite: bool) -> None:
+    above = next(folder for folder in out.absolute().parents if folder.exists())
+    if not above.is_dir():
+        raise OutputError(f"cannot write {out}: {above} is a file; choose a file in a folder that you may write")
+    if out.is_dir():
+        raise OutputError(f"{out} is a folder; `refit` takes the file to write, such as `refit='my_robot.json'`")
+    if (out.exists() or out.is_symlink()) and not overwrite:
+        raise OutputError(f"{out} exists; give `overwrite=True` to replace it, or another file with `refit`")
+    if out.is_file() and not out.is_symlink() and not _is_calibration(out):
+        raise OutputError(f"{out} is no calibration, and was not touched; choose another file with `refit`")
+
+
+def _is_calibration(path: Path) -> bool:
+    """Return whether a file is one, of any version: no other file is replaced by one."""
+    try:
+        found = parse_json(read_regular(path).decode())
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
+
+
+def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
+    """Return the calibration that a map was made with."""
+    from bumpymap.rating import find_calibration
+
+    settings = site.manifests[0].get("settings", {})
+    named = given or settings.get("calibration")
+    try:
+        vehicle = settings.get("vehicle") or site.vehicle.name
+        found = find_calibration(str(vehicle), Path(named) if named else None)
+    except (BadInputError, UsageError) as error:
+        if given:
+            raise
+        raise UsageError(
+            f"the calibration {site.calibration_id} of the map is not found ({error}). Give its file with `calibration`"
+        ) from error
+    if found.id != site.calibration_id:
+        if found.vehicle["name"] == site.vehicle.name:
+            _require_own_speed(found, site)
+        raise BadInputError(
+            f"the map was made with the calibration {site.calibration_id} of {site.vehicle.name}; "
+            f"{named or vehicle} holds {found.id}. Give the file of the map's own with `calibration`, or map the "
+            "survey again"
+        )
+    return found
+
+
+def _words(update: "DriveUpdate") -> Iterator[str]:
+    low, middle, high = (factor - 1.0 for factor in update.factor)
+    more = "more" if middle >= 0 else "less"
+    ends = sorted((abs(low), abs(high))) if low * high > 0 else (low, high)
+    several = f" of {update.drives} drives" if update.drives > 1 else ""
+    yield (
+        f"{update.way_m:.0f} m of driving on {update.stretches} stretches{several}, {update.new_m:.0f} m of it on "
+        f"different ground: this vehicle pitches {_refit_percent(abs(middle))} {more} than the calibration says (80 % "
+        f"interval: {_refit_percent(ends[0])} to {_refit_percent(ends[1])})"
+    )
+    yield (
+        f"C_r / measured, median: {update.ratio[0]:.2f} before, {update.ratio[1]:.2f} with the new calibration; on "
+        f"parts of the drives left out in turn, the median error goes from "
+        f"{_refit_percent(update.held_out_error[0])} to {_refit_percent(update.held_out_error[1])}"
+    )
+    if update.posterior.map_scale > _LEAST_WIDENING:
+        yield (
+            f"Over the same ground the drives are off the map {update.posterior.map_scale:.1f} times as far as its "
+            "intervals say; those of the new calibration are wider by that"
+        )
+
+
+def _refit_percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
+
 
 _PARTLY_DONE = 4
 _SETTINGS = {"band": "band_hz", "window": "window_m"}
@@ -80,8 +368,6 @@ def command(
         run = run_check(config, progress)
     update, refused = _moved(refit, run.result)
     if not quiet:
-        from bumpymap.cli._check_summary import show
-
         show(run, config, None if refit is None or update is None else refit.record(update), as_json=log_json)
         if refit is not None and update is not None and not log_json:
             refit.show(update)
@@ -94,8 +380,6 @@ def command(
 def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, overwrite: bool) -> "Refit | None":
     """Find the calibration to move, before drives are measured; None if none is to be moved."""
     if out is not None:
-        from bumpymap.cli._check_refit import prepare_refit
-
         return prepare_refit(layers, calibration, out, overwrite=overwrite)
     if calibration is not None:
         raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")

@@ -2,9 +2,9 @@
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import show_progress
+from bumpymap.cli._terminal import set_up_logging
 from bumpymap.core import OutputError
 
 __all__ = ["command"]

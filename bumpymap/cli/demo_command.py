@@ -4,10 +4,9 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH
+from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_line
 from bumpymap.core import MapConfig
 

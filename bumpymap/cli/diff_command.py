@@ -1,16 +1,70 @@
 """``bumpymap diff``: what has changed between two surveys of a site."""
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH
+from bumpymap.cli._terminal import PATH, set_up_logging
+from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import CLASS_NAMES, count_text, share_text, shares_text
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from bumpymap.change import ChangeResult, DiffConfig
+
+__all__ = ["command", "show"]
+
+_NAMES = (*(f"{number} {name}" for number, name in enumerate(CLASS_NAMES)), "unknown")
+
+
+def show(result: "ChangeResult", config: "DiffConfig", *, as_json: bool) -> None:
+    """Print what has changed as tables, or as one JSON object."""
+    if as_json:
+        print_json(_record(result, config))
+        return
+    counts = result.counts
+    print_line(
+        f"{count_text(counts['in_both'], 'tile is', 'tiles are')} in both surveys, {counts['compared']:,} compared, "
+        f"{counts['changed']:,} changed ({share_text(counts['changed'] / max(counts['compared'], 1), 1)}) in "
+        f"{count_text(counts['regions'], 'place')}"
+    )
+    print_table(_changes(result), ("change", "tiles", "share"))
+    print_line("Classes before (rows) and after (columns), tiles:")
+    print_table(_classes(result), ("before", *_NAMES))
+    if counts["passable_lost"] or counts["passable_won"]:
+        print_line(
+            f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
+            f"{count_text(counts['passable_won'], 'is', 'are')} now"
+        )
+    for line in result.notes:
+        print_line(line)
+    if config.out is not None:
+        print_line(f"Files in {config.out}: {', '.join(path.name for path in result.files)}")
+
+
+def _changes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
+    tiles = result.counts["by_change"]
+    for (text, count), share in zip(tiles.items(), shares_text(list(tiles.values()), (0,), 1), strict=True):
+        yield text, f"{count:,}", share
+
+
+def _classes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
+    for name, row in zip(_NAMES, result.transitions, strict=True):
+        yield name, *(f"{tiles:,}" for tiles in row)
+
+
+def _record(result: "ChangeResult", config: "DiffConfig") -> dict[str, Any]:
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in result.files],
+        "counts": dict(result.counts),
+        "classes": {"names": list(_NAMES), "tiles_before_after": result.transitions.tolist()},
+        "fit": dict(result.fit),
+        "notes": list(result.notes),
+    }
 
 
 @click.command("diff")
@@ -35,6 +89,4 @@ def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: 
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = find_changes(config, progress)
     if not quiet:
-        from bumpymap.cli._diff_summary import show
-
         show(result, config, as_json=log_json)

@@ -8,11 +8,17 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._map_options import crs_option, force_crs_option
-from bumpymap.cli._options import given_options, jobs_option, merge_settings, option_name, output_options
+from bumpymap.cli._options import (
+    crs_option,
+    force_crs_option,
+    given_options,
+    jobs_option,
+    merge_settings,
+    option_name,
+    output_options,
+)
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note
+from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note, set_up_logging
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import OF_CRS, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
 

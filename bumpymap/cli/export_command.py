@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, option_name, output_options
-from bumpymap.cli._terminal import PATH
+from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import ExportFormat, ExportResolution, UsageError
 

@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Any, get_args
 
 import click
 
-from bumpymap.cli._events import set_up_logging
-from bumpymap.cli._map_options import crs_option, force_crs_option
-from bumpymap.cli._options import option_name, output_options
+from bumpymap.cli._options import crs_option, force_crs_option, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION
-from bumpymap.cli._text import print_json, print_labelled, print_line, print_table
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._terminal import LOCATION, set_up_logging
+from bumpymap.cli._text import as_options, print_json, print_labelled, print_line, print_table
 from bumpymap.core import OF_CRS, Ground, MapConfig, ZUnit, count_text, refuse_clashes
 
 if TYPE_CHECKING:

@@ -5,9 +5,8 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, output_options
-from bumpymap.cli._terminal import PATH
+from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import UsageError
 

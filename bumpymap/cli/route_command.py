@@ -1,16 +1,131 @@
 """``bumpymap route``: the cheapest way over mapped ground, and what can be reached."""
 
-from typing import Any
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, NumberList
-from bumpymap.core import UsageError
+from bumpymap.cli._terminal import PATH, NumberList, set_up_logging
+from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.core import UsageError, count_text
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from bumpymap.core import Route
+    from bumpymap.route import Reach, RouteConfig, RouteResult
+
+__all__ = ["command", "show"]
+
+_TITLES = (
+    "way",
+    "length (m)",
+    "detour",
+    "cost (m)",
+    "c_r (rad/m)",
+    "worst c_r",
+    "arrives",
+    "unknown (m)",
+    "up/down (m)",
+    "time",
+)
+
+
+def show(result: "RouteResult", config: "RouteConfig", *, as_json: bool) -> None:
+    """Print the ways as a table, or as one JSON object."""
+    if as_json:
+        print_json(_record(result, config))
+        return
+    if result.routes:
+        print_table(map(_row, result.routes), _TITLES)
+        for line in _remarks(result, config):
+            print_line(line)
+    if result.reach is not None:
+        print_line(_reached(result.reach))
+        for note in result.notes:
+            print_line(f"Note: {note}")
+    if config.out is not None:
+        folder = result.files[0].parent if result.files else config.out
+        print_line(f"Files in {folder}: {', '.join(path.name for path in result.files)}")
+
+
+def _reached(reach: "Reach") -> str:
+    """Say how much can be reached; of a part of the map, that it is one."""
+    tiles = f"{count_text(reach.tiles, 'tile')} ({reach.area_ha:,.2f} ha) can be reached"
+    share = f"{reach.share:.1%} of the passable ones"
+    farthest = f"the farthest costs {reach.highest_cost:,.0f} m"
+    if reach.limit_m is None:
+        return f"{tiles} from the start, {share}; {farthest}"
+    return f"Within {reach.limit_m:,.0f} m of the start to each side, {tiles}, {share} there; {farthest}"
+
+
+def _row(route: "Route") -> tuple[str, ...]:
+    found = route.figures
+    return (
+        route.name,
+        f"{found.length_m:,.0f}",
+        f"{found.detour:.2f}",
+        f"{found.cost_m:,.0f}",
+        _number(found.c_r_mean),
+        _number(found.c_r_max),
+        f"{found.p_arrives:.1%}",
+        f"{found.unknown_m:,.0f}",
+        f"{found.climb_m:.0f}/{found.descent_m:.0f}",
+        _time(found.seconds),
+    )
+
+
+def _remarks(result: "RouteResult", config: "RouteConfig") -> Iterator[str]:
+    yield from result.notes
+    if len(result.routes) < config.alternatives:
+        yield f"{config.alternatives} ways were asked for; there are no more that differ"
+    for route in result.routes:
+        if route.figures.unknown_m > 0:
+            yield (
+                f"{route.name}: {route.figures.unknown_m:,.0f} m lie on unknown ground, whose ride and risk are not in "
+                "the figures"
+            )
+    for route in result.routes:
+        if route.figures.obstacle_m > 0:
+            yield (
+                f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m: there is no way between them; "
+                "arrives counts each of these metres as failing every second time"
+            )
+    yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else f"{value:.3f}"
+
+
+def _time(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02}:{rest:02} h" if hours else f"{minutes}:{rest:02} min"
+
+
+def _record(result: "RouteResult", config: "RouteConfig") -> dict[str, Any]:
+    from bumpymap.layers import route_properties
+
+    reach = result.reach
+    reached = None
+    if reach is not None:
+        reached = {
+            "tiles": reach.tiles,
+            "area_ha": round(reach.area_ha, 4),
+            "share": round(reach.share, 6),
+            "highest_cost_m": round(reach.highest_cost, 3),
+            "limit_m": reach.limit_m,
+        }
+    return {
+        "out": None if config.out is None else str(config.out),
+        "files": [path.name for path in result.files],
+        "routes": [route_properties(route) for route in result.routes],
+        "reach": reached,
+        "notes": list(result.notes),
+    }
+
 
 _OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside", "through_obstacles")
 
@@ -57,6 +172,4 @@ def command(*, quiet: bool, log_json: bool, **given: Any) -> None:
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = plan_routes(config, progress)
     if not quiet:
-        from bumpymap.cli._route_summary import show
-
         show(result, config, as_json=log_json)

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._events import set_up_logging
 from bumpymap.cli._options import given_options, option_name, output_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import FILE, interrupt_note
+from bumpymap.cli._terminal import FILE, interrupt_note, set_up_logging
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
 

@@ -57,16 +57,13 @@ from .errors import (
     OutputError as OutputError,
     TooUnknownError as TooUnknownError,
     UsageError as UsageError,
+    count_text as count_text,
     error_chain as error_chain,
+    join_lines as join_lines,
     missing_resource as missing_resource,
     refused_write as refused_write,
-)
-from .file_hash import (
-    CHECKSUM_METHOD as CHECKSUM_METHOD,
-    FileHash as FileHash,
-    PieceRuns as PieceRuns,
-    hash_file as hash_file,
-    join_checksums as join_checksums,
+    share_text as share_text,
+    shares_text as shares_text,
 )
 from .files import (
     STAGED as STAGED,
@@ -74,13 +71,21 @@ from .files import (
     move_together as move_together,
     open_regular as open_regular,
     read_regular as read_regular,
+    recorded_place as recorded_place,
+    remote_files as remote_files,
     remove_empty_on_error as remove_empty_on_error,
     remove_path as remove_path,
     utf8_path as utf8_path,
+    without_keys as without_keys,
     write_together as write_together,
 )
 from .interrupts import (
+    Progress as Progress,
+    SilentProgress as SilentProgress,
+    Steps as Steps,
+    Stopwatch as Stopwatch,
     Terminated as Terminated,
+    counted as counted,
     interruptible as interruptible,
     shielded as shielded,
 )
@@ -91,15 +96,11 @@ from .json_text import (
     parse_json as parse_json,
     shape_fault as shape_fault,
 )
-from .lock import (
-    Holder as Holder,
-    lock_for as lock_for,
-    locked as locked,
-)
 from .memory import (
     LEAST_MEMORY as LEAST_MEMORY,
     auto_memory as auto_memory,
     free_memory as free_memory,
+    in_threads as in_threads,
     is_auto as is_auto,
     memory_bytes as memory_bytes,
     memory_limit as memory_limit,
@@ -120,22 +121,11 @@ from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,
     ChildError as ChildError,
+    SharedBytes as SharedBytes,
     allocate_shared as allocate_shared,
     can_start_children as can_start_children,
     module_folder as module_folder,
     trim_shared as trim_shared,
-)
-from .progress import (
-    Progress as Progress,
-    SilentProgress as SilentProgress,
-    Steps as Steps,
-    Stopwatch as Stopwatch,
-    counted as counted,
-)
-from .remote import (
-    recorded_place as recorded_place,
-    remote_files as remote_files,
-    without_keys as without_keys,
 )
 from .route_types import (
     NO_TILE as NO_TILE,
@@ -149,19 +139,27 @@ from .route_types import (
     TracedLine as TracedLine,
 )
 from .run_folder import (
+    Holder as Holder,
     Kept as Kept,
     RunFolder as RunFolder,
     check_interrupted as check_interrupted,
     clean_folder as clean_folder,
     is_interrupted as is_interrupted,
     is_own_folder as is_own_folder,
+    lock_for as lock_for,
+    locked as locked,
     read_record as read_record,
     what_to_keep as what_to_keep,
     writing_to as writing_to,
 )
 from .run_spec import (
+    CHECKSUM_METHOD as CHECKSUM_METHOD,
+    FileHash as FileHash,
+    PieceRuns as PieceRuns,
     differences as differences,
     flat_settings as flat_settings,
+    hash_file as hash_file,
+    join_checksums as join_checksums,
     recorded_settings as recorded_settings,
     same_content as same_content,
     spec_of_manifest as spec_of_manifest,
@@ -205,29 +203,9 @@ from .shared_kernels import (
     fill_holes as fill_holes,
     squared_distances as squared_distances,
 )
-from .shared_memory import (
-    SharedBytes as SharedBytes,
-)
 from .shown_text import (
     escape_controls as escape_controls,
     write_csv as write_csv,
-)
-from .text import (
-    count_text as count_text,
-    join_lines as join_lines,
-    share_text as share_text,
-    shares_text as shares_text,
-)
-from .thin_rule import (
-    DENSE_COVERAGE as DENSE_COVERAGE,
-    HOLE_POINTS as HOLE_POINTS,
-    HOLE_SHARE as HOLE_SHARE,
-    THIN_PARTS as THIN_PARTS,
-    THIN_POINTS as THIN_POINTS,
-    THIN_SEEN as THIN_SEEN,
-)
-from .threads import (
-    in_threads as in_threads,
 )
 from .toml_file import (
     brief_repr as brief_repr,
@@ -240,9 +218,12 @@ from .types import (
     CANOPY as CANOPY,
     CHANGE_KINDS as CHANGE_KINDS,
     CLASS_NAMES as CLASS_NAMES,
+    DENSE_COVERAGE as DENSE_COVERAGE,
     EMPTY as EMPTY,
     FAIL_SHARE as FAIL_SHARE,
     FREE as FREE,
+    HOLE_POINTS as HOLE_POINTS,
+    HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,
     NO_CLASS as NO_CLASS,
     OBJECT_NAMES as OBJECT_NAMES,
@@ -259,6 +240,9 @@ from .types import (
     SPEED_BANDS as SPEED_BANDS,
     STEEP as STEEP,
     TEXTURES as TEXTURES,
+    THIN_PARTS as THIN_PARTS,
+    THIN_POINTS as THIN_POINTS,
+    THIN_SEEN as THIN_SEEN,
     UNDECIDED as UNDECIDED,
     UNSEEN as UNSEEN,
     Band as Band,

@@ -1,14 +1,18 @@
-"""Memory limits: sizes as users type them, and what is free on the machine and in this process's control groups."""
+"""Memory and threads of a run: sizes as users type them, what is free, and work on items in threads, in order."""
 
 import os
 import re
-from collections.abc import Iterator
-from contextlib import suppress
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 from bumpymap.core.errors import UsageError
 
-__all__ = ["LEAST_MEMORY", "auto_memory", "free_memory", "is_auto", "memory_bytes", "memory_limit"]
+__all__ = ["LEAST_MEMORY", "auto_memory", "free_memory", "in_threads", "is_auto", "memory_bytes", "memory_limit"]
 
 LEAST_MEMORY = 128 << 20
 """Smallest limit, bytes: one chunk of a file alone needs this much."""
@@ -142,3 +146,47 @@ def _numbers(path: Path) -> dict[str, int]:
     """Return the lines of a file that consist of a name and a number (and a unit)."""
     rows = (line.split() for line in path.read_text("ascii").splitlines())
     return {row[0]: int(row[1]) for row in rows if len(row) > 1 and row[1].isdecimal()}
+
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+_AHEAD = 2
+"""Items under way or waiting to be taken, for each thread."""
+
+
+@contextmanager
+def in_threads(
+    work: Callable[[Item], Result], items: Iterable[Item], threads: int
+) -> Iterator[Iterator[Callable[[], Result]]]:
+    """Work on items in threads; yield, for each item in order, a function that returns the result.
+
+    That function waits for the result, and raises what ``work`` raised. At the end of the ``with`` block, items that
+    nobody has begun are dropped, and those under way are finished. With one thread, ``work`` runs in this thread, when
+    its result is asked for.
+
+    Parameters
+    ----------
+    work : callable
+        Called by several threads at a time.
+    items : iterable
+    threads : int
+    """
+    if threads == 1:
+        yield (partial(work, item) for item in items)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        try:
+            yield (future.result for future in _ahead(pool, work, items, _AHEAD * threads))
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _ahead(
+    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], most: int
+) -> Iterator[Future[Result]]:
+    waiting: deque[Future[Result]] = deque()
+    for item in items:
+        waiting.append(pool.submit(work, item))
+        if len(waiting) >= most:
+            yield waiting.popleft()
+    yield from waiting

@@ -3,37 +3,118 @@
 A child is a new interpreter that calls functions of one module by name, as its parent requests; its loop is in
 `bumpymap.core._child`. It is not started through `multiprocessing.Process`, which starts a second process to track
 resources, imports the user's main module again, and is not allowed in Dask workers. Messages go through
-`multiprocessing.connection`; large arrays lie in shared memory (`bumpymap.core.shared_memory`).
+`multiprocessing.connection`; large arrays lie in shared memory. That is one anonymous file that every child maps once:
+with one file for each array, mapping and clearing them would take a tenth of the decoding time.
+``multiprocessing.shared_memory`` needs space in ``/dev/shm``, which containers limit to 64 MB, and starts a process to
+clean up there.
 
 A child ends when its parent ends, even if the parent is killed, because the socket between them is then closed. SIGINT
 and SIGTERM go to the parent only.
 """
 
+import mmap
 import os
 import signal
 import subprocess
 import sys
+import tempfile
+import threading
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bumpymap.core.errors import UsageError
-from bumpymap.core.shared_memory import SharedBytes, SharedMemory
 from bumpytiles import blocked_signals, start_python
 
 __all__ = [
     "Child",
     "ChildDiedError",
     "ChildError",
+    "SharedBytes",
+    "SharedMemory",
     "allocate_shared",
     "can_start_children",
     "module_folder",
     "trim_shared",
 ]
+
+_PAGE = 4096
+_GROWTH = 1 << 22
+"""The memory grows in multiples of this, bytes."""
+
+
+@dataclass(frozen=True, slots=True)
+class SharedBytes:
+    """A range of bytes of the shared memory."""
+
+    start: int
+    """Offset of the first byte."""
+    data: NDArray[np.uint8]
+    """(n,)"""
+
+
+class SharedMemory:
+    """First-fit allocator of shared memory. Thread-safe."""
+
+    def __init__(self) -> None:
+        if hasattr(os, "memfd_create"):
+            self.descriptor = os.memfd_create("bumpymap")
+        else:
+            with tempfile.TemporaryFile() as file:
+                self.descriptor = os.dup(file.fileno())
+        # Arrays may be garbage-collected at any moment, so their offsets are recorded without a lock.
+        self._freed: deque[int] = deque()
+        self._ends: dict[int, int] = {}
+        self._lock = threading.Lock()
+        self._map: mmap.mmap | None = None
+        self.size = 0
+        """Current size, bytes."""
+
+    def allocate(self, size: int) -> SharedBytes:
+        """Allocate ``size`` uninitialized bytes, which are freed when the last array that uses them is deleted."""
+        length = max(-(-size // _PAGE), 1) * _PAGE
+        with self._lock:
+            self._collect()
+            start = self._first_gap(length)
+            if start + length > self.size or self._map is None:
+                self.size = -(-(start + length) // _GROWTH) * _GROWTH
+                os.ftruncate(self.descriptor, self.size)
+                # Arrays in use keep the map that they were created from.
+                self._map = mmap.mmap(self.descriptor, self.size)
+            self._ends[start] = start + length
+            whole = np.frombuffer(self._map, np.uint8, length, start)
+        weakref.finalize(whole, self._freed.append, start).atexit = False
+        return SharedBytes(start, whole[:size])
+
+    def trim(self) -> None:
+        """Return all memory to the operating system, if no array is in use."""
+        with self._lock:
+            self._collect()
+            if not self._ends:
+                self._map, self.size = None, 0
+                os.ftruncate(self.descriptor, 0)
+
+    def _collect(self) -> None:
+        while self._freed:
+            del self._ends[self._freed.popleft()]
+
+    def _first_gap(self, length: int) -> int:
+        at = 0
+        for start in sorted(self._ends):
+            if start - at >= length:
+                break
+            at = self._ends[start]
+        return at
+
 
 ReadAt = Callable[[int, memoryview], int]
 """Called with a byte offset and a buffer: reads bytes from there into the buffer and returns how many there were."""

@@ -1,14 +1,230 @@
-"""The run spec: inputs, settings, and versions and ids of what a run computes with; and how two of them differ."""
+"""The run spec: inputs with their checksums, settings, and versions and ids of what a run computes with.
+
+A file is cut into pieces of 1 MiB. Its checksum is the BLAKE3 of the BLAKE3 digests of the pieces, joined in file
+order. A plain BLAKE3 needs all bytes in order, so a file that is read in another order (an octree, ranges read by
+several workers, what a resumed run has left to read) would have to be read again for it. BLAKE3 takes a quarter of the
+time of SHA-256, even on a processor with SHA instructions (measured).
+
+Of a piece that is read in parts, the beginning is hashed as it grows; a part for which bytes before it are missing is
+copied until they come. The copies are limited: beyond that, the piece that was begun first is forgotten and read again
+at the end, as are bytes that no reader has asked for.
+"""
 
 import hashlib
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
-from bumpymap.core.file_hash import CHECKSUM_METHOD, hash_file
+from blake3 import blake3
 
-__all__ = ["differences", "flat_settings", "recorded_settings", "same_content", "spec_of_manifest"]
+from bumpymap.core.errors import BadInputError
+
+__all__ = [
+    "CHECKSUM_METHOD",
+    "FileHash",
+    "PieceRuns",
+    "differences",
+    "flat_settings",
+    "hash_file",
+    "join_checksums",
+    "recorded_settings",
+    "same_content",
+    "spec_of_manifest",
+]
+
+CHECKSUM_METHOD = "blake3-1MiB"
+"""Stands before the digest in a checksum: ``blake3-1MiB:12ab...``."""
+_SET_METHOD = "blake3-set"
+"""Stands before the digest in a checksum of several files."""
+PieceRuns = tuple[tuple[int, bytes], ...]
+"""Digests of consecutive pieces, joined, each with the number of the first piece."""
+
+_PIECE = 1 << 20
+_DIGEST = 32
+MOST_COPIED = 1 << 24
+"""Limit for the copies of parts of a file, bytes."""
+
+Buffer = Any
+"""Any object with the buffer protocol: bytes, memoryview, array of uint8."""
+
+
+@dataclass(slots=True)
+class _Part:
+    """A piece of which some bytes have been read."""
+
+    digest: Any = field(default_factory=blake3)
+    """Of the first ``done`` bytes."""
+    done: int = 0
+    copies: dict[int, bytes] = field(default_factory=dict)
+    """Bytes that cannot be hashed yet, by their offset in the piece."""
+
+    def take(self, at: int, data: memoryview) -> None:
+        """Hash what follows on the first ``done`` bytes."""
+        self.digest.update(data[self.done - at :])
+        self.done = max(self.done, at + len(data))
+
+
+class FileHash:
+    """Computes the checksum of a file of ``size`` bytes from the ranges that are read. Thread-safe.
+
+    Only local files have one. Bytes may be added twice, and must then be the same: the caller checks that the file
+    does not change.
+    """
+
+    def __init__(self, size: int) -> None:
+        self._size, self._count = size, -(-size // _PIECE)
+        self._lock = Lock()
+        self._digests, self._known = bytearray(), bytearray()
+        self._parts: dict[int, _Part] = {}
+        self._copied = 0
+        self._fresh: list[int] = []
+        self._checksum: str | None = None
+
+    @property
+    def checksum(self) -> str | None:
+        """The checksum; None before `finish`."""
+        return self._checksum
+
+    def add(self, start: int, data: Buffer) -> None:
+        """Hash bytes that were read from offset ``start``."""
+        if self._checksum is not None:
+            return
+        view = memoryview(data).cast("B")
+        for piece in range(start // _PIECE, -(-(start + len(view)) // _PIECE)):
+            first = max(piece * _PIECE - start, 0)
+            part = view[first : (piece + 1) * _PIECE - start]
+            if not self._is_known(piece):
+                self._add_part(piece, start + first - piece * _PIECE, part)
+
+    def take(self) -> PieceRuns:
+        """Return the digests of the pieces that were completed since the last call, except those from `put`."""
+        with self._lock:
+            fresh, self._fresh = sorted(self._fresh), []
+        runs: list[tuple[int, bytes]] = []
+        for piece in fresh:
+            digest = bytes(self._digests[piece * _DIGEST : (piece + 1) * _DIGEST])
+            if runs and runs[-1][0] + len(runs[-1][1]) // _DIGEST == piece:
+                runs[-1] = (runs[-1][0], runs[-1][1] + digest)
+            else:
+                runs.append((piece, digest))
+        if self._checksum is not None:
+            self._digests, self._known = bytearray(), bytearray()
+        return tuple(runs)
+
+    def put(self, runs: Iterable[tuple[int, bytes]]) -> None:
+        """Add digests of pieces that another `FileHash` of this file returned from `take`."""
+        for first, digests in runs:
+            for number in range(len(digests) // _DIGEST):
+                if self._checksum is None and first + number < self._count:
+                    self._store(first + number, digests[number * _DIGEST : (number + 1) * _DIGEST], fresh=False)
+
+    def finish(self, read: Callable[[int, int], Buffer]) -> str:
+        """Read the bytes that are missing, and return the checksum.
+
+        Parameters
+        ----------
+        read : callable
+            Called with an offset and a number of bytes; returns these bytes.
+
+        Raises
+        ------
+        BadInputError
+            The file ends early.
+        """
+        if self._checksum is None:
+            for piece in range(self._count):
+                if not self._is_known(piece):
+                    self._complete(piece, read)
+            self._checksum = f"{CHECKSUM_METHOD}:{blake3(self._digests).hexdigest()}"
+        return self._checksum
+
+    def drop_copies(self) -> None:
+        """Free the copies of parts; they are read again by `finish`."""
+        with self._lock:
+            for part in self._parts.values():
+                part.copies.clear()
+            self._copied = 0
+
+    def _is_known(self, piece: int) -> bool:
+        return bool(self._known and self._known[piece])
+
+    def _length(self, piece: int) -> int:
+        return min(self._size - piece * _PIECE, _PIECE)
+
+    def _add_part(self, piece: int, at: int, data: memoryview) -> None:
+        if at == 0 and len(data) == self._length(piece):
+            self._store(piece, blake3(data).digest())
+            return
+        with self._lock:
+            if self._is_known(piece):
+                return
+            part = self._parts.setdefault(piece, _Part())
+            if at <= part.done:
+                part.take(at, data)
+                self._take_copies(part)
+            elif at not in part.copies:
+                part.copies[at] = bytes(data)
+                self._copied += len(data)
+                while self._copied > MOST_COPIED:
+                    self._forget(next(iter(self._parts)))
+        if part.done == self._length(piece):
+            self._store(piece, part.digest.digest())
+
+    def _take_copies(self, part: _Part) -> None:
+        """Hash the copies that follow on what is hashed; the caller holds the lock."""
+        while (at := next((at for at in part.copies if at <= part.done), None)) is not None:
+            data = part.copies.pop(at)
+            self._copied -= len(data)
+            part.take(at, memoryview(data))
+
+    def _store(self, piece: int, digest: bytes, *, fresh: bool = True) -> None:
+        with self._lock:
+            if not self._known:
+                self._digests, self._known = bytearray(self._count * _DIGEST), bytearray(self._count)
+            if not self._known[piece]:
+                self._digests[piece * _DIGEST : (piece + 1) * _DIGEST] = digest
+                self._known[piece] = 1
+                self._fresh += [piece] * fresh
+            self._forget(piece)
+
+    def _forget(self, piece: int) -> None:
+        """Forget the parts of a piece, if there are any; the caller holds the lock."""
+        part = self._parts.pop(piece, None)
+        if part is not None:
+            self._copied -= sum(map(len, part.copies.values()))
+
+    def _complete(self, piece: int, read: Callable[[int, int], Buffer]) -> None:
+        """Read what is missing of a piece."""
+        part, length = self._parts.get(piece) or _Part(), self._length(piece)
+        while part.done < length:
+            stop = min(part.copies, default=length)  # what follows is there already
+            data = memoryview(read(piece * _PIECE + part.done, stop - part.done)).cast("B")
+            if not len(data):
+                raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
+            part.take(part.done, data)
+            with self._lock:
+                self._take_copies(part)
+        self._store(piece, part.digest.digest())
+
+
+def hash_file(path: Path) -> str:
+    """Return the checksum of a file, by `FileHash`; raise OSError or BadInputError if it cannot be read."""
+
+    def read(start: int, size: int) -> bytes:
+        with path.open("rb", buffering=0) as file:
+            file.seek(start)
+            return file.read(size)
+
+    return FileHash(path.stat().st_size).finish(read)
+
+
+def join_checksums(checksums: Iterable[str]) -> str:
+    """Return one checksum for a set of files: the BLAKE3 of their checksums, sorted, one a line."""
+    lines = "".join(f"{checksum}\n" for checksum in sorted(checksums))
+    return f"{_SET_METHOD}:{blake3(lines.encode()).hexdigest()}"
+
 
 _OF_THE_MACHINE = {"out", "threads", "scratch", "scheduler", "resume", "overwrite"}
 """Settings that say where and how a run is carried out: they change no result, so no manifest repeats them."""

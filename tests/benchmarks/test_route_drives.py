@@ -21,7 +21,7 @@ from _route_trial import (
 from driven_ways import WayDrive
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.survey_trial import TrialOptions
 from bumpymap.lab.simulate.checks import sine_c_r
 from bumpymap.rating import RideModel

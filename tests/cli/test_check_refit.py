@@ -6,7 +6,7 @@ import pytest
 from driven_stretches import driven_stretches
 from small_surveys import write_survey
 
-from bumpymap.cli._check_refit import prepare_refit
+from bumpymap.cli.check_command import prepare_refit
 from bumpymap.core import BadInputError, OutputError, UsageError
 from bumpymap.rating import Calibration
 from bumpymap.survey import map_survey

@@ -15,7 +15,7 @@ from rich.console import Console
 from bumpymap.cli import _progress, main
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.progress import SilentProgress, Steps, counted
+from bumpymap.core.interrupts import SilentProgress, Steps, counted
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from blake3 import blake3
 
-from bumpymap.core import BadInputError, FileHash, file_hash, hash_file, same_content
+from bumpymap.core import BadInputError, FileHash, hash_file, run_spec, same_content
 
 PIECE = 1 << 20
 SIZES = [0, 1, 1000, PIECE - 1, PIECE, PIECE + 1, 5 * PIECE + 12_345]
@@ -57,7 +57,7 @@ def test_in_order_nothing_is_read_again(size, step):
 @pytest.mark.parametrize("seed", range(20))
 def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
     rng = np.random.default_rng(seed)
-    monkeypatch.setattr(file_hash, "MOST_COPIED", int(rng.choice([0, 300_000, 1 << 24])))
+    monkeypatch.setattr(run_spec, "MOST_COPIED", int(rng.choice([0, 300_000, 1 << 24])))
     data = content(SIZES[-1])
     made, seen = FileHash(len(data)), np.zeros(len(data), bool)
     for start in rng.integers(0, len(data), int(rng.integers(0, 40))):

@@ -12,12 +12,12 @@ import sys
 import pytest
 
 from bumpymap.core.errors import OutputError
-from bumpymap.core.lock import LOCK, Holder, lock_for, locked
+from bumpymap.core.run_folder import LOCK, Holder, lock_for, locked
 
 HOLD = """
 import sys
 from pathlib import Path
-from bumpymap.core.lock import locked
+from bumpymap.core.run_folder import locked
 with locked(Path(sys.argv[1])):
     print("held", flush=True)
     sys.stdin.read()

@@ -5,7 +5,7 @@ import os
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core.shared_memory import SharedMemory
+from bumpymap.core.processes import SharedMemory
 
 SIZES = st.integers(0, 40_000)
 

@@ -15,8 +15,7 @@ import pytest
 
 from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.processes import Child
-from bumpymap.core.shared_memory import SharedMemory
+from bumpymap.core.processes import Child, SharedMemory
 from bumpymap.readers import decoder, open_survey
 from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
 

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import FrameSource, PolarSettings, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.lock import locked
+from bumpymap.core.run_folder import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
 from bumpymap.layers.products import NAMED_RASTERS
 from bumpymap.layers.scan.frame import write_polygons

@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.core.lock import locked
+from bumpymap.core.run_folder import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.products import NAMED_RASTERS
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.survey import second_pass
 from bumpymap.survey.second_pass import RING, add_neighbours
 from bumpytiles import BLOCK_TILES, Column, Grid, TileTable

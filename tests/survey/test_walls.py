@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.config import MapConfig
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import Barred, Georeference, rated_columns
 from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating

@@ -7,7 +7,7 @@ from _tile_trials import flat_terrains, library_terrains, require_unseen
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.agreement import DriveStats
 from bumpymap.lab.evaluate.survey_trial import TrialOptions
 

@@ -6,7 +6,7 @@ from _tile_trials import MOVES, density_sweep, invariance, library_terrains, mea
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.rated_survey import load_survey, open_readers
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.worlds.terrains import ScanEffects

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate import survey_trial
 from bumpymap.lab.evaluate.rated_survey import Subject, open_readers
 from bumpymap.lab.evaluate.report import plain_record

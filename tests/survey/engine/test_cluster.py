@@ -22,8 +22,7 @@ import bumpytiles
 from bumpymap.cli import main
 from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.core.processes import Child
-from bumpymap.core.shared_memory import SharedMemory
+from bumpymap.core.processes import Child, SharedMemory
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
 from bumpymap.survey import BlockWork

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.cli._wording import as_options
+from bumpymap.cli._text import as_options
 from bumpymap.core import CHECKSUM_METHOD, hash_file
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child

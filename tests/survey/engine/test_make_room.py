@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.progress import SilentProgress
+from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey import BlockWork
