@@ -213,7 +213,7 @@ def test_without_the_extra_the_message_says_how_to_install_it(layers, monkeypatc
             raise ModuleNotFoundError(f"No module named '{name}'")
         return real(name, package)
 
-    monkeypatch.setattr("bumpymap.layers._notebook.import_module", refuse)
+    monkeypatch.setattr("bumpymap.layers._imports.import_module", refuse)
     for call in (layers.dataset, layers.heights, layers.tiles, layers.regions):
         with pytest.raises(bumpymap.UsageError, match=r"pip install 'bumpymap\[notebook\]'"):
             call()

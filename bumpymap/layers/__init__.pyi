@@ -1,9 +1,6 @@
 from ._imports import (
     import_without_pandas as import_without_pandas,
 )
-from ._label import (
-    label as label,
-)
 from .batch_page import (
     SurveyRow as SurveyRow,
     SurveyStatus as SurveyStatus,
@@ -23,14 +20,12 @@ from .change import (
     CHANGE_NAMES as CHANGE_NAMES,
     CHANGE_VIEW_NAMES as CHANGE_VIEW_NAMES,
     ChangeField as ChangeField,
-    change_regions as change_regions,
-    check_change_out as check_change_out,
-    write_change as write_change,
-)
-from .change_pair import (
     SurveyPair as SurveyPair,
     SurveyTiles as SurveyTiles,
+    change_regions as change_regions,
+    check_change_out as check_change_out,
     open_pair as open_pair,
+    write_change as write_change,
 )
 from .check.folder import (
     write_check as write_check,
@@ -58,17 +53,15 @@ from .colours import (
     OFF_COLOURS as OFF_COLOURS,
     REASON_COLOURS as REASON_COLOURS,
 )
-from .completed_run import (
-    is_complete as is_complete,
-    refuse_replacing as refuse_replacing,
-    verified_record as verified_record,
-)
 from .export.write import (
     Export as Export,
     ExportSettings as ExportSettings,
     export_map as export_map,
 )
 from .folder import (
+    is_complete as is_complete,
+    refuse_replacing as refuse_replacing,
+    verified_record as verified_record,
     write_products as write_products,
 )
 from .geotiff import (
@@ -118,6 +111,7 @@ from .products import (
 )
 from .regions import (
     dissolve as dissolve,
+    label as label,
 )
 from .relief import (
     write_relief as write_relief,
@@ -125,29 +119,22 @@ from .relief import (
 from .remote_folder import (
     RemoteFolder as RemoteFolder,
 )
-from .report.surfaces import (
-    degrees_line as degrees_line,
-)
+from .report.words import degrees_line as degrees_line
 from .report.write import (
     write_report as write_report,
     write_reports as write_reports,
 )
-from .route.contours import (
-    write_isochrones as write_isochrones,
-)
-from .route.figures import (
-    route_properties as route_properties,
-)
+from .route.coordinates import MapSource as MapSource, route_properties as route_properties
 from .route.folder import (
     ReachLevels as ReachLevels,
     write_reach_files as write_reach_files,
     write_routes as write_routes,
 )
-from .route.geojson import (
-    write_route_geojson as write_route_geojson,
-)
-from .route.gpx import (
+from .route.lines import (
+    PROFILE_COLUMNS as PROFILE_COLUMNS,
     write_gpx as write_gpx,
+    write_profile as write_profile,
+    write_route_geojson as write_route_geojson,
 )
 from .route.names import (
     ROUTE_MANIFEST_NAME as ROUTE_MANIFEST_NAME,
@@ -163,31 +150,23 @@ from .route.planned import (
     PlannedRoute as PlannedRoute,
     reach_dataset as reach_dataset,
 )
-from .route.profile_csv import (
-    PROFILE_COLUMNS as PROFILE_COLUMNS,
-    write_profile as write_profile,
-)
-from .route.reach_raster import (
+from .route.reach import (
     NO_MOVE as NO_MOVE,
     ReachField as ReachField,
+    write_isochrones as write_isochrones,
     write_reach as write_reach,
     write_reach_back as write_reach_back,
 )
-from .route.source import (
-    MapSource as MapSource,
-)
-from .route_areas import (
+from .route_inputs import (
+    FilePoint as FilePoint,
     read_areas as read_areas,
+    read_points as read_points,
     tiles_in as tiles_in,
     tiles_within as tiles_within,
 )
 from .route_map import (
     RouteMap as RouteMap,
     open_map as open_map,
-)
-from .route_points import (
-    FilePoint as FilePoint,
-    read_points as read_points,
 )
 from .scan.folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,

@@ -1,13 +1,25 @@
-"""Write cloud-optimised GeoTIFFs (COG).
+"""Write cloud-optimised GeoTIFFs (COG), and the names, colours and pixel counts of their values in ``NAME.tif.aux.xml``.
 
 A sparse scratch raster is filled window by window, so that memory does not grow with the survey or with gaps in it.
 GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory; a large one that
 is mostly empty is written by `write_sparse_cog`.
+
+GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDAL 3.10: blocks that are flushed when a
+file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
+Two threads that write rasters at the same time also lose parts of blocks: one flushes the other's blocks to free cache,
+and the other reads them back too early. Therefore small rasters are made in memory and written by Python; a large one
+is made only if the disk has space for it, and is read back afterwards; and rasters are written one after the other.
+
+rasterio cannot write category names and raster attribute tables. The layout of the side file is that of GDAL's
+``PAMDataset``; types and usages are the numbers of GDAL's ``GDALRATFieldType`` and ``GDALRATFieldUsage``.
 """
 
 import os
+import shutil
 import threading
-from collections.abc import Callable, Iterator
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -20,19 +32,148 @@ from rasterio.errors import RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
+from bumpymap.core import atomic
+from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
+from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, open_raster
+
+__all__ = [
+    "BandSpec",
+    "RasterSpec",
+    "checksum",
+    "count_values",
+    "require_disk_space",
+    "require_intact",
+    "sum_counts",
+    "write_cog",
+    "write_value_table",
+]
+
+
+def checksum(pixels: NDArray[np.generic]) -> int:
+    """Return the CRC-32 of pixels; NaN counts as 0, whatever its bits."""
+    return zlib.crc32(np.ascontiguousarray(np.nan_to_num(pixels)).data)
+
+
+def require_disk_space(folder: Path, size: int) -> None:
+    """Raise OSError if the disk of a folder has fewer than ``size`` bytes free."""
+    free = shutil.disk_usage(folder).free
+    if free < size:
+        raise OSError(f"up to {size / 1e9:.1f} GB are needed and {free / 1e9:.1f} GB are free")
+
+
+def require_intact(path: Path, painted: Iterable[tuple[Window, int]]) -> None:
+    """Read a raster back; raise OSError if a window does not match its `checksum` or an overview is unreadable."""
+    with rasterio.open(path) as raster:
+        levels = len(raster.overviews(1))
+        if not all(checksum(raster.read(window=window)) == expected for window, expected in painted):
+            raise OSError("what was written cannot be read back; the disk may be full")
+    for level in range(levels):
+        with rasterio.open(path, overview_level=level) as raster:
+            for _, window in raster.block_windows(1):
+                raster.read(window=window)
+
+
+_INTEGER, _REAL, _STRING = 0, 1, 2
+_FIELDS = {
+    "Value": (_INTEGER, 5),
+    "Count": (_INTEGER, 1),
+    "Class": (_STRING, 2),
+    "Red": (_INTEGER, 6),
+    "Green": (_INTEGER, 7),
+    "Blue": (_INTEGER, 8),
+    "Alpha": (_INTEGER, 9),
+}
+"""Column -> type and usage: value (smallest and largest), number of pixels, name, parts of its colour."""
+_VALUE, _COUNT = 0, 1
+"""Columns."""
+_TABLE = "GDALRasterAttributeTable"
+_LARGEST_INTEGER = 2**31 - 1
+"""GDAL's integer columns have 32 bits; larger counts are real numbers, exact up to 2**53."""
+
+
+def count_values(pixels: NDArray[np.generic]) -> NDArray[np.int64]:
+    """Return the number of pixels (256,) that have each value; ``pixels`` are uint8 in any shape."""
+    return np.bincount(pixels.ravel(), minlength=256)
+
+
+def write_value_table(
+    raster: Path, names: Sequence[str], colours: Mapping[int, tuple[int, int, int, int]], counts: NDArray[np.int64]
+) -> None:
+    """Add category names and an attribute table of band 1 to the side file of a raster.
+
+    Parameters
+    ----------
+    raster : Path
+    names : sequence of str
+        Names of the values 0, 1, 2, ...
+    colours : mapping
+        Red, green, blue, alpha of the values that pixels can have; those without a name (nodata) get no row.
+    counts : array (256,)
+        Number of pixels of each value in the whole raster.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    ParseError
+        GDAL has written a side file that was cut short, as by a full disk.
+    """
+    path = raster.with_name(f"{raster.name}.aux.xml")
+    root = ET.parse(path).getroot() if path.exists() else ET.Element("PAMDataset")  # noqa: S314 (GDAL's own)
+    band = ET.SubElement(root, "PAMRasterBand", band="1")
+    listed = ET.SubElement(band, "CategoryNames")
+    for name in names:
+        ET.SubElement(listed, "Category").text = name
+    rows = [(value, int(counts[value]), name, *colours[value]) for value, name in enumerate(names) if value in colours]
+    _add_rows(ET.SubElement(band, _TABLE, tableType="thematic"), rows)
+    ET.indent(root)
+    path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
+
+
+def sum_counts(table: ET.Element, rasters: Iterable[Path]) -> bool:
+    """Replace the counts of an attribute table, that of any of the rasters, by their sums over all rasters.
+
+    Returns
+    -------
+    bool
+        False if a raster has no such table beside it: the counts are then unchanged.
+    """
+    totals: Counter[str] = Counter()
+    for raster in rasters:
+        try:
+            side_file = ET.parse(raster.with_name(f"{raster.name}.aux.xml"))  # noqa: S314 (ours)
+            found = side_file.getroot().find(f"PAMRasterBand/{_TABLE}")
+            if found is None:
+                return False
+            for row in found.iter("Row"):
+                totals[row[_VALUE].text or ""] += int(row[_COUNT].text or "")
+        except (OSError, ET.ParseError, ValueError, IndexError):
+            return False
+    for row in table.iter("Row"):
+        row[_COUNT].text = str(totals[row[_VALUE].text or ""])
+    kind = table.findall("FieldDefn")[_COUNT].find("Type")
+    if kind is not None and max(totals.values(), default=0) > _LARGEST_INTEGER:
+        kind.text = str(_REAL)
+    return True
+
+
+def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:
+    for number, (name, (kind, usage)) in enumerate(_FIELDS.items()):
+        large = any(isinstance(row[number], int) and int(row[number]) > _LARGEST_INTEGER for row in rows)
+        field = ET.SubElement(table, "FieldDefn", index=str(number))
+        for tag, value in (("Name", name), ("Type", _REAL if large else kind), ("Usage", usage)):
+            ET.SubElement(field, tag).text = str(value)
+    for number, row in enumerate(rows):
+        element = ET.SubElement(table, "Row", index=str(number))
+        for value in row:
+            ET.SubElement(element, "F").text = str(value)
+
+
 try:
     import resource
 except ImportError:  # not on Windows
     resource = None  # type: ignore[assignment]
 
-from bumpymap.core import atomic
-from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
-from bumpymap.layers._raster_spec import SCRATCH_BLOCK, BandSpec, RasterSpec, open_raster
-from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
-from bumpymap.layers._value_table import count_values, write_value_table
-from bumpymap.layers.placement import Placement, RasterWindow
-
-__all__ = ["BandSpec", "RasterSpec", "write_cog"]
 
 _FAILURES: tuple[type[Exception], ...] = (RasterioError, rasterio._err.CPLE_BaseError, ET.ParseError)  # noqa: SLF001 (no public name)
 _GDAL = {"GDAL_CACHEMAX": 64, "COG_TMP_COMPRESSION": "NONE"}

@@ -1,4 +1,4 @@
-"""Import pyarrow and pyogrio without what both import if it is installed, and no layer needs."""
+"""Imports that wait or leave something out: pyarrow and pyogrio without pandas, packages of the extra ``notebook``."""
 
 import sys
 import threading
@@ -6,8 +6,9 @@ from importlib import import_module
 from importlib.abc import MetaPathFinder
 from typing import Any
 
-__all__ = ["import_without_pandas"]
+from bumpymap.core import UsageError
 
+__all__ = ["import_notebook", "import_without_pandas"]
 
 _HIDDEN = frozenset(
     {
@@ -50,3 +51,13 @@ def import_without_pandas(*names: str) -> None:
         import_module("pyarrow").array([0])  # pyarrow looks for pandas once, when it makes its first array
     finally:
         sys.meta_path.remove(finder)
+
+
+def import_notebook(package: str) -> Any:
+    """Import a package of the extra ``notebook``."""
+    try:
+        return import_module(package)
+    except ImportError as error:
+        raise UsageError(
+            f"this needs {package}, which cannot be imported ({error}): pip install 'bumpymap[notebook]'"
+        ) from error

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.io import MemoryFile
 
-from bumpymap.layers._raster_spec import RasterSpec, open_raster
-from bumpymap.layers.placement import Placement, RasterWindow
+from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow, open_raster
 from bumpytiles import TileWindow
 
 __all__ = ["write_sparse_cog"]

@@ -1,15 +1,30 @@
-"""Write all files of a map to its folder, the manifest last."""
+"""Write all files of a map to its folder, the manifest last; recognise and verify a folder that is complete."""
 
 import logging
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
 from functools import partial
+from os.path import lexists
 from pathlib import Path
 from threading import Event
 from typing import Any
 
-from bumpymap.core import CostTable, Progress, SilentProgress, write_together
+from bumpymap.core import (
+    BadInputError,
+    CostTable,
+    Georeference,
+    OutputError,
+    Progress,
+    SilentProgress,
+    describe_crs,
+    read_record,
+    vertical_of,
+    write_together,
+)
+from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import (
     write_barred,
     write_classes,
@@ -19,24 +34,161 @@ from bumpymap.layers.geotiff import (
     write_passage,
     write_reasons,
     write_roughness,
+    write_speeds,
 )
 from bumpymap.layers.gis import write_project, write_styles
-from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, write_manifest
-from bumpymap.layers.metadata import as_tags, layer_metadata
+from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
 from bumpymap.layers.relief import write_relief
-from bumpymap.layers.ride_scale import class_limits
 from bumpymap.layers.sheets.folders import remove_speeds
-from bumpymap.layers.speeds import write_speeds
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 from bumpytiles import TileTable
 
-__all__ = ["write_products", "write_views"]
+__all__ = [
+    "as_tags",
+    "is_complete",
+    "layer_metadata",
+    "refuse_replacing",
+    "verified_record",
+    "write_products",
+    "write_views",
+]
+
+
+def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
+    """Return the entries that layers carry as metadata, as texts and lists of numbers; what is not known is left out.
+
+    Parameters
+    ----------
+    manifest : mapping
+        The run's own entries for run.json, see `complete_manifest`.
+    place : Georeference
+        CRS of the survey.
+
+    Returns
+    -------
+    dict
+        ``survey``, ``survey_checksum``, ``survey_header_dates`` (first/last, ISO 8601), ``vehicle``, ``calibration``,
+        ``speed_m_per_s`` and ``p_fail_speed_m_per_s`` (of a map at another speed), ``texture_model``, ``rating``,
+        ``class_limits_rad_per_m``, ``bumpymap_version``, ``vertical_crs``.
+    """
+    survey, calibration = (_entries(manifest.get(name)) for name in ("survey", "calibration"))
+    settings = _entries(manifest.get("settings"))
+    is_papers = settings.get("compat") == "paper"
+    dates, limits = survey.get("dates"), calibration.get("class_limits")
+    entries = {
+        "survey": survey.get("name"),
+        "survey_checksum": survey.get("checksum"),
+        "survey_header_dates": "/".join(dates) if dates else None,
+        "vehicle": calibration.get("vehicle"),
+        "calibration": calibration.get("id"),
+        # Without it the speed is that of the vehicle's profile.
+        "speed_m_per_s": settings.get("speed"),
+        "p_fail_speed_m_per_s": _entries(manifest.get("vehicle")).get("drives_mps") if settings.get("speed") else None,
+        "texture_model": manifest.get("model"),
+        "rating": "paper" if is_papers else settings.get("rating"),
+        # The paper's classes follow from its table of textures and z ranges.
+        "class_limits_rad_per_m": [float(limit) for limit in limits] if limits and not is_papers else None,
+        "bumpymap_version": software_versions().get("bumpymap"),
+        "vertical_crs": _vertical(place),
+    }
+    return {name: value for name, value in entries.items() if value is not None}
+
+
+def as_tags(metadata: Mapping[str, Any]) -> dict[str, str]:
+    """Return metadata as texts, for formats that hold nothing else; numbers of a list are separated by spaces."""
+    return {
+        name: " ".join(map(str, value)) if isinstance(value, list) else str(value) for name, value in metadata.items()
+    }
+
+
+def _entries(value: Any) -> Mapping[str, Any]:
+    """Return an entry of a manifest, which may be a mapping or a record; nothing if there is none."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return asdict(value)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _vertical(place: Georeference) -> str:
+    vertical = None if place.crs is None else vertical_of(place.crs)
+    if vertical is None:
+        return "none given; heights as in the survey, in metres"
+    return f"{describe_crs(vertical)}; heights in metres"
+
+
+_REMEDY = "Choose another `out`, or pass `overwrite=True` to replace it"
+
+
+def is_complete(folder: Path, manifest: str = MANIFEST_NAME) -> bool:
+    """Return whether a folder holds a complete run: the manifest is the last file that a run writes."""
+    return lexists(folder / manifest)
+
+
+@contextmanager
+def verified_record(
+    folder: Path, files: Collection[str] | None, manifest: str = MANIFEST_NAME
+) -> Iterator[dict[str, Any]]:
+    """Read the manifest of a complete run and verify the checksums of its files.
+
+    Errors of the body of the ``with`` that mean a key is missing or malformed become an OutputError too.
+
+    Parameters
+    ----------
+    folder : Path
+    files : collection of str or None
+        Files that must exist; those that the manifest lists are checked in any case. None: no file is checked, since
+        the manifest alone is in the folder.
+    manifest : str
+        Name of the manifest.
+
+    Raises
+    ------
+    OutputError
+        The manifest cannot be read as that of a run or does not list a file, or a file is missing or has changed.
+    """
+    record = read_record(folder / manifest)
+    unreadable = f"{folder} already holds a {manifest} that cannot be read as that of a run. {_REMEDY}"
+    if record is None:
+        raise OutputError(unreadable)
+    try:
+        listed = {str(file["path"]): str(file["sha256"]) for file in record["files"]}
+        if files is not None:
+            _verify(folder, files, listed)
+        yield record
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise OutputError(unreadable) from error
+
+
+def refuse_replacing(folder: Path, differences: Sequence[str]) -> None:
+    """Raise OutputError if there are differences between the complete run in a folder and the requested one."""
+    if differences:
+        raise OutputError(
+            f"{folder} already holds a complete run with other inputs or settings:",
+            *(f"  {difference}" for difference in differences),
+            _REMEDY,
+        )
+
+
+def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> None:
+    unknown = sorted(set(files) - set(listed))
+    if unknown:
+        raise OutputError(
+            f"{folder} already holds a complete run of an earlier version of bumpymap, which did not write "
+            f"{', '.join(unknown)}. {_REMEDY}"
+        )
+    for name, checksum in sorted(listed.items()):
+        try:
+            same = describe_file(folder / name)["sha256"] == checksum
+        except BadInputError as error:
+            raise OutputError(f"{folder} already holds a complete run, but {name} is missing. {_REMEDY}") from error
+        if not same:
+            raise OutputError(f"{folder} already holds a complete run, but {name} has changed since. {_REMEDY}")
+
 
 _log = logging.getLogger(__name__)
 

@@ -1,5 +1,6 @@
-"""Write the raster layers: roughness, class, reason, cost, barred, heightmap, obstacle and passage."""
+"""Write the raster layers: one pixel per tile (roughness, class, speeds), or several (heightmap, obstacle, passage)."""
 
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,23 +21,189 @@ from bumpymap.core import (
     Barred,
     CostTable,
     Reason,
+    speed_bands,
 )
-from bumpymap.layers._raster_spec import BandSpec, RasterSpec
-from bumpymap.layers._tile_bands import write_bands, write_codes
-from bumpymap.layers._tile_pixels import HEIGHT_BLOCK, layer_tags, write_pixels
+from bumpymap.layers._cog import write_cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
-from bumpymap.layers.placement import Placement, RasterWindow
+from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow
+from bumpytiles import BLOCK_TILES
 
 __all__ = [
+    "HEIGHT_BLOCK",
+    "layer_tags",
+    "write_bands",
     "write_barred",
     "write_classes",
+    "write_codes",
     "write_cost",
     "write_heightmap",
     "write_obstacles",
     "write_passage",
+    "write_pixels",
     "write_reasons",
     "write_roughness",
+    "write_speeds",
 ]
+
+HEIGHT_BLOCK = 512
+"""Side of a block of these rasters, pixels."""
+_WINDOW_PIXELS = 1024
+"""Side of a window of such a raster, pixels; rounded down to whole blocks of tiles, at least one."""
+_SPARSE = 0.1
+"""Below this share of tiles with points in its extent a survey is sparse: then these rasters have smaller blocks, and
+those without values are not made."""
+
+
+def write_pixels(
+    table: CostTable,
+    path: Path,
+    spec: RasterSpec,
+    names: tuple[str, ...],
+    values: Callable[[dict[str, NDArray[Any]], RasterWindow], NDArray[Any]],
+) -> None:
+    """Write a raster with ``spec.pixels`` pixels along each side of a tile; nodata where there is no tile.
+
+    Parameters
+    ----------
+    table : CostTable
+        The tiles.
+    path : Path
+        The file to write.
+    spec : RasterSpec
+        Everything but the pixels.
+    names : tuple of str
+        The columns that ``values`` needs.
+    values : callable
+        Returns the pixels, (n, pixels, pixels), of n tiles, given their columns and the window that they are all of.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    place, pixels = Placement.of(table), spec.pixels
+
+    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
+        found = table.tiles.read(names, window.tiles)
+        return *window.pixel_indices(found), values(found, window)
+
+    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
+        if not table.tiles.holds(window.tiles):
+            return None
+        line, column, stack = pieces(window)
+        lines, columns = window.tiles.rows, window.tiles.cols
+        canvas = np.full((lines, pixels, columns, pixels), spec.nodata, dtype=spec.dtype)
+        canvas[line, :, column, :] = stack
+        return canvas.reshape(1, lines * pixels, columns * pixels)
+
+    sparse = table.tiles.tiles < _SPARSE * place.window.cols * place.window.rows
+    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
+    write_cog(path, place, spec, paint, side, pieces if sparse else None)
+
+
+def layer_tags(table: CostTable, title: str, about: dict[str, str] | None) -> dict[str, str]:
+    """Return the metadata of a raster: its title, the tile size, the weight of the ride, and what is given."""
+    grid = table.tiles.grid
+    own = {
+        "title": title,
+        "tile_size_m": f"{grid.tile_size:g}",
+        "ride_weight_m_per_rad": f"{table.rule.ride_weight:g}",
+    }
+    return own | (about or {})
+
+
+_BLOCK = 128
+TILE_WINDOW = 16 * BLOCK_TILES
+"""Side of a window, tiles: whole blocks, so that none is read twice."""
+_Values = Callable[[dict[str, NDArray[Any]]], Iterable[NDArray[Any]]]
+
+
+def write_bands(
+    table: CostTable,
+    path: Path,
+    bands: Sequence[BandSpec],
+    tags: dict[str, str],
+    names: tuple[str, ...],
+    values: _Values,
+) -> None:
+    """Write a float32 raster, NaN without a tile.
+
+    Parameters
+    ----------
+    table : CostTable
+        The tiles.
+    path : Path
+        The file to write.
+    bands : sequence of BandSpec
+    tags : dict
+        Metadata of the file.
+    names : tuple of str
+        The columns that ``values`` needs.
+    values : callable
+        Returns an array (n,) for each band, given the columns of n tiles.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The extent is too large for a raster.
+    """
+    place = Placement.of(table)
+    spec = RasterSpec(
+        bands=list(bands),
+        dtype="float32",
+        nodata=float("nan"),
+        pixels=1,
+        crs=place.horizontal_crs,
+        overviews="AVERAGE",
+        block=_BLOCK,
+        tags=tags,
+    )
+    write_cog(path, place, spec, _painter(table, spec, names, values), TILE_WINDOW)
+
+
+def write_codes(
+    table: CostTable,
+    path: Path,
+    column: str,
+    band: BandSpec,
+    colours: Mapping[int, tuple[int, int, int, int]],
+    tags: dict[str, str],
+) -> None:
+    """Write a uint8 raster of a column of codes, ``NO_CLASS`` without a tile; otherwise as `write_bands`."""
+    place = Placement.of(table)
+    spec = RasterSpec(
+        bands=[band],
+        dtype="uint8",
+        nodata=NO_CLASS,
+        pixels=1,
+        crs=place.horizontal_crs,
+        overviews="MODE",
+        block=_BLOCK,
+        colours=dict(colours),
+        tags=tags,
+        counts_nodata=True,
+    )
+    write_cog(path, place, spec, _painter(table, spec, (column,), lambda found: (found[column],)), TILE_WINDOW)
+
+
+def _painter(
+    table: CostTable, spec: RasterSpec, names: tuple[str, ...], values: _Values
+) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
+    """Return a function that paints one value per tile and band; nodata in pixels without a tile."""
+
+    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
+        if not table.tiles.holds(window.tiles):
+            return None
+        found = table.tiles.read(names, window.tiles)
+        canvas = np.full((len(spec.bands), window.tiles.rows, window.tiles.cols), spec.nodata, dtype=spec.dtype)
+        place = window.pixel_indices(found)
+        for band, value in zip(canvas, values(found), strict=True):
+            band[place] = value
+        return canvas
+
+    return paint
 
 
 def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
@@ -193,3 +360,28 @@ def write_passage(table: CostTable, path: Path, about: dict[str, str] | None = N
         worst=tuple(range(NO_CLASS)),
     )
     write_pixels(table, path, spec, ("passage",), lambda found, _: found["passage"])
+
+
+def write_speeds(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
+    """Write speeds.tif: a float32 COG, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
+
+    Parameters
+    ----------
+    table : CostTable
+        The tiles, with ``speeds``.
+    path : Path
+        The file to write.
+    about : dict, optional
+        Metadata of the file, such as vehicle and calibration.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The extent is too large for a raster.
+    """
+    bands = [BandSpec(band.name, band.unit, band.description) for band in speed_bands(table.speeds)]
+    own = {"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)}
+    tags = layer_tags(table, "pitch, roll and vertical acceleration at several speeds", own | (about or {}))
+    write_bands(table, path, bands, tags, ("motion",), lambda found: found["motion"].T)

@@ -25,7 +25,7 @@ from bumpymap.core import (
     shares_text,
     speed_bands,
 )
-from bumpymap.layers._notebook import import_notebook
+from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.manifest import read_manifest
 from bumpymap.layers.map_files import open_layer, require_format, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name

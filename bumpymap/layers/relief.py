@@ -1,18 +1,31 @@
 """Write relief.tif: the heights of the ground without holes, for looking at."""
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CostTable
-from bumpymap.layers._box_sum import box_sum
-from bumpymap.layers._raster_spec import BandSpec, RasterSpec
-from bumpymap.layers._tile_pixels import HEIGHT_BLOCK, layer_tags, write_pixels
-from bumpymap.layers.placement import Placement
+from bumpymap.layers.geotiff import HEIGHT_BLOCK, layer_tags, write_pixels
+from bumpymap.layers.placement import BandSpec, Placement, RasterSpec
 from bumpytiles import TileTable, TileWindow
 
-__all__ = ["write_relief"]
+__all__ = ["box_sum", "write_relief"]
+
+_Number = TypeVar("_Number", np.int64, np.float64)
+
+
+def box_sum(values: NDArray[_Number], half: int) -> NDArray[_Number]:
+    """Return the sum in the square of ``2 * half + 1`` pixels around each pixel, (rows, cols) as ``values``."""
+    for axis in (0, 1):
+        pad = [(half + 1, half) if other == axis else (0, 0) for other in (0, 1)]
+        total = np.cumsum(np.pad(values, pad), axis=axis)
+        size = values.shape[axis]
+        upper, lower = (np.take(total, np.arange(size) + at, axis=axis) for at in (2 * half + 1, 0))
+        values = upper - lower
+    return values
+
 
 _PIXELS = 3
 """Pixels along a side of a tile."""

@@ -41,8 +41,7 @@ from bumpymap.layers import (
     write_relief,
     write_roughness,
 )
-from bumpymap.layers._integrity import checksum, require_disk_space, require_intact
-from bumpymap.layers._value_table import write_value_table
+from bumpymap.layers._cog import checksum, require_disk_space, require_intact, write_value_table
 from bumpytiles import Grid
 
 WRITERS = {
@@ -244,8 +243,8 @@ def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(raste
 def test_counts_are_those_of_the_whole_raster_when_it_is_made_in_several_windows(
     tmp_path, make_field, monkeypatch, name
 ):
-    monkeypatch.setattr("bumpymap.layers._tile_bands.TILE_WINDOW", 16)
-    monkeypatch.setattr("bumpymap.layers._tile_pixels._WINDOW_PIXELS", 64)
+    monkeypatch.setattr("bumpymap.layers.geotiff.TILE_WINDOW", 16)
+    monkeypatch.setattr("bumpymap.layers.geotiff._WINDOW_PIXELS", 64)
     monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
     WRITERS[name](make_field(70, 50, grid=Grid(3.0, 4)), tmp_path / f"{name}.tif")
     check_value_table(tmp_path / f"{name}.tif", name, tmp_path / "seen.vrt")

@@ -30,7 +30,7 @@ def files(scattered, tmp_path_factory):
     paths = folder / "sparse.tif", folder / "gdal.tif"
     write_heightmap(scattered, paths[0], {"vehicle": "warthog"})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.layers._tile_pixels._SPARSE", 0.0)
+        patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
         write_heightmap(scattered, paths[1], {"vehicle": "warthog"})
     return paths
 
@@ -100,7 +100,7 @@ def obstacles(scattered, tmp_path_factory):
     paths = folder / "sparse.tif", folder / "gdal.tif"
     write_obstacles(table, paths[0], {"vehicle": "warthog"})
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.layers._tile_pixels._SPARSE", 0.0)
+        patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
         write_obstacles(table, paths[1], {"vehicle": "warthog"})
     return paths
 

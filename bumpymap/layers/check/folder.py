@@ -14,7 +14,6 @@ from bumpymap.core import (
     write_together,
     writing_to,
 )
-from bumpymap.layers._replacing import refuse_present
 from bumpymap.layers.check.picture import write_check_picture
 from bumpymap.layers.check.record import (
     CHECK_FORMAT,
@@ -40,7 +39,7 @@ from bumpymap.layers.manifest import (
     software_versions,
     write_manifest,
 )
-from bumpymap.layers.products import check_folder
+from bumpymap.layers.products import check_folder, refuse_present
 
 __all__ = ["write_check"]
 

@@ -11,12 +11,21 @@ from bumpymap.core import CheckResult, DrivenStretches, atomic
 from bumpymap.layers.check.offset import NOT_COMPARED, OFF_KINDS, LogAxis, MapOffset
 from bumpymap.layers.check.vectors import CheckGround
 from bumpymap.layers.check.words import check_verdict, level_words, measured_mean, metres, percent
-from bumpymap.layers.colours import OFF_COLOURS
-from bumpymap.layers.ride_scale import RideScale
-from bumpymap.layers.route._chart import FAINT, GRID, INK, INTERVAL
-from bumpymap.layers.route._pen import Colour, Pen, tick_step, ticks
-from bumpymap.layers.route._relief import MapView, paint_ground
-from bumpymap.layers.route.frame import draw_north, draw_scale
+from bumpymap.layers.colours import OFF_COLOURS, RideScale
+from bumpymap.layers.route.drawing import (
+    FAINT,
+    GRID,
+    INK,
+    INTERVAL,
+    Colour,
+    MapView,
+    Pen,
+    draw_north,
+    draw_scale,
+    paint_ground,
+    tick_step,
+    ticks,
+)
 
 __all__ = ["Box", "draw_along", "draw_disc", "draw_scatter", "paint_check", "view_of", "write_check_picture"]
 

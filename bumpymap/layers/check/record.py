@@ -23,8 +23,8 @@ from bumpymap.core import (
     parse_json,
     read_regular,
 )
-from bumpymap.layers._replacing import refuse_present, require_folder
 from bumpymap.layers.manifest import MANIFEST_NAME, plain_manifest
+from bumpymap.layers.products import refuse_present, require_folder
 from bumpymap.layers.route.names import OTHER_FILES
 
 __all__ = [

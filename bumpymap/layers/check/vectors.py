@@ -22,11 +22,9 @@ from bumpymap.core import (
     write_csv,
 )
 from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
-from bumpymap.layers.lonlat import BoundingBox
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route.coordinates import RouteCoordinates
-from bumpymap.layers.route.source import MapSource
-from bumpymap.layers.vector import GeoJsonCoordinates
+from bumpymap.layers.route.coordinates import MapSource, RouteCoordinates
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
 from bumpytiles import Grid, TileWindow
 
 __all__ = [

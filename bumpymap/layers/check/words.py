@@ -17,7 +17,7 @@ from bumpymap.core import (
     count_text,
 )
 from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.report.numbers import DASH, number
+from bumpymap.layers.report.markup import DASH, number
 
 __all__ = [
     "AGREEMENT_HEAD",

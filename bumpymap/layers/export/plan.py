@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, parse_json, read_regular
-from bumpymap.layers.export.target import write_json
+from bumpymap.layers.export.area import write_json
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import TileWindow
 

@@ -9,14 +9,21 @@ from typing import Any, get_args
 import numpy as np
 
 from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageError
-from bumpymap.layers.export.area import ExportArea, ExportPoint, choose_area
+from bumpymap.layers.export.area import (
+    DATUM_NAME,
+    EXPORT_FILES,
+    ExportArea,
+    ExportPoint,
+    check_target,
+    choose_area,
+    export_folder,
+    write_json,
+)
 from bumpymap.layers.export.cost import write_pixel_cost
-from bumpymap.layers.export.graph import make_graph, write_graph
+from bumpymap.layers.export.graph import SQUARES, make_graph, write_graph
 from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_gridmap
-from bumpymap.layers.export.lattice import SQUARES
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
 from bumpymap.layers.export.plan import make_mission, read_route_line, write_plan
-from bumpymap.layers.export.target import DATUM_NAME, EXPORT_FILES, check_target, export_folder, write_json
 from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap
 

@@ -34,12 +34,14 @@ from bumpymap.layers.colours import (
     COST_COLOURS,
     OBJECT_COLOURS,
     OFF_COLOURS,
+    OR_FAILS,
     PASSAGE_COLOURS,
     PASSAGE_NAMES,
     REASON_COLOURS,
+    RideScale,
+    class_limits,
 )
 from bumpymap.layers.map_files import open_layer
-from bumpymap.layers.ride_scale import OR_FAILS, RideScale, class_limits
 from bumpymap.layers.sheets.folders import raster_in
 
 __all__ = [

@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.layers.report.markup import Html, join, raw, table, tag
-from bumpymap.layers.report.numbers import share, shares, whole
+from bumpymap.layers.report.markup import Html, join, raw, share, shares, table, tag, whole
 from bumpymap.layers.report.tiles import C_R_EDGES, SLOPE_EDGES
 
 __all__ = ["c_r_chart", "lines_of", "slope_chart", "swatch"]

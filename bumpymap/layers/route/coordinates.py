@@ -1,18 +1,85 @@
-"""Coordinates of routes in files: the survey's CRS, and WGS 84 longitude and latitude where its CRS is known."""
+"""Coordinates and figures of routes as their files hold them, and what the writers need of a map.
 
+Coordinates are in the survey's CRS, and in WGS 84 longitude and latitude where that CRS is known.
+"""
+
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Route
+from bumpymap.core import BadInputError, Georeference, Route, RouteFigures, TileField
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import TileWindow
 
-__all__ = ["RouteCoordinates", "split_at_antimeridian", "window_around"]
+__all__ = [
+    "P_ARRIVES_NOTE",
+    "MapSource",
+    "RouteCoordinates",
+    "route_properties",
+    "split_at_antimeridian",
+    "window_around",
+]
+
+P_ARRIVES_NOTE = "errors of neighbouring tiles go together: an estimate"
+_SMALL = 6
+"""Decimals of shares, angles per metre and ratios; lengths and times have 3."""
+_DECIMALS = {
+    **dict.fromkeys(("length_m", "straight_m"), 3),
+    "detour": _SMALL,
+    "cost_m": 3,
+    **dict.fromkeys(("c_r_mean", "c_r_mean_low", "c_r_mean_high", "c_r_max", "c_r_max_low", "c_r_max_high"), _SMALL),
+    "p_arrives": _SMALL,
+    "p_fail_max": _SMALL,
+    **dict.fromkeys(("unknown_m", "obstacle_m", "climb_m", "descent_m", "seconds"), 3),
+}
+"""Properties of `RouteFigures` and how many decimals of each are written."""
+
+
+def route_properties(route: Route) -> dict[str, Any]:
+    """Return name, vehicle and figures of a route; a number that is not known is None."""
+    figures = {name: _number(route.figures, name, decimals) for name, decimals in _DECIMALS.items()}
+    return {
+        "name": route.name,
+        "vehicle": route.vehicle.name,
+        **figures,
+        "p_arrives_note": P_ARRIVES_NOTE,
+        "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
+    }
+
+
+def _number(figures: RouteFigures, name: str, decimals: int) -> float | None:
+    value = float(getattr(figures, name))
+    return round(value, decimals) if math.isfinite(value) else None
+
+
+class MapSource(Protocol):
+    """A map whose windows can be read."""
+
+    @property
+    def folders(self) -> tuple[Path, ...]:
+        """The folders with its layers; none if it was made up."""
+        ...
+
+    @property
+    def manifests(self) -> tuple[dict[str, Any], ...]:
+        """The content of run.json in each folder."""
+        ...
+
+    def read(self, window: TileWindow, bands: Sequence[str] = ...) -> TileField:
+        """Read the tiles of a window, which may extend beyond the map; bands that are not asked for are NaN."""
+        ...
+
+    def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
+        """Read the heights of a window at the resolution of ``shape``, north row first, m; NaN where there is none."""
+        ...
+
 
 SEGMENT_M = 96.0
 """Longest straight segment of a line in longitude and latitude, m: its middle is then off by 1.2 mm at most, as for

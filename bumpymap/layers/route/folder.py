@@ -17,14 +17,10 @@ from bumpymap.core import (
     write_together,
     writing_to,
 )
-from bumpymap.layers._replacing import refuse_present
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
-from bumpymap.layers.products import check_folder
-from bumpymap.layers.route.contours import write_isochrones
-from bumpymap.layers.route.coordinates import RouteCoordinates
-from bumpymap.layers.route.figures import route_properties
-from bumpymap.layers.route.geojson import stop_names, write_route_geojson
-from bumpymap.layers.route.gpx import write_gpx
+from bumpymap.layers.products import check_folder, refuse_present
+from bumpymap.layers.route.coordinates import MapSource, RouteCoordinates, route_properties
+from bumpymap.layers.route.lines import stop_names, write_gpx, write_profile, write_route_geojson
 from bumpymap.layers.route.names import (
     REACH_KINDS,
     ROUTE_KINDS,
@@ -34,9 +30,7 @@ from bumpymap.layers.route.names import (
     is_one_file,
 )
 from bumpymap.layers.route.picture import write_route_picture
-from bumpymap.layers.route.profile_csv import write_profile
-from bumpymap.layers.route.reach_raster import ReachField, write_reach, write_reach_back
-from bumpymap.layers.route.source import MapSource
+from bumpymap.layers.route.reach import ReachField, write_isochrones, write_reach, write_reach_back
 
 __all__ = ["ReachLevels", "write_reach_files", "write_routes"]
 

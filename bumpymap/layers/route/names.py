@@ -8,7 +8,7 @@ from os.path import lexists
 from pathlib import Path
 
 from bumpymap.core import OutputError, UsageError
-from bumpymap.layers._replacing import refuse_present, require_folder
+from bumpymap.layers.products import refuse_present, require_folder
 
 __all__ = [
     "OTHER_FILES",

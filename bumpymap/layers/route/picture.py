@@ -9,21 +9,26 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import Route, RouteFigures, atomic
-from bumpymap.layers.ride_scale import RideScale
-from bumpymap.layers.route._chart import FAINT, INK, draw_profile
-from bumpymap.layers.route._pen import Colour, Pen, ticks
-from bumpymap.layers.route._relief import (
+from bumpymap.layers.colours import RideScale
+from bumpymap.layers.route.coordinates import MapSource
+from bumpymap.layers.route.drawing import (
     BARRED_SHADE,
+    FAINT,
     HATCH,
+    INK,
     NO_DATA,
     UNKNOWN_SHADE,
+    Colour,
     MapView,
+    Pen,
+    draw_north,
+    draw_profile,
+    draw_scale,
     hatched,
     paint_ground,
+    ticks,
 )
-from bumpymap.layers.route.frame import draw_north, draw_scale
-from bumpymap.layers.route.geojson import stop_roles
-from bumpymap.layers.route.source import MapSource
+from bumpymap.layers.route.lines import stop_roles
 
 __all__ = ["ROUTE_COLOURS", "paint_route", "write_route_picture"]
 

@@ -6,10 +6,10 @@ import numpy as np
 import shapely
 
 from bumpymap.core import Route
-from bumpymap.layers._notebook import import_notebook
+from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route.figures import route_properties
-from bumpymap.layers.route.reach_raster import ReachField
+from bumpymap.layers.route.coordinates import route_properties
+from bumpymap.layers.route.reach import ReachField
 
 if TYPE_CHECKING:
     import geopandas

@@ -28,9 +28,9 @@ from bumpymap.core import (
     write_csv,
     write_together,
 )
-from bumpymap.layers._value_table import sum_counts
-from bumpymap.layers.completed_run import verified_record
-from bumpymap.layers.folder import write_products, write_views
+from bumpymap.layers._cog import sum_counts
+from bumpymap.layers.colours import class_limits
+from bumpymap.layers.folder import verified_record, write_products, write_views
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,
     SHEETS_FORMAT,
@@ -50,7 +50,6 @@ from bumpymap.layers.products import (
     SPEEDS_VIRTUAL_NAME,
     VIRTUAL_NAMES,
 )
-from bumpymap.layers.ride_scale import class_limits
 from bumpymap.layers.sheets.folders import (
     make_sheet_folder,
     remove_manifest,

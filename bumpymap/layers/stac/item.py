@@ -29,11 +29,11 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.lonlat import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpymap.layers.manifest import MANIFEST_NAME
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import CATALOG_NAME, EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME
+from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["write_catalog", "write_item"]

@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from bumpymap.cli import main
 from bumpymap.core import Georeference
-from bumpymap.layers.metadata import layer_metadata
+from bumpymap.layers.folder import layer_metadata
 
 COMPOUND = CRS("EPSG:32614+5703")
 GEOKEYS = {1024: 1, 3072: 32614, 4096: 5703}

@@ -13,7 +13,7 @@ from bumpymap.layers.check import picture as picture_module
 from bumpymap.layers.check.offset import LogAxis, MapOffset
 from bumpymap.layers.check.picture import Box, draw_scatter, paint_check, view_of
 from bumpymap.layers.colours import OFF_COLOURS
-from bumpymap.layers.route._pen import Pen
+from bumpymap.layers.route.drawing import Pen
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 

@@ -15,8 +15,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 
 from bumpymap.core import BadInputError
 from bumpymap.layers import ExportSettings, export_map, open_map
-from bumpymap.layers.export.lattice import SQUARES, make_lattice, make_squares
-from bumpymap.layers.export.line_cost import line_cost
+from bumpymap.layers.export.graph import SQUARES, line_cost, make_lattice, make_squares
 
 
 def load_graph(path):

@@ -16,7 +16,7 @@ import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_reports
 from bumpymap.layers.report.change_site import NOT_COMPARED, ChangeSite
-from bumpymap.layers.report.numbers import area
+from bumpymap.layers.report.markup import area
 
 
 def band(folder, name):

@@ -20,9 +20,8 @@ import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_report, write_reports
 from bumpymap.layers.manifest import describe_file
-from bumpymap.layers.report.codes import ByteGrid
-from bumpymap.layers.report.numbers import area, number, share
-from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
+from bumpymap.layers.report.markup import area, number, share
+from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot
 
 
 def raster(folder, name, band=1):

@@ -12,18 +12,21 @@ from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
-from bumpymap.layers._box_sum import box_sum
-from bumpymap.layers.ride_scale import RideScale, nice_limit
-from bumpymap.layers.route import _relief, picture as picture_module
-from bumpymap.layers.route._pen import Pen, bar_length, tick_step, ticks
-from bumpymap.layers.route._relief import (
+from bumpymap.layers.colours import RideScale, nice_limit
+from bumpymap.layers.relief import box_sum
+from bumpymap.layers.route import drawing, picture as picture_module
+from bumpymap.layers.route.drawing import (
     BARRED_SHADE,
     HATCH,
     NO_DATA,
     UNKNOWN_SHADE,
     MapView,
+    Pen,
+    bar_length,
     hatched,
     paint_ground,
+    tick_step,
+    ticks,
 )
 from bumpytiles import Grid
 
@@ -71,7 +74,7 @@ def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
 def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     whole, _ = paint_ground(ground, view)
     assert len(ground.windows_read) == 1
-    monkeypatch.setattr(_relief, "_STRIP_TILES", 300)
+    monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
     pieces, _ = paint_ground(ground, view)
     assert len(ground.windows_read) > 5
     np.testing.assert_array_equal(whole, pieces)
@@ -94,12 +97,12 @@ def test_holes_in_the_relief_are_filled_from_around_them():
     plane = np.add.outer(np.arange(30.0), 2.0 * np.arange(40.0)) + 2000.0
     holed = plane.copy()
     holed[10, 10] = holed[20, 5:7] = np.nan
-    filled = _relief._fill(holed)
+    filled = drawing._fill(holed)
     known = np.isfinite(holed)
     np.testing.assert_array_equal(filled[known], plane[known])
     assert filled[10, 10] == pytest.approx(plane[10, 10])  # the mean of a symmetric neighbourhood
     np.testing.assert_allclose(filled[20, 5:7], plane[20, 5:7], atol=1.5)
-    assert np.isnan(_relief._fill(np.full((5, 5), np.nan))).all()
+    assert np.isnan(drawing._fill(np.full((5, 5), np.nan))).all()
 
 
 @given(st.integers(0, 3), st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))

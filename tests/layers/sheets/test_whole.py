@@ -29,7 +29,7 @@ from bumpymap.layers import (
     write_reports,
 )
 from bumpymap.layers.report import site as pages
-from bumpymap.layers.report.sheet_table import sheet_table
+from bumpymap.layers.report.sections import sheet_table
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.sheets.write import write_virtual
 from bumpytiles import BLOCK_TILES

@@ -1,0 +1,495 @@
+"""Points and areas of a user's file, for routes: geometries, names and CRS; the tiles that areas touch or hold.
+
+GeoJSON, GPX and CSV are read here: GDAL would choose a driver by what the file holds, and some formats name other files
+or URLs to read. The binary formats go to GDAL once they begin as their name says.
+"""
+
+import csv
+import io
+import json
+import logging
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from bumpymap.core import BadInputError, describe_crs, parse_json, read_regular, stated_crs
+from bumpymap.layers.map_files import require_format
+from bumpymap.layers.route_map import RouteMap
+from bumpytiles import Grid, TileWindow
+
+__all__ = ["FilePoint", "VectorLayer", "read_areas", "read_points", "read_vectors", "tiles_in", "tiles_within"]
+
+"""Largest GeoJSON or GPX file that is read."""
+_REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
+
+
+@dataclass(frozen=True, slots=True)
+class VectorLayer:
+    """One layer of a vector file."""
+
+    geometry: NDArray[np.object_]
+    """(n,) shapely geometries in two dimensions, of the features that have one."""
+    names: tuple[str, ...]
+    """(n,) of the field ``name``; empty strings without one."""
+    crs: CRS | None
+    """As the file states it; of a GeoJSON that states none longitude and latitude, or None if its numbers cannot be
+    degrees."""
+
+
+def read_vectors(path: Path) -> VectorLayer:
+    """Read the only layer of a vector file; of a GPX file the waypoints, or else the points of its routes.
+
+    Raises
+    ------
+    BadInputError
+        The file is missing, damaged or no vector file, or it has several layers.
+    """
+    try:
+        if path.suffix.lower() in {".geojson", ".json"}:
+            return _read_geojson(path)
+        if path.suffix.lower() == ".gpx":
+            return _read_gpx(path)
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, SyntaxError) as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
+    except (CRSError, shapely.errors.GEOSException) as error:
+        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
+    require_format(path)
+    return _read_by_gdal(path)
+
+
+def _text(path: Path) -> str:
+    return read_regular(path).decode("utf-8-sig")
+
+
+def _read_geojson(path: Path) -> VectorLayer:
+    record = parse_json(_text(path))
+    if not isinstance(record, dict) or "type" not in record:
+        raise ValueError("it is no GeoJSON: it has no type")
+    features = record["features"] if record["type"] == "FeatureCollection" else [record]
+    found, names = [], []
+    for feature in features:
+        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+        if geometry is not None:
+            found.append(json.dumps(geometry, allow_nan=False))
+            names.append((feature.get("properties") or {}).get("name") if feature["type"] == "Feature" else None)
+    shapes = np.asarray(shapely.force_2d(shapely.from_geojson(found)), object)
+    stated = record.get("crs")
+    if stated is not None:
+        if stated["type"] != "name":
+            raise ValueError("its CRS is given by a link, which is not followed")
+        return _layer(shapes, names, stated_crs(str(stated["properties"]["name"])))
+    degrees = (np.abs(shapely.get_coordinates(shapes)) <= (180.0, 90.0)).all()
+    return _layer(shapes, names, CRS.from_user_input("OGC:CRS84") if degrees else None)
+
+
+def _read_gpx(path: Path) -> VectorLayer:
+    root = ET.fromstring(_text(path))  # noqa: S314 (expat limits what entities grow to, and fetches none)
+    if root.tag.rpartition("}")[2] != "gpx":
+        raise ValueError("it is no GPX")
+    found = list(_gpx_points(root, "{*}wpt")) or list(_gpx_points(root, "{*}rte/{*}rtept"))
+    points = [shapely.Point(place) for place, _ in found]
+    return _layer(np.array(points, object), [name for _, name in found], CRS.from_user_input("OGC:CRS84"))
+
+
+def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, float], str | None]]:
+    for point in root.iterfind(path):
+        place = float(point.attrib["lon"]), float(point.attrib["lat"])
+        if not np.isfinite(place).all():
+            raise ValueError("a point of it is not a place")
+        yield place, point.findtext("{*}name")
+
+
+def _read_by_gdal(path: Path) -> VectorLayer:
+    import pyogrio
+    from pyogrio.raw import read
+
+    errors = (
+        pyogrio.errors.DataSourceError,
+        pyogrio.errors.DataLayerError,
+        pyogrio.errors.FeatureError,
+        pyogrio.errors.FieldError,
+        pyogrio.errors.GeometryError,
+        shapely.errors.GEOSException,
+        CRSError,
+        ValueError,
+        UnboundLocalError,  # of pyogrio, where the CRS is no text
+    )
+    try:
+        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
+        if len(layers) != 1:
+            listed = ", ".join(layers) or "none"
+            raise BadInputError(f"{path} must hold one layer of geometries; it holds: {listed}. Save one by itself")
+        with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
+            about, _, wkb, columns = read(path, layer=layers[0], columns=["name"], force_2d=True)
+        crs = None if about["crs"] is None else stated_crs(about["crs"])
+        geometry = shapely.from_wkb(wkb)
+    except errors as error:
+        # GDAL's text on a file that it cannot open gives advice on GDAL.
+        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
+        said = "it is damaged" if damaged else error
+        raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
+    return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
+
+
+def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:
+    held = ~(shapely.is_missing(geometry) | shapely.is_empty(geometry))
+    if not np.isfinite(shapely.get_coordinates(geometry[held])).all():
+        raise ValueError("a coordinate is not a finite number")
+    texts = [str(name).strip() if isinstance(name, str | int) else "" for name in names]
+    return VectorLayer(geometry[held], tuple(text for text, kept in zip(texts, held, strict=True) if kept), crs)
+
+
+_log = logging.getLogger(__name__)
+
+_COLUMNS: dict[Literal["lonlat", "crs"], tuple[tuple[str, str], ...]] = {
+    "lonlat": (("lon", "lat"), ("longitude", "latitude"), ("lng", "lat")),
+    "crs": (("x", "y"), ("easting", "northing")),
+}
+"""Names of the columns of a CSV that hold coordinates."""
+_ALLOWED = "lon,lat; or x,y or easting,northing in the survey's CRS; and, if you like, name"
+_MOST = 100_000
+"""Points that are read at most: a file with more is not a list of places to drive to."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilePoint:
+    """A point of a file."""
+
+    name: str
+    """As in the file; its number there, from 1, if it has none."""
+    x: float
+    """Longitude, degrees, or x in the survey's CRS."""
+    y: float
+    """Latitude, degrees, or y in the survey's CRS."""
+    system: Literal["lonlat", "crs"]
+    """Which of the two it is."""
+
+
+def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
+    """Read the points of a GeoJSON, GPX or CSV file, in their order.
+
+    Of a GPX file the waypoints are read; if it has none, the points of its routes. A CSV has a line of column names:
+    ``lon,lat``, or ``x,y`` or ``easting,northing`` in the survey's CRS, and perhaps ``name``.
+
+    Raises
+    ------
+    BadInputError
+        The file is missing, damaged or of another format, or holds no points or something else.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if not path.is_file():
+        raise BadInputError(f"there is no file {path}. Give a file of points: .geojson, .gpx or .csv")
+    if suffix == ".csv":
+        found = _read_csv(path)
+    elif suffix in {".geojson", ".json", ".gpx"}:
+        found = _of_layer(path, read_vectors(path))
+    else:
+        raise BadInputError(f"{path} is not a file of points that can be read. Give .geojson, .gpx or .csv")
+    if not found:
+        raise BadInputError(f"{path} holds no points. Give a file with at least one")
+    if len(found) > _MOST:
+        raise BadInputError(f"{path} holds {len(found):,} points; at most {_MOST:,} can be read")
+    return found
+
+
+def _of_layer(path: Path, layer: VectorLayer) -> list[FilePoint]:
+    """Return the points of a vector layer in longitude and latitude; in the survey's CRS if they cannot be that."""
+    kinds = shapely.get_type_id(layer.geometry)
+    other = ~np.isin(kinds, (shapely.GeometryType.POINT, shapely.GeometryType.MULTIPOINT))
+    if other.any():
+        kind = shapely.GeometryType(int(kinds[other][0])).name.lower()
+        raise BadInputError(f"{path} holds a {kind}; only points can be start, goal or stops of a route")
+    parts, owner = shapely.get_parts(layer.geometry, return_index=True)
+    x, y = shapely.get_x(parts), shapely.get_y(parts)
+    system: Literal["lonlat", "crs"] = "lonlat"
+    if layer.crs is None:
+        system = "crs"
+        _log.warning("the numbers of %s cannot be degrees: they are read in the survey's CRS", path)
+    else:
+        x, y = _lonlat(path, layer.crs, x, y)
+    names = [layer.names[index] or str(number) for number, index in enumerate(owner, start=1)]
+    return [FilePoint(name, float(east), float(north), system) for name, east, north in zip(names, x, y, strict=True)]
+
+
+def _lonlat(
+    path: Path, crs: CRS, x: NDArray[np.float64], y: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Convert to WGS 84 longitude and latitude."""
+    if crs.equals(CRS.from_epsg(4326), ignore_axis_order=True):
+        return x, y
+    try:
+        longitude, latitude = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True).transform(x, y)
+    except ProjError as error:
+        raise BadInputError(f"{path} is in {crs.name}, which cannot be converted to longitude and latitude") from error
+    return np.asarray(longitude), np.asarray(latitude)
+
+
+def _read_csv(path: Path) -> list[FilePoint]:
+    try:
+        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
+            head = file.readline()
+            separator = max(",;\t", key=head.count)
+            names = [name.strip().lower() for name in next(csv.reader([head], delimiter=separator), [])]
+            lines = list(csv.reader(file, delimiter=separator))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadInputError(f"cannot read {path}: {error}. It must be a text file of columns {_ALLOWED}") from error
+    for system, pairs in _COLUMNS.items():
+        for pair in pairs:
+            if set(pair) <= set(names):
+                columns = [names.index(name) for name in pair]
+                name_column = names.index("name") if "name" in names else None
+                filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
+                where = [f"{path}, line {number}: '{separator.join(line)}'" for number, line in filled]
+                return [
+                    _point(at, number, line, columns, name_column, system)
+                    for at, (number, line) in zip(where, filled, strict=True)
+                ]
+    raise BadInputError(f"{path} has the columns {', '.join(names) or '(none)'}; it needs {_ALLOWED}")
+
+
+def _point(
+    where: str,
+    number: int,
+    line: Sequence[Any],
+    columns: Sequence[int],
+    name_column: int | None,
+    system: Literal["lonlat", "crs"],
+) -> FilePoint:
+    try:
+        x, y = (float(line[column]) for column in columns)
+    except (ValueError, IndexError) as error:
+        raise BadInputError(f"{where} has no two numbers where they belong; write decimals with a point") from error
+    if not np.isfinite([x, y]).all():
+        raise BadInputError(f"{where} is not a place")
+    named = line[name_column].strip() if name_column is not None and name_column < len(line) else ""
+    return FilePoint(named or str(number - 1), x, y, system)
+
+
+_GEOJSON = (".geojson", ".json")
+_SUFFIXES = (*_GEOJSON, ".gpkg", ".fgb", ".shp")
+_POLYGONS = (shapely.GeometryType.POLYGON, shapely.GeometryType.MULTIPOLYGON)
+_ROUNDING = 1e-6
+"""Length that is no overlap, in tiles: areas that share a border with a tile neither touch it nor leave it out."""
+_STEPS = 4096
+"""Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
+_BEYOND = 0.25
+"""How far around the map areas are kept, in lengths of its sides."""
+_NEAR_M = 5000.0
+"""How far from the map areas may lie whose numbers are thought to be swapped, m."""
+
+
+def read_areas(
+    path: str | os.PathLike[str], route_map: RouteMap, *, allow_outside: bool = False
+) -> NDArray[np.object_]:
+    """Read polygons and place them on the grid of a map.
+
+    Their CRS is the one that the file states; a GeoJSON that states none is in longitude and latitude, or in the map's
+    CRS if its numbers cannot be degrees. If the map has no CRS, they must be in the survey's own coordinates: a file
+    without a CRS, or a GeoJSON.
+
+    Parameters
+    ----------
+    path : path
+        GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
+    route_map : RouteMap
+    allow_outside : bool
+        Whether it is no error that no area lies on the map.
+
+    Returns
+    -------
+    array (n,) of shapely polygons
+        In metres on the grid, cut off somewhat beyond the map; empty if none lies on it, which is logged as a warning.
+
+    Raises
+    ------
+    BadInputError
+        The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
+        the map has one, or one while the map has none; or no area lies on the map.
+    """
+    path = Path(path)
+    if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
+        what = "is not a file of polygons that can be read" if path.is_file() else "is missing"
+        raise BadInputError(f"{path} {what}. Give polygons as {', '.join(_SUFFIXES)}")
+    layer = read_vectors(path)
+    kinds = shapely.get_type_id(layer.geometry)
+    if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
+        held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
+        raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
+    areas = _on_map(path, layer.geometry, layer.crs, route_map)
+    if not len(areas):
+        hint = ""
+        if _near_swapped(layer.geometry, route_map):
+            hint = "They would if x (east) and y (north), or longitude and latitude, changed places. "
+        said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
+        if not allow_outside:
+            raise BadInputError(
+                f"{said}Give areas on the map, or pass `allow_outside=True` if there need be none, as when one file "
+                "serves several maps"
+            )
+        _log.warning("%s", said.strip())
+    return areas
+
+
+def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
+    """Return the polygons that lie on the map, in metres on the grid."""
+    placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
+    areas: NDArray[np.object_] = shapely.get_parts(placed)
+    areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
+    return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+
+
+def _near_swapped(geometry: NDArray[np.object_], route_map: RouteMap) -> bool:
+    """Return whether a corner lies near the map if its two numbers change places, as degrees or in the map's CRS."""
+    x, y = shapely.get_coordinates(geometry).T[::-1]
+    places = [route_map.to_grid(x, y)]
+    degrees = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
+    if route_map.has_crs and degrees.any():
+        places.append(route_map.from_lonlat(x[degrees], y[degrees]))
+    near = shapely.buffer(_outline(route_map), _NEAR_M)
+    return any(bool(shapely.intersects_xy(near, *place).any()) for place in places)
+
+
+def _system(crs: CRS | None, route_map: RouteMap) -> str:
+    own = route_map.georeference.crs
+    if own is None:
+        return "the survey's own coordinates"
+    return describe_crs(own.to_2d()) if crs is None else crs.name
+
+
+def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
+    """Return which tiles an area touches, be it by a corner; sharing a border is not touching.
+
+    Parameters
+    ----------
+    areas : array (n,) of polygons
+        In metres on the grid.
+    window : TileWindow
+    grid : Grid
+
+    Returns
+    -------
+    bool (rows, cols)
+    """
+    whole = _local(areas, window, grid)
+    inside, rows, cols = _centres_inside(whole, window)
+    inside[rows, cols] = shapely.intersects(whole, _tiles(rows, cols))
+    return inside
+
+
+def tiles_within(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
+    """Return which tiles lie wholly in the areas, taken together; for parameters see `tiles_in`."""
+    whole = _local(areas, window, grid)
+    inside, rows, cols = _centres_inside(whole, window)
+    inside[rows, cols] = shapely.covers(whole, _tiles(rows, cols))
+    return inside
+
+
+def _local(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> shapely.Geometry:
+    """Return the areas as one geometry in tiles east and south of the window's north-west corner, cut to the window."""
+    origin = np.array([window.col, window.row + window.rows]) * grid.tile_size
+    placed = shapely.transform(np.asarray(areas, object), lambda xy: (xy - origin) / (grid.tile_size, -grid.tile_size))
+    near = shapely.intersection(placed, shapely.box(-1.0, -1.0, window.cols + 1.0, window.rows + 1.0))
+    whole: shapely.Geometry = shapely.union_all(near)
+    shapely.prepare(whole)
+    return whole
+
+
+def _centres_inside(
+    whole: shapely.Geometry, window: TileWindow
+) -> tuple[NDArray[np.bool_], NDArray[np.int64], NDArray[np.int64]]:
+    """Return which tiles have their centre inside, and rows and columns of those near an outline, to be looked at.
+
+    GDAL is fast and looks at centres; the tiles near the outlines are few and left to exact tests.
+    """
+    from rasterio.features import rasterize
+
+    shape = (window.rows, window.cols)
+    outline = shapely.boundary(whole)
+    if shapely.is_empty(whole):
+        return np.zeros(shape, bool), np.empty(0, np.int64), np.empty(0, np.int64)
+    inside = rasterize([whole], shape, dtype="uint8").astype(bool)
+    near = rasterize([outline], shape, all_touched=True, dtype="uint8").astype(bool)
+    wide = near.copy()  # one tile more on all sides, for what GDAL rounds
+    wide[1:] |= near[:-1]
+    wide[:-1] |= near[1:]
+    near = wide.copy()
+    wide[:, 1:] |= near[:, :-1]
+    wide[:, :-1] |= near[:, 1:]
+    rows, cols = np.nonzero(wide)
+    return inside, rows, cols
+
+
+def _tiles(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> NDArray[np.object_]:
+    """Return the squares of tiles, smaller by what rounding may do."""
+    squares: NDArray[np.object_] = shapely.box(
+        cols + _ROUNDING, rows + _ROUNDING, cols + 1.0 - _ROUNDING, rows + 1.0 - _ROUNDING
+    )
+    return squares
+
+
+def _outline(route_map: RouteMap) -> shapely.Geometry:
+    """Return the rectangle of the map, m."""
+    bounds = route_map.grid.window_bounds(route_map.window)
+    return shapely.box(bounds.west, bounds.south, bounds.east, bounds.north)
+
+
+def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
+    """Convert geometries of a file to metres on the grid."""
+    own, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
+    if own is None:
+        if crs is not None and path.suffix.lower() not in _GEOJSON:  # a GeoJSON can only state longitude and latitude
+            raise BadInputError(
+                f"{path} is in {crs.name}, and the map has no CRS. Save the areas in the survey's own coordinates and "
+                "without a CRS, or map the survey with `crs='EPSG:CODE'`"
+            )
+        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
+    if crs is None and path.suffix.lower() in _GEOJSON:
+        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(own.to_2d()))
+        return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
+    if crs is None:
+        raise BadInputError(
+            f"{path} states no CRS, so its place on the map is not known. Save it with the CRS "
+            f"{describe_crs(own.to_2d())}, or as GeoJSON in longitude and latitude"
+        )
+    try:
+        transformer = Transformer.from_crs(crs, own.to_2d(), always_xy=True)
+    except ProjError as error:
+        raise BadInputError(f"{path} is in {crs.name}, which cannot be converted to the CRS of the map") from error
+    near, step = _around(route_map, transformer)
+    if near is not None:
+        # What lies far from the map may not have coordinates in its CRS, and would be cut into very many parts.
+        geometry = shapely.intersection(geometry, near)
+    cut = shapely.segmentize(geometry, step)
+    return np.asarray(
+        shapely.transform(cut, lambda xy: np.column_stack(transformer.transform(xy[:, 0], xy[:, 1])) * unit), object
+    )
+
+
+def _around(route_map: RouteMap, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
+    """Return the surroundings of the map in the CRS of a file, None if they have no bounds there; and a short length.
+
+    A map across the antimeridian has two of them in degrees, one on each side.
+    """
+    bounds, unit = route_map.grid.window_bounds(route_map.window), route_map.georeference.metres_per_unit
+    x0, y0, x1, y1 = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
+    west, south, east, north = transformer.transform_bounds(x0, y0, x1, y1, densify_pts=21, direction="INVERSE")
+    is_cut = east < west
+    side = max(east - west + (360.0 if is_cut else 0.0), north - south)
+    if not (np.isfinite(side) and side > 0.0):
+        degrees = transformer.source_crs is not None and transformer.source_crs.is_geographic
+        return None, 1e-3 if degrees else 100.0
+    far = _BEYOND * side
+    spans = [(west - far, 180.0), (-180.0, east + far)] if is_cut else [(west - far, east + far)]
+    boxes = [shapely.box(low, south - far, high, north + far) for low, high in spans]
+    return shapely.union_all(boxes), side / _STEPS
