@@ -1,4 +1,4 @@
-"""Write cloud-optimised GeoTIFFs (COG), and the names, colours and pixel counts of their values in ``NAME.tif.aux.xml``.
+"""Write cloud-optimised GeoTIFFs (COG), and names, colours and pixel counts of their values in ``NAME.tif.aux.xml``.
 
 A sparse scratch raster is filled window by window, so that memory does not grow with the survey or with gaps in it.
 GDAL's COG driver then converts it and adds overviews and statistics. Small rasters never leave memory; a large one that

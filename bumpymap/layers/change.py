@@ -1,4 +1,4 @@
-"""The layers of two surveys of a site where both have tiles, and what has changed between them: change.tif and its views."""
+"""The layers of two surveys where both have tiles, and what has changed between them: change.tif and its views."""
 
 import json
 from collections.abc import Mapping, Sequence

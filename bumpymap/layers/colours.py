@@ -1,4 +1,4 @@
-"""The colours of values in every layer, style, picture and page: one table each; those of the ride cost run together."""
+"""The colours of values in every layer, style, picture and page: one table each; ride cost has a continuous scale."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Extent of a map: the raster that its tiles span, everything about it but its pixels, windows, conversion to CRS units."""
+"""Extent of a map: the raster that its tiles span, all about it but its pixels, windows, conversion to CRS units."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""Cost of cells for other tools: pixel by pixel with obstacles grown, and for occupancy grids, where unknown is not free."""
+"""Cost of cells for other tools: pixel by pixel with obstacles grown; for occupancy grids, unknown is not free."""
 
 from dataclasses import dataclass
 from pathlib import Path

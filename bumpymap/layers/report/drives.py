@@ -1,4 +1,4 @@
-"""Drives that a map was checked against: their section on its page, and the chart of map against drive as inline SVG."""
+"""Drives that a map was checked against: their section on its page, the chart of map against drive as inline SVG."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

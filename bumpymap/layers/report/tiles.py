@@ -1,4 +1,4 @@
-"""The tiles of a map as a page shows them: small grids in which the worst tile decides, histograms, grids as base 64."""
+"""The tiles of a map as a page shows them: small grids in which the worst tile decides, histograms, as base 64."""
 
 import base64
 import math

@@ -1,4 +1,4 @@
-"""Write report.html, one file that requests nothing: as a view of a run that is just ending, or again for its layers."""
+"""Write report.html, one file that requests nothing: as a view of a run that is ending, or again for its layers."""
 
 import os
 from collections.abc import Mapping, Sequence
