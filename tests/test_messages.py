@@ -19,7 +19,7 @@ from bumpymap.core import PolarSettings, Scan
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
-from bumpymap.route.api import RouteSettings
+from bumpymap.route.pipeline import RouteSettings
 from bumpymap.scan import ScanConfig
 from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig

@@ -2,9 +2,6 @@ from .calibration import (
     Calibration as Calibration,
     DrivenTerrain as DrivenTerrain,
 )
-from .calibration_lookup import (
-    find_calibration as find_calibration,
-)
 from .cost import (
     rate as rate,
     rate_as_paper as rate_as_paper,
@@ -46,6 +43,7 @@ from .ride.motion import (
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
+    felt_response as felt_response,
 )
 from .ride.noise import (
     denoise as denoise,
@@ -66,21 +64,16 @@ from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
     thin_columns as thin_columns,
 )
-from .ride.thin_fit import (
-    ThinSurveys as ThinSurveys,
-    fit_thin as fit_thin,
-)
 from .ride.thin_noise import (
     pool_noise as pool_noise,
 )
 from .ride.thin_rate import (
     BlockRating as BlockRating,
+    ThinSurveys as ThinSurveys,
     dense_share as dense_share,
+    fit_thin as fit_thin,
     is_rateable as is_rateable,
     rate_thin as rate_thin,
-)
-from .ride.weighting import (
-    felt_response as felt_response,
 )
 from .step_effect import (
     STEP_COLUMNS as STEP_COLUMNS,
@@ -92,12 +85,10 @@ from .steps import (
     TileSteps as TileSteps,
     find_steps as find_steps,
 )
-from .texture_network import (
-    TextureModel as TextureModel,
-    classify as classify,
-)
 from .textures import (
     FEATURE_VERSION as FEATURE_VERSION,
+    TextureModel as TextureModel,
+    classify as classify,
     make_short_waves as make_short_waves,
     make_textures as make_textures,
     normalise as normalise,
@@ -108,6 +99,8 @@ from .vehicle_body import (
 )
 from .vehicle_profile import (
     Vehicle as Vehicle,
+    calibration_beside as calibration_beside,
+    find_calibration as find_calibration,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,
     write_profile_template as write_profile_template,

@@ -1,25 +1,55 @@
-"""Generate the paper's four terrain forms from Perlin noise, sine waves and Gaussian blur.
+"""The paper's four terrain forms: made from Perlin noise, sine waves and Gaussian blur; told apart by a small network.
 
 A texture is a patch as ``PatchStack.relief_map`` shows it to the network and to the simulated vehicle: with its
 least-squares plane removed, then min-max scaled. Lengths are fractions of the patch's side; metres in the docstrings
 are those of the default patch, 3 m and 15 px. Every parameter is random for each patch. At equal z range the forms get
 rougher from ``flat`` to ``high_noise``.
 
-Strategy: many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a
-random offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is
-cropped after the blur, because a blur that mirrors at the border would flatten the border.
+Many patches are made in one call. Each has its own noise lattice, rotated by a random angle and shifted by a random
+offset, so that lattice lines do not align with rows of pixels. Blurred forms are made with a margin that is cropped
+after the blur, because a blur that mirrors at the border would flatten the border.
+
+The texture of a tile must not depend on the other tiles of a stack. Patches therefore pass through the network in
+batches of a fixed size, the last one padded, on one thread, and the graph has no operation across patches.
 
 Annotations name `numpy.random` in quotes: it is imported when it is looked up, and a map makes no textures.
 """
 
+import hashlib
 from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import TEXTURES, Texture, UsageError
+from bumpymap.core import (
+    TEXTURES,
+    BadInputError,
+    PatchStack,
+    Reason,
+    Texture,
+    TextureMap,
+    UsageError,
+    check_network,
+    metadata_of,
+    parse_json,
+    read_network,
+    session,
+    shipped_network,
+)
 
-__all__ = ["FEATURE_VERSION", "make_short_waves", "make_textures", "normalise", "perlin", "remove_plane"]
+__all__ = [
+    "FEATURE_VERSION",
+    "FLAT_RELIEF",
+    "TextureModel",
+    "classify",
+    "make_short_waves",
+    "make_textures",
+    "normalise",
+    "perlin",
+    "remove_plane",
+]
 
 FEATURE_VERSION = 1
 """Version of the network's input (plane-removed, hole-filled, min-max scaled relief). If it changes, train again."""
@@ -274,3 +304,118 @@ _FORMS: "dict[str, Callable[[int, np.random.Generator, int], _Floats]]" = {
     "noise_sin": _noise_sin,
     "high_noise": _high_noise,
 }
+
+
+FLAT_RELIEF = 1e-3
+"""A patch with at most this relief, m, is ``flat`` with probability 1: scaled up, it would show the rounding of the
+survey's coordinates instead of ground."""
+
+_NETWORK_BATCH = 16
+"""Larger batches save 3 % per patch but lose more to padding: a block has about two hundred tiles."""
+_FORMAT = "bumpymap-textures"
+_INPUT = "patches"
+_KIND = "texture network"
+_REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
+
+
+@dataclass(frozen=True, slots=True)
+class TextureModel:
+    """A texture network as plain data that can be sent to other processes."""
+
+    content: bytes
+    """Content of the ONNX file."""
+    metadata: dict[str, str]
+    """``metadata_props`` of the file: seed, command, accuracies."""
+    tile_size: float
+    """Side of the tiles it was trained for, m."""
+    pixels: int
+    """Pixels along a side."""
+
+    @property
+    def id(self) -> str:
+        """Twelve hex digits of the SHA-256 of the file."""
+        return hashlib.sha256(self.content).hexdigest()[:12]
+
+    def require_grid(self, tile_size: float, pixels: int) -> None:
+        """Raise UsageError if tiles to classify differ in size [m] or number of pixels from the network's."""
+        if (tile_size, pixels) != (self.tile_size, self.pixels):
+            raise UsageError(
+                f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
+                f"{self.tile_size:g} m with {self.pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
+                f"or train one: bumpymap train --tile-size {tile_size:g} --pixels {pixels} --out MODEL.onnx"
+            )
+
+    @classmethod
+    def shipped(cls) -> "TextureModel":
+        """Read the network that is included in bumpymap."""
+        return cls._from_bytes(shipped_network("rating", "textures.onnx"), "the texture network in the package")
+
+    @classmethod
+    def load(cls, path: Path) -> "TextureModel":
+        """Read a network written by ``bumpymap train``. Raises BadInputError if it is not one."""
+        return cls._from_bytes(read_network(path, _KIND, _REMEDY), str(path))
+
+    @classmethod
+    def _from_bytes(cls, content: bytes, origin: str) -> "TextureModel":
+        metadata = metadata_of(content, _FORMAT, origin, _KIND, _REMEDY)
+        try:
+            classes, version = tuple(parse_json(metadata["classes"])), int(metadata["feature_version"])
+            tile_size, pixels = float(metadata["tile_size"]), int(metadata["pixels"])
+        except (KeyError, ValueError, TypeError) as error:
+            raise BadInputError(f"{origin} is a damaged texture network: {error!r}. {_REMEDY}") from error
+        if (classes, version) != (TEXTURES, FEATURE_VERSION):
+            raise BadInputError(
+                f"{origin} has the classes {', '.join(map(str, classes))} and takes patches of version {version}; this "
+                f"bumpymap needs {', '.join(TEXTURES)} and version {FEATURE_VERSION}. {_REMEDY}"
+            )
+        if pixels < 1:
+            raise BadInputError(f"{origin} is a damaged texture network: its pixels are {pixels}. {_REMEDY}")
+        check_network(content, {_INPUT: (_NETWORK_BATCH, 1, pixels, pixels)}, len(TEXTURES), origin, _REMEDY)
+        return cls(content, metadata, tile_size, pixels)
+
+
+def classify(patches: PatchStack, model: TextureModel) -> TextureMap:
+    """Classify the texture of each tile.
+
+    Parameters
+    ----------
+    patches : PatchStack
+        n tiles; ``relief_map``, ``reason`` and ``grid`` are used.
+    model : TextureModel
+        Network for tiles of that grid.
+
+    Returns
+    -------
+    TextureMap
+        (n, 4) probabilities; NaN where ``reason`` is not 0. Patches of at most ``FLAT_RELIEF`` are flat with
+        probability 1.
+
+    Raises
+    ------
+    UsageError
+        The network was trained for tiles of another size or another number of pixels.
+    """
+    model.require_grid(patches.grid.tile_size, patches.grid.pixels)
+    known = np.flatnonzero(patches.reason == Reason.OK)
+    relief = patches.relief_map[known]
+    if not np.isfinite(relief).all():
+        raise ValueError("a tile with reason 0 has NaN in its relief_map")
+    probability = np.full((len(patches.reason), len(TEXTURES)), np.nan, np.float32)
+    flat = np.ptp(relief, axis=(1, 2)) <= FLAT_RELIEF
+    probability[known[flat]] = np.eye(len(TEXTURES), dtype=np.float32)[TEXTURES.index("flat")]
+    rough = relief[~flat]
+    scaled = normalise(rough.reshape(len(rough), 1, model.pixels**2))  # min and max over one axis are 4 times faster
+    probability[known[~flat]] = infer(model, scaled.reshape(rough.shape))
+    return TextureMap(probability)
+
+
+def infer(model: TextureModel, scaled: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Run the network on patches (n, pixels, pixels) scaled to [0, 1]; return probabilities (n, 4)."""
+    network = session(model.content)
+    probability = np.empty((len(scaled), len(TEXTURES)), np.float32)
+    for start in range(0, len(scaled), _NETWORK_BATCH):
+        part = scaled[start : start + _NETWORK_BATCH, None]  # (batch, 1, pixels, pixels)
+        if len(part) < _NETWORK_BATCH:
+            part = np.concatenate((part, np.zeros((_NETWORK_BATCH - len(part), *part.shape[1:]), np.float32)))
+        probability[start : start + _NETWORK_BATCH] = network.run(None, {_INPUT: part})[0][: len(scaled) - start]
+    return probability

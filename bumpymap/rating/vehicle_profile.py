@@ -1,8 +1,9 @@
-"""Vehicle profiles: dimensions, masses and preferences of a vehicle, read from a TOML file and checked."""
+"""Vehicle profiles: dimensions, masses, preferences of a vehicle, read from TOML; its calibration is found here."""
 
 import json
 import math
 import re
+import shlex
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -19,10 +20,18 @@ from bumpymap.core import (
     refuse_faults,
     short_repr,
 )
-from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT
+from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_body import Body, Floor, OneLine, ProfileKey, Quantity, body_table, profile_keys
 
-__all__ = ["KEYS", "Vehicle", "load_profile", "shipped_profiles", "write_profile_template"]
+__all__ = [
+    "KEYS",
+    "Vehicle",
+    "calibration_beside",
+    "find_calibration",
+    "load_profile",
+    "shipped_profiles",
+    "write_profile_template",
+]
 
 _SCHEMA = "`bumpymap vehicle new NAME` writes a file with every key, its unit and its range"
 _LONGEST_BELLY = 4.0
@@ -401,3 +410,57 @@ def _value(key: ProfileKey, model: dict[str, Any]) -> str:
     if not model:
         return json.dumps(UNFILLED if key.default is None else key.default)
     return json.dumps((model[key.table] if key.table else model)[key.short])
+
+
+def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibration:
+    """Find the calibration of a vehicle.
+
+    Parameters
+    ----------
+    vehicle : str or Path
+        Name of an included vehicle, or a TOML file, whose calibration is the JSON file of the same name beside it. If
+        there is none and the profile equals that of an included vehicle, the calibration of that is used. Name,
+        description and weights are those of the TOML file.
+    file : Path, optional
+        A calibration file; ``vehicle`` is then ignored.
+
+    Raises
+    ------
+    UsageError
+        There is no vehicle of that name, or no such file.
+    BadInputError
+        The profile or the calibration cannot be read, or they are of different vehicles.
+    """
+    if file is not None:
+        return _checked(Calibration.load(file), str(file))
+    profile = load_profile(vehicle)
+    if str(vehicle) in shipped_calibrations():
+        return Calibration.shipped(str(vehicle))
+    path = Path(vehicle)
+    beside = calibration_beside(path)
+    again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
+    if beside.exists():
+        calibration = _checked(Calibration.load(beside), str(beside))
+        try:
+            return calibration.with_preferences(profile.to_dict(), str(beside))
+        except BadInputError as error:
+            raise BadInputError(f"{error}. Calibrate for the vehicle of {path}: {again} --overwrite") from error
+    for name in shipped_calibrations():
+        try:
+            return Calibration.shipped(name).with_preferences(profile.to_dict(), name)
+        except BadInputError:  # another vehicle
+            continue
+    raise BadInputError(
+        f"there is no calibration of {path}: {beside} does not exist. Make it: {again} (--quick makes a rough one)"
+    )
+
+
+def calibration_beside(profile: Path) -> Path:
+    """Return the path of the calibration file that belongs to a TOML file."""
+    return profile.with_suffix(".json")
+
+
+def _checked(calibration: Calibration, origin: str) -> Calibration:
+    """Check the stored vehicle like a profile before it is used."""
+    Vehicle.from_dict(calibration.vehicle, f"{origin}, vehicle")
+    return calibration

@@ -1,24 +1,14 @@
 from ._moves import (
     MOVES as MOVES,
 )
-from .api import (
-    find_routes as find_routes,
-    map_reach as map_reach,
-)
-from .cost_field import (
-    TileChoice as TileChoice,
-    cost_of as cost_of,
-)
+from .ground import TileChoice as TileChoice, cost_of as cost_of
 from .growing import (
     plan_way as plan_way,
 )
-from .line import (
-    is_clear as is_clear,
-    line_cost as line_cost,
-    trace as trace,
-)
 from .pipeline import (
     RouteResult as RouteResult,
+    find_routes as find_routes,
+    map_reach as map_reach,
     plan_routes as plan_routes,
 )
 from .places import (
@@ -45,11 +35,10 @@ from .settings import (
     CostSettings as CostSettings,
     RouteConfig as RouteConfig,
 )
-from .snap import (
-    NearestPoint as NearestPoint,
-    nearest_usable as nearest_usable,
-    usable_point as usable_point,
-)
+from .stops import NearestPoint as NearestPoint, nearest_usable as nearest_usable, usable_point as usable_point
 from .straighten import (
+    is_clear as is_clear,
+    line_cost as line_cost,
     pull_tight as pull_tight,
+    trace as trace,
 )

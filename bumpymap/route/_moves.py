@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bumpymap.route._line_kernels import find_near
 from bumpymap.route._search_kernels import MoveTables
-from bumpymap.route.line import trace
+from bumpymap.route.straighten import trace
 
 __all__ = ["MOVES", "REACH", "move_tables"]
 

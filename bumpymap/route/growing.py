@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError
-from bumpymap.route._frame import Point, settle_point
 from bumpymap.route._moves import REACH
-from bumpymap.route._window import BYTES_PER_TILE
-from bumpymap.route.line import as_cost
+from bumpymap.route._window import BYTES_PER_TILE, Point, settle_point
 from bumpymap.route.search import Found, Way, seek, tight_way
+from bumpymap.route.straighten import as_cost
 from bumpytiles import TileWindow
 
 __all__ = ["plan_way"]

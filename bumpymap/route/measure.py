@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
 from bumpymap.layers import RouteMap
 from bumpymap.route.ground import stretches, window_around
-from bumpymap.route.line import trace
+from bumpymap.route.straighten import trace
 from bumpytiles import TileWindow
 
 __all__ = ["MeasuredWay", "measure_way", "way_cost"]

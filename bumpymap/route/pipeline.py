@@ -1,26 +1,48 @@
-"""Job 3: from the layers of a map to ways over it.
+"""Job 3: from the layers of a map to ways over it, or to what can be reached; from the command line and from Python.
 
-Open the map, find the points on it, plan the ways, measure them, write them.
+Open the map, find the points on it, choose the order in which they are passed (exact, by dynamic programming over
+subsets: Held and Karp 1962), plan the ways, measure them, write them; and where there is no way, say why, and what
+would help.
 """
 
 import logging
 import math
+import os
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
-from bumpymap.core import BadInputError, Progress, SilentProgress, UsageError, memory_limit
+from bumpymap.core import (
+    BARRED_TEXT,
+    NO_TILE,
+    BadInputError,
+    Barred,
+    Progress,
+    SilentProgress,
+    UsageError,
+    memory_limit,
+    path_of_call,
+    refuse_unknown,
+    settings_of_call,
+    short_repr,
+)
 from bumpymap.layers import (
+    Layers,
     PlannedRoute,
     ReachField,
     ReachLevels,
     RouteMap,
     check_reach_out,
     check_route_out,
+    folder_of,
     open_map,
+    reach_dataset,
     read_areas,
     write_reach_files,
     write_routes,
@@ -29,14 +51,304 @@ from bumpymap.route._moves import MOVES
 from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import WornTiles
-from bumpymap.route.no_way import explain_no_way
 from bumpymap.route.planner import PlannedWay, Planner
 from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.settings import RouteConfig
-from bumpymap.route.stops import Stops, find_stops
-from bumpymap.route.visits import MOST_VISITS, best_order
+from bumpymap.route.search import spread
+from bumpymap.route.settings import CostSettings, RouteConfig
+from bumpymap.route.stops import Stops, find_stops, place_text
+from bumpytiles import TileWindow
 
-__all__ = ["RouteResult", "plan_routes", "reach_from"]
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = [
+    "MOST_VISITS",
+    "RouteResult",
+    "best_order",
+    "explain_no_way",
+    "find_routes",
+    "map_reach",
+    "plan_routes",
+    "reach_from",
+]
+
+MOST_VISITS = 12
+"""Most points whose order is chosen: the work doubles with each."""
+
+
+def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
+    """Return the order in which a tour visits points.
+
+    Parameters
+    ----------
+    costs : array (n, n)
+        Cost of the way from point i to point j; inf if there is none.
+    fixed_end : bool
+        The last point is the end of the tour; otherwise it ends where that is cheapest.
+
+    Returns
+    -------
+    list of int
+        All n points, 0 first. Of equally good orders, the first in the order of numbers.
+
+    Notes
+    -----
+    If no order is possible, the result is the given one.
+    """
+    n = len(costs)
+    between = range(1, n - 1) if fixed_end else range(1, n)
+    if len(between) < 1:
+        return list(range(n))
+    best: dict[tuple[frozenset[int], int], tuple[float, int]] = {
+        (frozenset((at,)), at): (float(costs[0, at]), 0) for at in between
+    }
+    for size in range(2, len(between) + 1):
+        for seen in map(frozenset, combinations(between, size)):
+            for at in sorted(seen):
+                rest = seen - {at}
+                best[seen, at] = min((best[rest, last][0] + float(costs[last, at]), last) for last in sorted(rest))
+    everything = frozenset(between)
+    after = {at: float(costs[at, n - 1]) if fixed_end else 0.0 for at in between}
+    total, at = min((best[everything, at][0] + after[at], at) for at in between)
+    if not np.isfinite(total):
+        return list(range(n))
+    order, seen = [at], everything
+    while len(seen) > 1:
+        _, before = best[seen, at]
+        seen, at = seen - {at}, before
+        order.append(at)
+    return [0, *reversed(order), *([n - 1] if fixed_end else [])]
+
+
+def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
+    """Return the message for the first two points without a way between them.
+
+    Parameters
+    ----------
+    planner : Planner
+    points : array (k, 2)
+        Easting and northing of the stops, m.
+    names : sequence of str
+        How the message calls each of them.
+    """
+    for number, (start, goal) in enumerate(pairwise(points)):
+        if np.isfinite(planner.leg_cost(start, goal)):
+            continue
+        window, size = planner.site.window, planner.site.grid.tile_size
+        between = f"there is no way from {names[number]} to {names[number + 1]}"
+        if window.cols * window.rows > planner.memory_tiles:
+            return f"{between} over passable ground"
+        cost = planner.load(window)
+        barred = planner.site.read(window, ()).barred
+        reached = [
+            np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
+        ]
+        areas = [_area(int(part.sum()), size) for part in reached]
+        closest = _closest(planner, *reached)
+        beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
+        unknown = ""
+        if planner.settings.unknown is None and Barred.UNKNOWN in beside:
+            unknown = "cross unknown ground with `unknown=COST`, "
+        return (
+            f"{between}: {areas[0]} can be reached from the first, {areas[1]} from the second, and no tile from both. "
+            f"Beside the smaller area lie: {_described(beside, planner)}. {closest}Choose other points, {unknown}"
+            "map the survey for another vehicle, or drive through what the map takes for an obstacle with "
+            "`through_obstacles`"
+        )
+    return "there is no way through all points"
+
+
+def _closest(planner: Planner, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
+    """Say where the two areas come closest, and what lies between them."""
+    if not (first.any() and second.any()):
+        return ""
+    apart, (rows, cols) = distance_transform_edt(~second, return_indices=True)
+    row, col = np.unravel_index(np.where(first, apart, np.inf).argmin(), first.shape)
+    ends = np.array([[row, col], [rows[row, col], cols[row, col]]]) + 0.5
+    window, size = planner.site.window, planner.site.grid.tile_size
+    middle = planner.at(ends.mean(axis=0), window)
+    between = planner.site.read(TileWindow.around(*planner.site.grid.index(middle)[:, None]), ()).barred
+    code = int(between[0, 0])
+    why = BARRED_TEXT[Barred(code)] if code in BARRED_TEXT and code != Barred.NO else "no passable ground"
+    return (
+        f"They come closest at {place_text(planner.site, middle)}, {math.dist(*ends) * size:.0f} m from tile to tile, "
+        f"where there is: {why}. "
+    )
+
+
+def _area(tiles: int, size: float) -> str:
+    return f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * size**2 / 1e4:,.2f} ha)"
+
+
+def _beside(area: NDArray[np.bool_], barred: NDArray[np.uint8]) -> list[int]:
+    """Return what the tiles around an area are, codes of `Barred` or NO_TILE, the most frequent first."""
+    beside = np.zeros_like(area)
+    padded = np.pad(area, 1)
+    beside |= padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
+    codes, counts = np.unique(barred[beside & ~area], return_counts=True)
+    return [int(codes[at]) for at in np.argsort(-counts, kind="stable")]
+
+
+def _described(codes: Sequence[int], planner: Planner) -> str:
+    """Say what bars the tiles around an area: the reasons of those that are not passable together, then the rest."""
+    narrow = "passages too narrow for the vehicle"
+    has_areas = planner.avoid is not None or planner.only is not None
+    texts = {
+        int(Barred.NO): f"tiles that `avoid` or `only` closes, or {narrow}" if has_areas else narrow,
+        int(Barred.UNKNOWN): BARRED_TEXT[Barred.UNKNOWN],
+        NO_TILE: "ground that was not surveyed",
+    }
+    reasons = [BARRED_TEXT[Barred(code)] for code in codes if code not in texts]
+    found = [f"tiles that are not passable ({', '.join(reasons)})"] if reasons else []
+    return "; ".join([*found, *(texts[code] for code in codes if code in texts)]) or "the edge of the map"
+
+
+PathLike: TypeAlias = str | os.PathLike[str]
+Point: TypeAlias = str | tuple[float, float]
+"""``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
+
+
+class ReachSettings(TypedDict, total=False):
+    """Settings of `map_reach`: fields of ``RouteConfig`` and ``CostSettings``; paths may be strings."""
+
+    risk: float | None
+    robust: bool
+    unknown: float | None
+    snap: float
+    avoid: PathLike | None
+    only: PathLike | None
+    allow_outside: bool
+    memory: str
+
+
+class RouteSettings(ReachSettings, total=False):
+    """Settings of `find_routes`."""
+
+    alternatives: int
+    through_obstacles: bool
+    visit: bool
+    round_trip: bool
+    compare: Iterable[PathLike]
+    overwrite: bool
+
+
+def find_routes(
+    layers: "PathLike | Layers | Iterable[PathLike]",
+    start: Point,
+    goal: Point,
+    *,
+    via: Iterable[Point] = (),
+    out: PathLike | None = None,
+    **settings: Unpack[RouteSettings],
+) -> list[PlannedRoute]:
+    """Find the cheapest way over mapped ground, and alternatives.
+
+    Parameters
+    ----------
+    layers : path, Layers, or several paths
+        What `map_survey` or ``bumpymap map`` wrote; several folders are sheets of one map.
+    start, goal : str or (float, float)
+        Longitude and latitude, or coordinates in the survey's CRS: what lies on the map decides.
+    via : points, optional
+        Points to pass on the way.
+    out : path, optional
+        Folder, or file that ends in .geojson, .gpx, .csv or .png.
+    **settings
+        Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
+        metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
+        ``through_obstacles``, ``compare``, ``memory``, ``overwrite``.
+
+    Returns
+    -------
+    list of PlannedRoute
+        The best one first.
+
+    Raises
+    ------
+    BadInputError
+        The layers cannot be read, a point does not lie on ground that can be used, or there is no way.
+    UsageError
+        A setting is unknown or wrong.
+    OutputError
+        A file cannot be written.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> best, *others = bumpymap.find_routes("site_layers", (512350.5, 5403300.5), (512450.5, 5403300.5))
+    >>> round(best.figures.length_m / best.figures.straight_m, 1) >= 1.0
+    True
+    """
+    if isinstance(via, str) or not isinstance(via, Iterable):
+        raise UsageError(f"via is {short_repr(via)}; give a list of points, such as [(512350.5, 5403300.5)]")
+    own = _settings(settings, "find_routes", RouteSettings.__annotations__)
+    own |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
+    target = None if out is None else Path(path_of_call("out", out))
+    config = RouteConfig(layers=_folders(layers), out=target, **own)
+    return list(plan_routes(config).routes)
+
+
+def map_reach(
+    layers: "PathLike | Layers | Iterable[PathLike]",
+    start: Point,
+    *,
+    minutes: float | None = None,
+    **settings: Unpack[ReachSettings],
+) -> "xarray.Dataset":
+    """Map what can be reached from a point: cost and minutes of the cheapest way to every tile.
+
+    Parameters
+    ----------
+    layers, start
+        As in `find_routes`.
+    minutes : float, optional
+        Tiles farther away than this are left out where possible, so that less is read.
+    **settings
+        ``risk``, ``robust``, ``unknown``, ``snap``, ``avoid``, ``only``, ``allow_outside``, ``memory``, as in
+        `find_routes`.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``cost`` [m] and ``minutes`` [min], NaN where a tile cannot be reached; dimensions ``y`` (north first), ``x``.
+
+    Raises
+    ------
+    BadInputError, UsageError
+        As `find_routes`; or the extra ``notebook`` is not installed.
+    """
+    own = _settings(settings, "map_reach", ReachSettings.__annotations__)
+    own |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
+    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **own)
+    return reach_dataset(reach_from(config))
+
+
+def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:
+    """Check the settings of a call; those of the cost become one."""
+    refuse_unknown(settings, known, function)
+    of_cost = {name: value for name, value in settings.items() if name in CostSettings.__dataclass_fields__}
+    others = {name: value for name, value in settings.items() if name not in of_cost}
+    cost = CostSettings(**settings_of_call(of_cost, CostSettings, function))
+    return {**settings_of_call(others, RouteConfig, function), "cost": cost}
+
+
+def _folders(layers: "PathLike | Layers | Iterable[PathLike]") -> tuple[Path, ...]:
+    if isinstance(layers, Layers | str | os.PathLike) or not isinstance(layers, Iterable):
+        return (folder_of("layers", layers),)
+    return tuple(folder_of("layers", each) for each in layers)
+
+
+def _text(name: str, point: Point) -> str:
+    if isinstance(point, str):
+        return point
+    try:
+        x, y = (float(value) for value in point)
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"{name} is {short_repr(point)}; give a pair of numbers, such as (512350.5, 5403300.5), or 'LON,LAT'"
+        ) from error
+    return f"{x!r},{y!r}"
+
 
 _log = logging.getLogger(__name__)
 

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, TileField
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
-from bumpymap.route.cost_field import TileChoice, cost_of
-from bumpymap.route.ground import CostGround, WornTiles, window_around
+from bumpymap.route.ground import CostGround, TileChoice, WornTiles, cost_of, window_around
 from bumpymap.route.growing import plan_way
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.passages import way_over_areas

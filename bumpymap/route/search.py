@@ -3,7 +3,7 @@
 The search goes from middle to middle of tiles by the 48 moves of `MOVES`, each the exact integral of the cost over the
 tiles that it crosses, clear of closed ones. Start and goal lie anywhere in their tiles and see the middles around them
 straight; if they see each other, the straight line competes. `pull_tight` then pulls the way tight. See
-`bumpymap.route.line` for field coordinates, closed tiles and margins.
+`bumpymap.route.straighten` for field coordinates, closed tiles and margins.
 
 There and back cost the same to the last bit, and so do ways on turned maps, as a rule; see `SearchFrame`. Moves decide
 on which side of closed tiles a way passes; where both sides cost nearly the same, the way may be the dearer by a
@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.route._frame import Point, SearchFrame, is_open, settle_point
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import BETWEEN_OBSTACLES, FROM_START, NOT_REACHED, SETTLED, walk_back
-from bumpymap.route._window import RingedWindow
-from bumpymap.route.line import as_cost, line_cost, wide_margin
-from bumpymap.route.straighten import LEAST_SAVING, pull_tight, thin_out
+from bumpymap.route._window import Point, RingedWindow, SearchFrame, is_open, settle_point
+from bumpymap.route.straighten import LEAST_SAVING, as_cost, line_cost, pull_tight, thin_out, wide_margin
 
 __all__ = [
     "BETWEEN_OBSTACLES",

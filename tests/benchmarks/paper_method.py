@@ -28,7 +28,7 @@ from bumpymap.core.types import Georeference
 from bumpymap.patches.features import measure
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import rate
-from bumpymap.rating.texture_network import TextureModel, classify
+from bumpymap.rating.textures import TextureModel, classify
 from bumpytiles import Grid, TilePoints
 
 Points = NDArray[np.float64]

@@ -8,7 +8,7 @@ import pytest
 
 from bumpymap.core import BadInputError
 from bumpymap.core.onnx_file import shipped_network
-from bumpymap.rating.texture_network import TextureModel
+from bumpymap.rating.textures import TextureModel
 from bumpymap.scan import ScanModel
 
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")

@@ -4,7 +4,7 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.calibration_lookup import find_calibration
+from bumpymap.rating.vehicle_profile import find_calibration
 
 DATA = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 

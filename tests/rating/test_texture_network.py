@@ -14,8 +14,7 @@ from numpy.testing import assert_array_equal
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import TEXTURES, PatchStack, Reason
-from bumpymap.rating.texture_network import FLAT_RELIEF, TextureModel, classify
-from bumpymap.rating.textures import make_textures
+from bumpymap.rating.textures import FLAT_RELIEF, TextureModel, classify, make_textures
 from bumpytiles import Grid
 
 
@@ -217,9 +216,7 @@ def test_a_truncated_network_is_refused(model, tmp_path):
 
 
 def test_onnxruntime_is_loaded_only_when_used():
-    program = (
-        "import sys, bumpymap.rating.texture_network; assert not {'onnxruntime', 'torch', 'onnx'} & set(sys.modules)"
-    )
+    program = "import sys, bumpymap.rating.textures; assert not {'onnxruntime', 'torch', 'onnx'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", program], check=True, env=dict(os.environ))
 
 

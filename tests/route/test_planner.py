@@ -6,9 +6,9 @@ import shapely
 from tile_maps import TileMap
 
 from bumpymap.core import Barred
-from bumpymap.route.line import is_clear
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
+from bumpymap.route.straighten import is_clear
 
 
 def planner(site, **settings):

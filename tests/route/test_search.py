@@ -16,7 +16,7 @@ from bumpymap.route import (
     pull_tight,
     spread,
 )
-from bumpymap.route.line import wide_margin
+from bumpymap.route.straighten import wide_margin
 
 EVEN = np.ones((100, 100), np.float32)
 

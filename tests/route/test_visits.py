@@ -5,7 +5,7 @@ from itertools import pairwise, permutations
 import numpy as np
 import pytest
 
-from bumpymap.route.visits import best_order
+from bumpymap.route.pipeline import best_order
 
 
 def tour_cost(costs, order):

@@ -13,8 +13,7 @@ from bumpymap.rating.ride._ride_kernels import (
     sample_means,
     take_group,
 )
-from bumpymap.rating.ride.lattice import PitchSamples
-from bumpymap.rating.ride.operator import WheelShape
+from bumpymap.rating.ride.operator import PitchSamples, WheelShape
 from bumpytiles import kernel
 
 __all__ = ["move_over_patches"]

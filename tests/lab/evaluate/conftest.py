@@ -12,7 +12,7 @@ from bumpymap.lab.evaluate.survey_trial import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.texture_network import TextureModel
+from bumpymap.rating.textures import TextureModel
 from bumpymap.rating.vehicle_profile import load_profile
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))  # drivers of other evaluations

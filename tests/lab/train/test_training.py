@@ -27,7 +27,7 @@ from bumpymap.lab.train.textures import (  # noqa: E402
     to_onnx,
     train,
 )
-from bumpymap.rating.texture_network import TextureModel, infer  # noqa: E402
+from bumpymap.rating.textures import TextureModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

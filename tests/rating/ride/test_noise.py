@@ -9,7 +9,7 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.lab.worlds.terrains import ScanEffects, Terrain, make_terrain, survey_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideOperator, denoise, roll_over
-from bumpymap.rating.ride._spreads import point_noise
+from bumpymap.rating.ride._noise_kernels import point_noise
 from bumpymap.rating.vehicle_profile import load_profile
 from bumpytiles import Grid, TileBuckets
 

@@ -14,7 +14,7 @@ from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
 from bumpymap.rating import RideModel
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.texture_network import TextureModel, classify
+from bumpymap.rating.textures import TextureModel, classify
 from bumpytiles import Grid, TileBuckets
 
 CALIBRATION = Calibration.shipped("warthog")

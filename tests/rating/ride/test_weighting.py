@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import butter, freqs
 
 from bumpymap.rating import felt_response
-from bumpymap.rating.ride.weighting import weighting_wk
+from bumpymap.rating.ride.motion_operator import weighting_wk
 
 TABLE = {0.1: 31.2, 0.5: 418, 1: 482, 2: 531, 4: 967, 5: 1039, 6.3: 1054, 8: 1036, 16: 768, 31.5: 405, 63: 186, 80: 132}
 """Frequency [Hz] -> Wk times 1000, of table 3 of ISO 2631-1:1997 (true one-third octave frequencies are near)."""
