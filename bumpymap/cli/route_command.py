@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 __all__ = ["command", "show"]
 
+_TIGHT_DEG = 10.0
+"""Tight turns from which on they are mentioned."""
 _TITLES = (
     "way",
     "length (m)",
@@ -91,6 +93,12 @@ def _remarks(result: "RouteResult", config: "RouteConfig") -> Iterator[str]:
             yield (
                 f"{route.name} touches obstacles on {route.figures.obstacle_m:,.1f} m: there is no way between them; "
                 "arrives counts each of these metres as failing every second time"
+            )
+    for route in result.routes:
+        if route.figures.tight_turns_deg >= _TIGHT_DEG:
+            yield (
+                f"{route.name} turns by {route.figures.tight_turns_deg:,.0f} degrees in all close to what stops the "
+                "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
             )
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 

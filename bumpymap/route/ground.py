@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, UsageError
 from bumpymap.layers import RouteMap
@@ -125,8 +125,15 @@ Floats = NDArray[np.float64]
 
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
+_ROOM_M, _NARROW = 0.6, 0.5
+"""Distance from closed pixels, m, in which a metre is dearer, and by what share beside them: a vehicle swings out by
+some decimetres at the corners of a way, so the way keeps off where that costs little."""
+_TIGHT_M = 0.46
+"""Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
 _TOUCHING = 100.0
 """Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
+_CORNERS, _CORNER_TILES = 64, 8
+"""Consecutive corners that are looked at together: at most so many, as far from the first."""
 _STRETCH_TILES = 48
 """Longest stretch of a line that is looked at together, tiles."""
 
@@ -239,6 +246,17 @@ class CostGround:
             out[~free] = np.inf
         return out
 
+    def with_room(self, cost: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Make pixels near closed ones dearer, so that a way keeps away from them where it can."""
+        reach = self._room_pixels
+        factor = 1 + np.float32(_NARROW) * np.linspace(1, 0, reach + 1, dtype=np.float32)
+        dearer: NDArray[np.float32] = cost * factor[np.clip(_steps_to_closed(cost) - 1, 0, reach)]
+        return dearer
+
+    @property
+    def _room_pixels(self) -> int:
+        return max(1, round(_ROOM_M / self.site.grid.pixel_size))
+
     def _free(self, window: TileWindow, closed: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return where the middle of the vehicle can be; ``closed`` are pixels of closed tiles.
 
@@ -269,11 +287,14 @@ class CostGround:
             * self.site.grid.tile_size
         )
 
-    def is_clear(self, line: Floats) -> bool:
-        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing, m."""
+    def is_clear(self, line: Floats, *, with_room: bool = False) -> bool:
+        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m], or has room to spare."""
         for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
             window = window_around(self.site, part, 1)
-            if not is_clear(self.on_pixels(window), self.in_window(part, window), PIXEL_MARGIN):
+            cost = self.on_pixels(window)
+            if with_room:
+                cost[_steps_to_closed(cost) <= self._room_pixels] = np.inf
+            if not is_clear(cost, self.in_window(part, window), PIXEL_MARGIN):
                 return False
         return True
 
@@ -288,6 +309,36 @@ class CostGround:
             clear[first:last] = np.isfinite(self.on_pixels(window)[place[:, 0], place[:, 1]])
             first = last - 1
         return clear
+
+    def tight_turns_deg(self, line: Floats) -> float:
+        """Add the angles, degrees, by which a line, (n, 2) easting and northing [m], turns near closed pixels."""
+        line = line[np.append(True, (np.diff(line, axis=0) != 0.0).any(axis=1))]
+        heading = np.arctan2(*np.diff(line, axis=0).T)
+        turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
+        tight = self._rooms(line[1:-1]) <= _TIGHT_M
+        return float(np.degrees(turn[tight].sum()))
+
+    def _rooms(self, points: Floats) -> Floats:
+        """Return how far points, (n, 2), are from closed ground on pixels, m, (n,); inf beyond a tile."""
+        rooms = np.full(len(points), math.inf)
+        first = 0
+        while first < len(points):
+            spans = np.maximum.accumulate(np.abs(points[first : first + _CORNERS] - points[first]).max(axis=1))
+            last = first + int(np.searchsorted(spans, _CORNER_TILES * self.site.grid.tile_size, side="right"))
+            window = window_around(self.site, points[first:last], 1)
+            is_open = np.isfinite(self.on_pixels(window))
+            if not is_open.all():
+                row, col = np.floor(self.in_window(points[first:last], window)).astype(np.int64).T
+                rooms[first:last] = distance_transform_edt(is_open)[row, col] * self.site.grid.pixel_size
+            first = last
+        return rooms
+
+
+def _steps_to_closed(cost: NDArray[np.float32]) -> NDArray[np.int32]:
+    """Return how many pixels, along rows, columns and diagonals, each pixel is from the nearest closed one."""
+    if np.isfinite(cost).all():
+        return np.full(cost.shape, max(cost.shape), np.int32)
+    return np.asarray(distance_transform_cdt(np.isfinite(cost), "chessboard"), np.int32)
 
 
 def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:

@@ -5,7 +5,7 @@ A way may be long and its window large, so it is measured in stretches, each wit
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,7 @@ def measure_way(
     cost_of: Callable[[TileField], NDArray[np.float32]],
     *,
     obstacle_m: float = 0.0,
+    tight_turns_deg: float = 0.0,
 ) -> MeasuredWay:
     """Measure a way over a map.
 
@@ -76,10 +77,12 @@ def measure_way(
         Returns the cost per metre of each tile of a window, inf where closed.
     obstacle_m : float
         Length on which the vehicle does not fit, m.
+    tight_turns_deg : float
+        Sum of the angles of turns beside obstacles, degrees.
     """
     pieces = _all_pieces(site, line, cost_of)
     profile = _profile(site, line, pieces)
-    figures = _figures(pieces, profile, stops, site, obstacle_m)
+    figures = replace(_figures(pieces, profile, stops, site), obstacle_m=obstacle_m, tight_turns_deg=tight_turns_deg)
     return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
 
 
@@ -130,7 +133,7 @@ def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray
     )
 
 
-def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteMap, obstacle_m: float) -> RouteFigures:
+def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteMap) -> RouteFigures:
     known = np.isfinite(pieces.c_r)
     weight = pieces.length * known
     total = float(weight.sum())
@@ -157,7 +160,8 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteM
         hazard=float((pieces.length * pieces.hazard).sum()),
         p_fail_max=float(np.nanmax(pieces.p_fail)) if np.isfinite(pieces.p_fail).any() else math.nan,
         unknown_m=float(pieces.length[pieces.unknown].sum()),
-        obstacle_m=obstacle_m,
+        obstacle_m=0.0,
+        tight_turns_deg=0.0,
         climb_m=climb,
         descent_m=descent,
         seconds=length / site.vehicle.speed_mps,

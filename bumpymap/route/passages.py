@@ -292,7 +292,7 @@ def _on_pixels(
             )
         else:
             part = _within(_window(ground, np.array(ends), _AROUND_TILES), window)
-        cost = ground.on_pixels(part)
+        cost = ground.with_room(ground.on_pixels(part))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]
         pixels = ground.site.grid.pixels

@@ -141,8 +141,11 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
+        ground = CostGround(self)
         touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
-        return PlannedWay(line, measure_way(self.site, line, stops, CostGround(self).of_field, obstacle_m=touched))
+        tight = ground.tight_turns_deg(line)
+        measured = measure_way(self.site, line, stops, ground.of_field, obstacle_m=touched, tight_turns_deg=tight)
+        return PlannedWay(line, measured)
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from bumpymap.route._moves import MOVES, REACH
 from bumpymap.route._search_kernels import BETWEEN_OBSTACLES, FROM_START, NOT_REACHED, SETTLED, walk_back
 from bumpymap.route._window import Point, RingedWindow, SearchFrame, is_open, settle_point
-from bumpymap.route.straighten import LEAST_SAVING, as_cost, line_cost, pull_tight, thin_out, wide_margin
+from bumpymap.route.straighten import LEAST_SAVING, as_cost, line_cost, off_borders, pull_tight, thin_out, wide_margin
 
 __all__ = [
     "BETWEEN_OBSTACLES",
@@ -103,6 +103,7 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
+    line = off_borders(near, line, margin)
     pulled = line_cost(near, line)
     return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
 

@@ -51,13 +51,12 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
     parts = [line[:1]]
     for first, last in pairwise(cuts):
         part = _between(line, points, first, last, step)
-        if not ground.is_clear(part):
-            if (last - first) * step > _LONGEST_TILES * grid.tile_size:
+        if not ground.is_clear(part, with_room=True):
+            too_long = (last - first) * step > _LONGEST_TILES * grid.tile_size
+            steered = None if too_long else _search(ground, part)
+            if steered is None and not ground.is_clear(part):
                 return None
-            steered = _search(ground, part)
-            if steered is None:
-                return None
-            part = steered
+            part = part if steered is None else steered
         parts.append(part[1:])
     return np.concatenate(parts)
 
@@ -102,7 +101,7 @@ def _search(ground: CostGround, part: Floats) -> Floats | None:
     window = window_around(ground.site, part, _AROUND_TILES)
     start, goal = ((float(row), float(col)) for row, col in ground.in_window(part[[0, -1]], window))
     saving = LEAST_SAVING_M / ground.site.grid.pixel_size
-    found = find_way(ground.on_pixels(window), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
+    found = find_way(ground.with_room(ground.on_pixels(window)), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
     if found is None:
         return None
     line = ground.on_grid(found.line, window)

@@ -16,6 +16,7 @@ dearer, and never nearer to closed tiles than allowed.
 """
 
 import math
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ __all__ = [
     "as_margin",
     "is_clear",
     "line_cost",
+    "off_borders",
     "pull_tight",
     "thin_out",
     "trace",
@@ -132,6 +134,8 @@ def is_clear(cost: NDArray[np.floating], line: NDArray[np.floating], margin: flo
 
 Floats = NDArray[np.float64]
 
+_ON_BORDER, _OFF_BORDER = 1e-7, 1e-6
+"""Corners this near to a border are moved so far from it, tiles."""
 _SKIPPED = 12
 """Corners in a row that one look may leave out; the next look begins with those that are left."""
 _ROUNDS = 6
@@ -207,6 +211,32 @@ def thin_out(
     kept = as_margin(margin) + _SPARE
     thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
     return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
+
+
+def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
+    """Move the corners of a line that lie on borders of tiles to the cheaper side.
+
+    A line along a border costs what the dearer side does: there, the last bit of a coordinate would decide.
+
+    Parameters
+    ----------
+    cost, line, margin
+        As `pull_tight`.
+    """
+    moved = line.copy()
+    for i in range(1, len(line) - 1):
+        border = np.round(moved[i])
+        is_on = np.abs(moved[i] - border) < _ON_BORDER
+        if not is_on.any():
+            continue
+        least = math.inf
+        for shift in product(*((-_OFF_BORDER, _OFF_BORDER) if on else (0.0,) for on in is_on)):
+            tried = moved[i - 1 : i + 2].copy()
+            tried[1] = np.where(is_on, border + shift, tried[1])
+            spent = line_cost(cost, tried)
+            if spent < least:
+                least, moved[i] = spent, tried[1]
+    return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
 def _leave_out(tightening: Tightening, line: Floats) -> Floats:

@@ -20,7 +20,7 @@ from bumpytiles import TileWindow
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
-from driven_ways import RecordSettings, ReliefGround, Stop, driven_heights, record_way
+from driven_ways import RecordSettings, ReliefGround, Stop, record_way
 from sensed_drives import (
     GNSS,
     IMUS,
@@ -48,8 +48,7 @@ def drive(layers: Path, motion: Path, way: tuple[tuple[int, int], ...] = WAY, st
     line = np.array([bounds.west, bounds.south]) + np.array(way, float)
     low, high = np.floor(line.min(axis=0) / size).astype(int) - 3, np.ceil(line.max(axis=0) / size).astype(int) + 3
     window = TileWindow(*low.tolist(), *(high - low).tolist())
-    heights = driven_heights(site.heights(window), site.objects(window))
-    ground = ReliefGround.from_heightmap(heights, site.grid.pixel_size)
+    ground = ReliefGround.from_heightmap(site.heights(window), site.grid.pixel_size, site.objects(window))
     made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=stops))
     save_motion(replace(made.motion, place=made.motion.place + np.array([*(low * size), 0.0])), motion)
 

@@ -24,11 +24,12 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.jobs import JobJournal, Key, drive_jobs
 from bumpymap.rating import Calibration, RideModel, Vehicle, less_floor, roll_over
 from bumpymap.route import CostSettings, Planner
+from bumpymap.route.ground import CostGround
 from bumpytiles import TileWindow
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 
-from driven_ways import ReliefGround, WayDrive, drive_way, driven_heights, fill_gaps
+from driven_ways import ReliefGround, WayDrive, drive_way, fill_gaps
 
 if TYPE_CHECKING:
     from bumpymap.layers import RouteMap
@@ -107,11 +108,13 @@ class LineFigures:
     """Length in tiles without C_r."""
     obstacle_m: float
     """Length in tiles that hold an obstacle."""
+    tight_turns_deg: float = 0.0
+    """As in `bumpymap.core.RouteFigures`."""
 
     @property
     def p_arrives(self) -> float:
-        """``exp(-hazard)``."""
-        return math.exp(-self.hazard)
+        """As in `bumpymap.core.RouteFigures`; obstacles bar tiles."""
+        return math.exp(-self.hazard - self.tight_turns_deg / 100)
 
 
 def tile_cost(field: TileField) -> Floats:
@@ -685,8 +688,7 @@ def run_way(driven: DrivenMap, job: WayJob) -> WayDrive:
     low, high = job.line.min(axis=0) - _ROOM_TILES, job.line.max(axis=0) + _ROOM_TILES
     (top, left), (bottom, right) = np.floor(low).astype(int).tolist(), np.ceil(high).astype(int).tolist()
     window = TileWindow(whole.col + left, whole.row + whole.rows - bottom, right - left, bottom - top)
-    heights = driven_heights(route_map.heights(window), route_map.objects(window))
-    ground = ReliefGround.from_heightmap(heights, grid.pixel_size)
+    ground = ReliefGround.from_heightmap(route_map.heights(window), grid.pixel_size, route_map.objects(window))
     corners = np.stack([job.line[:, 1] - left, bottom - job.line[:, 0]], axis=1) * grid.tile_size
     made = drive_way(driven.profile, ground, corners, grid.tile_size, job.offset, driven.drive)
     # From tiles of the small window, counted from the south, to those of the map's arrays.
@@ -782,7 +784,10 @@ def evaluate_routes(
     lines = {(number, name): line for number, pair in enumerate(pairs) for name, line in pair.lines().items()}
     profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
     field = driven_field(field, calibration.floor)
-    predicted = {key: predict_line(field, line, c_r_raw) for key, line in lines.items()}
+    predicted = {
+        key: replace(predict_line(field, line, c_r_raw), tight_turns_deg=_tight_turns_deg(route_map, line))
+        for key, line in lines.items()
+    }
     driven = drive_pairs(route_map, profile, pairs, settings, options)
     ways = results_of(field, lines, predicted, driven)
     best, straight = ([way for way in ways if way.name == name] for name in WAYS)
@@ -803,6 +808,11 @@ def evaluate_routes(
         order=order(best, straight),
         ground=by_class(field, c_r_raw, best, calibration.class_limits),
     )
+
+
+def _tight_turns_deg(route_map: "RouteMap", line: Floats) -> float:
+    planner = RoutePlanner.of(route_map).planner
+    return CostGround(planner).tight_turns_deg(np.array([planner.at(place, route_map.window) for place in line]))
 
 
 def _raw(

@@ -20,7 +20,7 @@ from bumpytiles import TileWindow
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 
 from _route_trial import RoutePlanner, RouteTrialSettings, choose_pairs
-from driven_ways import RecordSettings, ReliefGround, Stop, driven_heights, record_way
+from driven_ways import RecordSettings, ReliefGround, Stop, record_way
 from sensed_drives import TrueDrive, read_motion, save_motion
 
 _ROOM_TILES = 3
@@ -113,8 +113,7 @@ def _heights_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGro
     low = np.floor(line.min(axis=0) / size).astype(int) - _ROOM_TILES
     high = np.ceil(line.max(axis=0) / size).astype(int) + _ROOM_TILES
     window = TileWindow(*low.tolist(), *(high - low).tolist())
-    heights = driven_heights(site.heights(window), site.objects(window))
-    return ReliefGround.from_heightmap(heights, site.grid.pixel_size), low * size
+    return ReliefGround.from_heightmap(site.heights(window), site.grid.pixel_size, site.objects(window)), low * size
 
 
 def make_drives(tasks: list[WayTask], ground: GroundAlong, layers: Path, folder: Path) -> Iterator[KeptDrive]:

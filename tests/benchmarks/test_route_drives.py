@@ -14,11 +14,10 @@ from _route_trial import (
     RoutePlanner,
     RouteTrialSettings,
     choose_pairs,
-    driven_heights,
     evaluate_routes,
     ride_without_correction,
 )
-from driven_ways import WayDrive
+from driven_ways import ReliefGround, WayDrive
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.interrupts import SilentProgress
@@ -73,9 +72,10 @@ def test_settings_out_of_range_are_refused(wrong, says):
         RouteTrialSettings(**wrong)
 
 
-def test_obstacles_are_walls_of_the_driven_ground():
-    heights = np.array([[1.0, np.nan, 1.0]])
-    assert driven_heights(heights, np.array([[0, 2, 1]], np.uint8)).tolist() == [[1.0, 1.0, 2.0]]
+def test_obstacles_are_walls_over_exactly_their_pixels():
+    ground = ReliefGround.from_heightmap(np.array([[1.0, np.nan, 1.0]]), 0.2, np.array([[0, 2, 1]], np.uint8))
+    at = np.array([0.3, 0.4, 0.41, 0.5, 0.59])
+    assert ground.height(at, np.full(5, 0.1)).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0]
 
 
 def test_ride_of_measured_heights_without_noise_is_that_of_waves(made_up, warthog):

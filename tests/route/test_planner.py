@@ -114,6 +114,26 @@ def test_a_stone_on_the_line_is_passed_beside_its_tile():
     assert 1.0 < way.measured.figures.detour < 1.05
 
 
+def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
+    site = TileMap(np.full((21, 40), 0.1))
+    stops = np.array([site.at(10.5, 2.5), site.at(10.5, 37.5)])
+    site.stones = [tuple(site.at(10.6, 20.5))]
+    plan = planner(site)
+    way = plan.way(stops)
+    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > plan.reach_m + 0.3
+    assert way.measured.figures.tight_turns_deg == 0.0
+
+
+def test_turns_between_obstacles_count_against_arriving():
+    barred = np.full((9, 20), Barred.SLOPE)
+    barred[4] = Barred.NO
+    site = TileMap(np.full((9, 20), 0.1), barred)
+    site.stones = [tuple(site.at(4.37, 10.5)), tuple(site.at(4.63, 12.5))]
+    figures = planner(site).way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])).measured.figures
+    assert 10.0 < figures.tight_turns_deg < 180.0
+    assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard - figures.tight_turns_deg / 100))
+
+
 def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_for():
     barred = np.full((9, 20), Barred.SLOPE)
     barred[4] = Barred.NO
@@ -124,7 +144,8 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     plan = planner(site, through_obstacles=True)
     figures = plan.way(stops).measured.figures
     assert figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
-    assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard) * 0.5**figures.obstacle_m)
+    expected = np.exp(-figures.hazard - figures.tight_turns_deg / 100) * 0.5**figures.obstacle_m
+    assert figures.p_arrives == pytest.approx(expected)
 
 
 def test_a_wall_between_passable_tiles_is_not_crossed_and_its_gap_is_found():

@@ -111,7 +111,8 @@ def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
     assert reach.share == 1.0
     for row, col in ((10, 21), (2, 30), (28, 39), (15, 24)):
         cost = planner.leg_cost(start, site.at(row + 0.5, col + 0.5))
-        assert reach.cost[row, col] == pytest.approx(cost, rel=0.04), (row, col)
+        # A way keeps room at the corners of the gap, for which it is up to a few percent longer.
+        assert reach.cost[row, col] == pytest.approx(cost, rel=0.06), (row, col)
         assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 2.0 / 60.0, rel=1e-4)
     assert (reach.back[:, :20] != BETWEEN_OBSTACLES).all()
     assert (reach.back[:, 21:] == BETWEEN_OBSTACLES).all()

@@ -100,6 +100,8 @@ def _normals(points: _Floats, step: float) -> _Floats:
 
 
 _OBSTACLE_M = 1.0
+_ON_BORDER = 1e-6
+"""Points this near to the border of a pixel lie on it, pixels."""
 _RINGS = 15
 """Pixels from the rim of a hole inwards."""
 _SLOPE_PIXELS = 15
@@ -144,23 +146,13 @@ def fill_gaps(heights: NDArray[np.floating]) -> _Floats:
     return np.asarray(filled[tuple(nearest)], np.float64)
 
 
-def driven_heights(heights: NDArray[np.floating], objects: NDArray[np.uint8]) -> _Floats:
-    """Return the ground to drive over: gaps filled, pixels with an obstacle raised by more than any vehicle climbs.
-
-    Parameters
-    ----------
-    heights : array (rows, cols)
-        m, NaN where no point fell.
-    objects : uint8 (rows, cols)
-        States of the pixels, as `RouteMap.objects` gives them.
-    """
-    raised: _Floats = fill_gaps(heights) + _OBSTACLE_M * (objects == OBSTACLE)
-    return raised
-
-
 @dataclass(frozen=True, slots=True)
 class ReliefGround:
-    """Heights of a window of the map, bilinear between pixel centres and constant beyond the outermost ones."""
+    """Heights of a window of the map, bilinear between pixel centres and constant beyond the outermost ones.
+
+    Pixels with an obstacle are higher by more than any vehicle climbs, over exactly their area: in bilinear ground the
+    foot of such a wall would stand half a pixel outside of it.
+    """
 
     heights: _Floats
     """(rows, cols) m, south row first, without NaN."""
@@ -168,11 +160,19 @@ class ReliefGround:
     """m."""
     gradient: tuple[float, float] = (0.0, 0.0)
     """Slope to the east and to the north where the vehicle starts, m/m."""
+    walls: NDArray[np.bool_] | None = None
+    """(rows, cols) pixels with an obstacle, south row first."""
 
     @classmethod
-    def from_heightmap(cls, heights: NDArray[np.floating], pixel_size: float) -> "ReliefGround":
-        """Make the ground of heights (rows, cols) in m, north row first; NaN are filled by `fill_gaps`."""
-        return cls(np.ascontiguousarray(fill_gaps(heights)[::-1]), pixel_size)
+    def from_heightmap(
+        cls, heights: NDArray[np.floating], pixel_size: float, objects: NDArray[np.uint8] | None = None
+    ) -> "ReliefGround":
+        """Make the ground of heights (rows, cols) in m, north row first; NaN are filled by `fill_gaps`.
+
+        ``objects`` (rows, cols) are states of the pixels, as `RouteMap.objects` gives them.
+        """
+        walls = None if objects is None else np.ascontiguousarray(objects[::-1] == OBSTACLE)
+        return cls(np.ascontiguousarray(fill_gaps(heights)[::-1]), pixel_size, walls=walls)
 
     @property
     def extent(self) -> float:
@@ -206,7 +206,19 @@ class ReliefGround:
         below = self.heights[south, west] * (1 - right) + self.heights[south, east] * right
         above = self.heights[north, west] * (1 - right) + self.heights[north, east] * right
         bilinear: _Floats = below * (1 - up) + above * up
-        return bilinear
+        return bilinear if self.walls is None else bilinear + _OBSTACLE_M * self._in_walls(easting, northing)
+
+    def _in_walls(self, easting: _Floats, northing: _Floats) -> NDArray[np.bool_]:
+        """Return which points lie in pixels with an obstacle; on a border, both sides must have one."""
+        assert self.walls is not None
+        rows, cols = self.walls.shape
+        inside = np.ones(np.broadcast(easting, northing).shape, np.bool_)
+        for side in (-_ON_BORDER, _ON_BORDER):
+            col = np.floor(easting / self.pixel_size + side).astype(np.int64).clip(0, cols - 1)
+            for other in (-_ON_BORDER, _ON_BORDER):
+                row = np.floor(northing / self.pixel_size + other).astype(np.int64).clip(0, rows - 1)
+                inside &= self.walls[row, col]
+        return inside
 
 
 def corridor_triangles(ground: ReliefGround, points: _Floats, half_width: float) -> NDArray[np.float32]:

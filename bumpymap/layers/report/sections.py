@@ -213,6 +213,7 @@ _FIGURES = (
     ("p_arrives", "chance to arrive", 2, ""),
     ("unknown_m", "on ground that is not known", 0, " m"),
     ("obstacle_m", "touching obstacles", 1, " m"),
+    ("tight_turns_deg", "turns close to what stops the vehicle", 0, "°"),
     ("climb_m", "climb", 1, " m"),
     ("descent_m", "descent", 1, " m"),
 )

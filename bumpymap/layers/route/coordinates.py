@@ -38,6 +38,7 @@ _DECIMALS = {
     "p_arrives": _SMALL,
     "p_fail_max": _SMALL,
     **dict.fromkeys(("unknown_m", "obstacle_m", "climb_m", "descent_m", "seconds"), 3),
+    "tight_turns_deg": 1,
 }
 """Properties of `RouteFigures` and how many decimals of each are written."""
 

@@ -20,7 +20,7 @@ US_FOOT = 1200 / 3937
 PROPERTIES = {
     *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),
     *("c_r_max", "c_r_max_low", "c_r_max_high", "p_arrives", "p_arrives_note", "p_fail_max", "unknown_m"),
-    *("obstacle_m", "climb_m", "descent_m", "seconds", "risk_m"),
+    *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
 }
 
 
@@ -90,7 +90,7 @@ def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
     assert set(properties) == PROPERTIES
     assert properties["c_r_mean"] is None
     assert properties["p_fail_max"] is None
-    assert properties["p_arrives"] == pytest.approx(np.exp(-0.05) * 0.5**FIGURES.obstacle_m, abs=1e-6)
+    assert properties["p_arrives"] == pytest.approx(np.exp(-0.05 - 0.125) * 0.5**FIGURES.obstacle_m, abs=1e-6)
     assert properties["detour"] == pytest.approx(261.135 / 241.868, abs=1e-6)
     assert (properties["vehicle"], properties["risk_m"], properties["climb_m"]) == ("warthog", 25.0, 4.5)
     assert "estimate" in properties["p_arrives_note"]
