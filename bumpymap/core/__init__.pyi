@@ -59,6 +59,7 @@ from .errors import (
     UsageError as UsageError,
     count_text as count_text,
     error_chain as error_chain,
+    escape_controls as escape_controls,
     join_lines as join_lines,
     missing_resource as missing_resource,
     refused_write as refused_write,
@@ -67,16 +68,22 @@ from .errors import (
 )
 from .files import (
     STAGED as STAGED,
+    Each as Each,
+    Nullable as Nullable,
+    Number as Number,
     atomic as atomic,
     move_together as move_together,
     open_regular as open_regular,
+    parse_json as parse_json,
     read_regular as read_regular,
     recorded_place as recorded_place,
     remote_files as remote_files,
     remove_empty_on_error as remove_empty_on_error,
     remove_path as remove_path,
+    shape_fault as shape_fault,
     utf8_path as utf8_path,
     without_keys as without_keys,
+    write_csv as write_csv,
     write_together as write_together,
 )
 from .interrupts import (
@@ -88,13 +95,6 @@ from .interrupts import (
     counted as counted,
     interruptible as interruptible,
     shielded as shielded,
-)
-from .json_text import (
-    Each as Each,
-    Nullable as Nullable,
-    Number as Number,
-    parse_json as parse_json,
-    shape_fault as shape_fault,
 )
 from .memory import (
     LEAST_MEMORY as LEAST_MEMORY,
@@ -186,15 +186,18 @@ from .scan_types import (
 )
 from .settings_file import (
     UNFILLED as UNFILLED,
+    brief_repr as brief_repr,
     field_rule as field_rule,
     parse_record as parse_record,
     parse_share as parse_share,
     path_fault as path_fault,
     path_of_call as path_of_call,
     read_settings_file as read_settings_file,
+    read_toml as read_toml,
     refuse_faults as refuse_faults,
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
+    short_repr as short_repr,
 )
 from .shared_kernels import (
     NO_PLANE as NO_PLANE,
@@ -202,15 +205,6 @@ from .shared_kernels import (
     best_candidate as best_candidate,
     fill_holes as fill_holes,
     squared_distances as squared_distances,
-)
-from .shown_text import (
-    escape_controls as escape_controls,
-    write_csv as write_csv,
-)
-from .toml_file import (
-    brief_repr as brief_repr,
-    read_toml as read_toml,
-    short_repr as short_repr,
 )
 from .types import (
     BANDS as BANDS,

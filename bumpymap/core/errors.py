@@ -1,10 +1,14 @@
-"""Errors that a user can cause, and text of messages: counted things, shares that add up.
+r"""Errors that a user can cause, and text that people read: counted things, shares that add up, names of strangers.
 
 Each message says what was given, what is allowed and what to do.
+
+A name of a file, a survey or a CRS may hold escape sequences that a terminal executes, line breaks that forge a
+message, and marks that change the direction of text. They are shown escaped (``\x1b``, ``\n``, ``\u202e``).
 """
 
 import errno
 import math
+import unicodedata
 from collections.abc import Collection, Iterable, Iterator, Sequence
 
 __all__ = [
@@ -15,12 +19,40 @@ __all__ = [
     "UsageError",
     "count_text",
     "error_chain",
+    "escape_controls",
     "join_lines",
     "missing_resource",
     "refused_write",
     "share_text",
     "shares_text",
 ]
+
+_SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
+"""Unicode categories: control characters, format characters (such as text direction), surrogates, line breaks."""
+
+
+def escape_controls(text: str) -> str:
+    r"""Escape characters that are not shown as they are, or that a terminal would interpret.
+
+    Parameters
+    ----------
+    text : str
+        Any text; bytes of a file name that Python could not decode (surrogate escapes) become ``\xNN``.
+
+    Returns
+    -------
+    str
+        Printable text in one line.
+    """
+    return text if text.isprintable() else "".join(map(_escaped, text))
+
+
+def _escaped(letter: str) -> str:
+    if unicodedata.category(letter) not in _SHOWN_ESCAPED:
+        return letter
+    if "\udc80" <= letter <= "\udcff":
+        return f"\\x{ord(letter) - 0xDC00:02x}"
+    return letter.encode("unicode_escape").decode("ascii")
 
 
 def count_text(count: int, one: str, many: str = "") -> str:

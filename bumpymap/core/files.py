@@ -1,37 +1,163 @@
-"""Atomic file writing: files are written under a temporary name in the target folder, synced and renamed.
+"""Files: written whole under a temporary name in the target folder; JSON of strangers, and CSV that is safe to open.
 
 Files of servers are opened by URL; fsspec is imported only if a URL is used.
+
+JSON of untrusted files is parsed with a limit on the nesting depth, and held against a declared shape.
 """
 
+import csv
 import errno
 import hashlib
+import json
 import os
 import re
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
 
-from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.errors import OutputError, UsageError, escape_controls
 
 __all__ = [
     "STAGED",
+    "Each",
+    "Nullable",
+    "Number",
     "atomic",
     "move_together",
     "open_regular",
+    "parse_json",
     "read_regular",
     "recorded_place",
     "remote_files",
     "remove_empty_on_error",
     "remove_path",
+    "shape_fault",
     "utf8_path",
     "without_keys",
+    "write_csv",
     "write_together",
 ]
+
+_DEEPEST = 50
+"""Deeper than any file that bumpymap writes."""
+
+
+def parse_json(text: str) -> Any:
+    """Parse JSON text.
+
+    Raises
+    ------
+    ValueError
+        Not JSON, or nested more than 50 deep.
+    """
+    try:
+        value = json.loads(text)
+    except RecursionError:
+        raise ValueError(f"it is nested more than {_DEEPEST} deep") from None
+    level = [value]
+    for _ in range(_DEEPEST):
+        level = [child for item in level for child in _children(item)]
+        if not level:
+            return value
+    raise ValueError(f"it is nested more than {_DEEPEST} deep")
+
+
+def _children(item: Any) -> list[Any]:
+    if isinstance(item, dict):
+        item = list(item.values())
+    return [child for child in item if isinstance(child, dict | list)] if isinstance(item, list) else []
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A finite number, or a whole one, within bounds."""
+
+    low: float = -1e300
+    high: float = 1e300
+    whole: bool = False
+
+    def __str__(self) -> str:
+        return f"a {'whole ' if self.whole else ''}number from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True, slots=True)
+class Nullable:
+    """A value of a shape, or null."""
+
+    shape: Any
+
+
+@dataclass(frozen=True, slots=True)
+class Each:
+    """An object of any names, each with a value of a shape."""
+
+    shape: Any = object
+
+
+def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
+    """Return what is wrong with a value of JSON, or an empty string.
+
+    Parameters
+    ----------
+    value
+        From `parse_json`.
+    shape
+        ``{name: shape}`` for an object, which may hold more (a name that ends in ``?`` may be missing); ``[shape]`` for
+        an array; ``(shape, shape)`` for one of so many; `Number`, `Nullable`, `Each`; else a type.
+    name : str
+        How the message calls the value.
+    """
+    if isinstance(shape, Nullable):
+        return "" if value is None else shape_fault(value, shape.shape, name)
+    if wanted := _unlike(value, shape):
+        return f"{name} is {str(value)[:40]!r}; it must be {wanted}"
+    within = "" if name == "it" else f"{name}."
+    faults = (shape_fault(entry, each, f"{within}{key}") for key, entry, each in _inner(value, shape))
+    return next(filter(None, faults), "")
+
+
+def _unlike(value: Any, shape: Any) -> str:
+    """Return what a value should be, or an empty string if it is that; what it holds is not looked at."""
+    if isinstance(shape, Number):
+        kinds = int if shape.whole else int | float
+        good = isinstance(value, kinds) and not isinstance(value, bool) and shape.low <= value <= shape.high
+        return "" if good else str(shape)
+    if isinstance(shape, dict):
+        names = [key for key in shape if not key.endswith("?")]
+        good = isinstance(value, dict) and set(names) <= set(value)
+        return "" if good else f"an object with {', '.join(names)}"
+    if isinstance(shape, tuple):
+        return "" if isinstance(value, list) and len(value) == len(shape) else f"an array of {len(shape)}"
+    kind, wanted = _KINDS[Each if isinstance(shape, Each) else list if isinstance(shape, list) else shape]
+    return "" if isinstance(value, kind) else wanted
+
+
+def _inner(value: Any, shape: Any) -> Iterator[tuple[str, Any, Any]]:
+    """Yield name, value and shape of what a value holds."""
+    if isinstance(shape, Each):
+        yield from ((key, entry, shape.shape) for key, entry in value.items())
+    elif isinstance(shape, dict):
+        named = {key.removesuffix("?"): each for key, each in shape.items()}
+        yield from ((key, value[key], each) for key, each in named.items() if key in value)
+    elif isinstance(shape, list | tuple):
+        shapes = shape if isinstance(shape, tuple) else shape * len(value)
+        yield from ((str(at), entry, each) for at, (entry, each) in enumerate(zip(value, shapes, strict=True)))
+
+
+_KINDS: dict[Any, tuple[type, str]] = {
+    Each: (dict, "an object"),
+    list: (list, "an array"),
+    str: (str, "text"),
+    bool: (bool, "true or false"),
+    object: (object, ""),
+}
+
 
 STAGED = ".bumpymap-layers-"
 """Name prefix of staging folders, from which files are moved together; one left by a killed process can be deleted."""
@@ -290,3 +416,46 @@ def recorded_place(place: Path | str) -> str:
         return text
     digest = hashlib.sha256(text.encode("utf-8", "surrogateescape")).hexdigest()
     return f"{plain}?left-out={digest[:16]}"
+
+
+_FORMULA = tuple("=+-@\uff1d\uff0b\uff0d\uff20")
+"""First characters of formulas, in both widths."""
+
+
+def write_csv(path: Path, columns: Iterable[str], rows: Iterable[Sequence[Any]], *, end: str = "\r\n") -> None:
+    """Write a table as CSV (RFC 4180, UTF-8) that a spreadsheet can open safely.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which appears only when it is complete.
+    columns : iterable of str
+    rows : iterable of sequences
+        Numbers, and text that is one, stay as they are. Other text is escaped, with an apostrophe before what would be
+        a formula. None is an empty cell.
+    end : str
+        Of a line.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with atomic(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator=end)
+        writer.writerow(columns)
+        writer.writerows([_cell(value) for value in row] for row in rows)
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if not isinstance(value, str):
+        return value
+    text = escape_controls(value)
+    if not text.lstrip().startswith(_FORMULA):
+        return text
+    with suppress(ValueError):
+        float(text)
+        return text
+    return f"'{text}"

@@ -23,8 +23,7 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.files import STAGED, atomic, read_regular, remove_path
-from bumpymap.core.json_text import Each, Number, parse_json, shape_fault
+from bumpymap.core.files import STAGED, Each, Number, atomic, parse_json, read_regular, remove_path, shape_fault
 from bumpymap.core.run_spec import differences
 
 __all__ = [

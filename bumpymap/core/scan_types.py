@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core.errors import UsageError
-from bumpymap.core.toml_file import brief_repr
+from bumpymap.core.settings_file import brief_repr
 from bumpymap.core.types import NO_CLASS
 
 __all__ = [

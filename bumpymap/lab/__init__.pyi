@@ -31,11 +31,9 @@ from .simulate.calibrate import (
     calibrate_vehicle as calibrate_vehicle,
     seconds_of_a_drive as seconds_of_a_drive,
 )
-from .simulate.checks import (
-    all_checks as all_checks,
-)
 from .simulate.jobs import (
     Journal as Journal,
+    all_checks as all_checks,
 )
 from .simulate.model import (
     require_dart as require_dart,
@@ -49,15 +47,13 @@ from .simulate.plan import (
     CalibrationSettings as CalibrationSettings,
     library_terrains as library_terrains,
 )
+from .simulate.refit import add_steps as add_steps, crossing_jobs as crossing_jobs
 from .simulate.ride_fit import (
     fit_ride as fit_ride,
     fit_thin_surveys as fit_thin_surveys,
 )
-from .simulate.steps import (
-    add_steps as add_steps,
-    crossing_jobs as crossing_jobs,
-)
 from .train.model_files import (
+    EpochReport as EpochReport,
     TrainedModel as TrainedModel,
 )
 from .train.scan_net import (
@@ -68,9 +64,6 @@ from .train.textures import (
     NetworkSettings as NetworkSettings,
     TrainSettings as TrainSettings,
     make_model as make_model,
-)
-from .train.training import (
-    EpochReport as EpochReport,
 )
 from .worlds.sample import (
     make_quarry_survey as make_quarry_survey,

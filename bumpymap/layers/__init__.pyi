@@ -27,9 +27,7 @@ from .change import (
     open_pair as open_pair,
     write_change as write_change,
 )
-from .check.folder import (
-    write_check as write_check,
-)
+from .check.folder import write_check as write_check
 from .check.record import (
     CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
     CHECK_NAMES as CHECK_NAMES,
@@ -63,6 +61,7 @@ from .folder import (
     refuse_replacing as refuse_replacing,
     verified_record as verified_record,
     write_products as write_products,
+    write_tiles as write_tiles,
 )
 from .geotiff import (
     write_barred as write_barred,
@@ -72,6 +71,7 @@ from .geotiff import (
     write_obstacles as write_obstacles,
     write_passage as write_passage,
     write_reasons as write_reasons,
+    write_relief as write_relief,
     write_roughness as write_roughness,
 )
 from .gis.project import (
@@ -88,6 +88,7 @@ from .manifest import (
     software_versions as software_versions,
     write_manifest as write_manifest,
 )
+from .map_files import RemoteFolder as RemoteFolder
 from .opened import (
     Layers as Layers,
     folder_of as folder_of,
@@ -113,18 +114,11 @@ from .regions import (
     dissolve as dissolve,
     label as label,
 )
-from .relief import (
-    write_relief as write_relief,
-)
-from .remote_folder import (
-    RemoteFolder as RemoteFolder,
-)
 from .report.words import degrees_line as degrees_line
 from .report.write import (
     write_report as write_report,
     write_reports as write_reports,
 )
-from .route.coordinates import MapSource as MapSource, route_properties as route_properties
 from .route.folder import (
     ReachLevels as ReachLevels,
     write_reach_files as write_reach_files,
@@ -132,17 +126,17 @@ from .route.folder import (
 )
 from .route.lines import (
     PROFILE_COLUMNS as PROFILE_COLUMNS,
+    MapSource as MapSource,
+    route_properties as route_properties,
     write_gpx as write_gpx,
     write_profile as write_profile,
     write_route_geojson as write_route_geojson,
 )
-from .route.names import (
+from .route.picture import (
     ROUTE_MANIFEST_NAME as ROUTE_MANIFEST_NAME,
     ROUTE_NAMES as ROUTE_NAMES,
     check_reach_out as check_reach_out,
     check_route_out as check_route_out,
-)
-from .route.picture import (
     paint_route as paint_route,
     write_route_picture as write_route_picture,
 )
@@ -232,9 +226,6 @@ from .stac.item import (
 from .summary import (
     MapSummary as MapSummary,
     summarise as summarise,
-)
-from .table import (
-    write_tiles as write_tiles,
 )
 from .vector import (
     GeoJsonCoordinates as GeoJsonCoordinates,

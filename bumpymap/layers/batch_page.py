@@ -32,8 +32,8 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.map_files import RemoteFolder, open_raster
 from bumpymap.layers.products import REPORT_NAME
-from bumpymap.layers.remote_folder import RemoteFolder, open_raster
 
 __all__ = ["SurveyRow", "SurveyStatus", "SurveyView", "index_page", "read_thumbnail"]
 

@@ -21,8 +21,8 @@ from bumpymap.core import (
 )
 from bumpymap.layers.batch_page import SurveyRow, SurveyView, index_page
 from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import RemoteFolder, open_raster
 from bumpymap.layers.products import CATALOG_NAME
-from bumpymap.layers.remote_folder import RemoteFolder, open_raster
 
 __all__ = ["BATCH_LOG", "BATCH_NAMES", "check_batch_out", "map_facts", "write_batch_summary"]
 

@@ -26,7 +26,7 @@ class ThinPatches:
     """Measures of the points of n tiles."""
 
     pairs: NDArray[np.float64]
-    """(n, 15) of `bumpymap.patches.kernels.pairs.measure_pairs`; NaN where the points span no plane."""
+    """(n, 15) of `bumpymap.patches.kernels.standing.measure_pairs`; NaN where the points span no plane."""
     relief_map: NDArray[np.float32]
     """(n, pixels, pixels) plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for
     tiles that are not thin."""

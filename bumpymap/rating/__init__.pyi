@@ -18,46 +18,38 @@ from .passable import (
     settle_objects as settle_objects,
 )
 from .ride.correction import (
-    Correction as Correction,
-    Prediction as Prediction,
-    subtract_noise as subtract_noise,
-)
-from .ride.fitting import (
     MAX_FAILED_SHARE as MAX_FAILED_SHARE,
+    Correction as Correction,
     DrivenPatches as DrivenPatches,
     NoisyPatches as NoisyPatches,
+    Prediction as Prediction,
     fit_correction as fit_correction,
-)
-from .ride.geometry import (
-    Motions as Motions,
-    Rides as Rides,
-    move_over as move_over,
-    roll_over as roll_over,
-)
-from .ride.motion import (
-    QUANTITIES as QUANTITIES,
-    MotionFit as MotionFit,
-    MotionModel as MotionModel,
-    motion_terms as motion_terms,
-    plain_terms as plain_terms,
+    subtract_noise as subtract_noise,
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
+    Motions as Motions,
+    Rides as Rides,
     felt_response as felt_response,
-)
-from .ride.noise import (
-    denoise as denoise,
+    move_over as move_over,
+    roll_over as roll_over,
 )
 from .ride.operator import (
     RideOperator as RideOperator,
 )
 from .ride.rate import (
     RideModel as RideModel,
+    denoise as denoise,
 )
 from .ride.speed import (
+    QUANTITIES as QUANTITIES,
+    MotionFit as MotionFit,
+    MotionModel as MotionModel,
     at_speed as at_speed,
     motion_felt as motion_felt,
+    motion_terms as motion_terms,
     plain_factors as plain_factors,
+    plain_terms as plain_terms,
     require_speeds as require_speeds,
 )
 from .ride.thin import (
@@ -75,14 +67,12 @@ from .ride.thin_rate import (
     is_rateable as is_rateable,
     rate_thin as rate_thin,
 )
-from .step_effect import (
+from .steps import (
     STEP_COLUMNS as STEP_COLUMNS,
+    TileSteps as TileSteps,
     apply_steps as apply_steps,
     crossing_fails as crossing_fails,
     edge_usable as edge_usable,
-)
-from .steps import (
-    TileSteps as TileSteps,
     find_steps as find_steps,
 )
 from .textures import (

@@ -16,10 +16,6 @@ from .drives.read import (
     close_log_reader as close_log_reader,
     read_drive as read_drive,
 )
-from .frames.bag import (
-    BagReader as BagReader,
-    bag_files as bag_files,
-)
 from .frames.deskew_kernels import (
     deskew as deskew,
 )
@@ -41,6 +37,8 @@ from .frames.poses import (
     read_poses as read_poses,
 )
 from .frames.raw import (
+    BagReader as BagReader,
+    bag_files as bag_files,
     points_of as points_of,
 )
 from .frames.read import (

@@ -1,10 +1,4 @@
-from ._moves import (
-    MOVES as MOVES,
-)
 from .ground import TileChoice as TileChoice, cost_of as cost_of
-from .growing import (
-    plan_way as plan_way,
-)
 from .pipeline import (
     RouteResult as RouteResult,
     find_routes as find_routes,
@@ -18,6 +12,7 @@ from .places import (
 )
 from .planner import (
     Planner as Planner,
+    plan_way as plan_way,
 )
 from .reach import (
     Reach as Reach,
@@ -25,6 +20,7 @@ from .reach import (
 from .search import (
     BETWEEN_OBSTACLES as BETWEEN_OBSTACLES,
     FROM_START as FROM_START,
+    MOVES as MOVES,
     NOT_REACHED as NOT_REACHED,
     Way as Way,
     find_way as find_way,

@@ -46,7 +46,7 @@ _CHILDREN = 4
 
 
 class MoveTables(NamedTuple):
-    """What each of k moves is, for a flattened window; see `bumpymap.route._moves`."""
+    """What each of k moves is, for a flattened window; see `bumpymap.route.search`."""
 
     step: Annotated[Integers, 1]
     """(k,) from tile to tile."""

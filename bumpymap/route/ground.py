@@ -12,7 +12,7 @@ from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, UsageError
 from bumpymap.layers import RouteMap
-from bumpymap.route._window import BYTES_PER_TILE
+from bumpymap.route.search import BYTES_PER_TILE
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import is_clear
 from bumpytiles import TileWindow

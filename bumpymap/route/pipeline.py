@@ -47,13 +47,11 @@ from bumpymap.layers import (
     write_reach_files,
     write_routes,
 )
-from bumpymap.route._moves import MOVES
-from bumpymap.route._window import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import WornTiles
 from bumpymap.route.planner import PlannedWay, Planner
 from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.search import spread
+from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES, spread
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops, place_text
 from bumpytiles import TileWindow

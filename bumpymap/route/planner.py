@@ -1,27 +1,275 @@
-"""Plan ways over a map: costs of its tiles by window, the search, and what a way costs."""
+"""Plan ways over a map: costs of its tiles by window, the search, steering past obstacles, and what a way costs.
+
+A map may be too large to hold, so a window grows until no way outside of it can be cheaper. The search reads a window
+around the straight line. It settles every tile from which the goal might be reached for less than the best way inside
+costs: what leads to the tile, plus the straight line from there at the least cost of the map. A way that leaves the
+window must leave it from a tile at its edge (as near to it as the longest move). So if no such tile has been settled,
+the way is the cheapest of the whole map; if one has, the window grows on that side.
+
+Tiles tell that a vehicle gets through, pixels where. A way is cut into sections between points at which the vehicle
+fits; each section on which it does not fit throughout is searched again on the pixels around it.
+"""
 
 import itertools
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, TileField
+from bumpymap.core import Barred, TileField, UsageError
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
-from bumpymap.route.ground import CostGround, TileChoice, WornTiles, cost_of, window_around
-from bumpymap.route.growing import plan_way
+from bumpymap.route.ground import PIXEL_MARGIN, CostGround, TileChoice, WornTiles, cost_of, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
-from bumpymap.route.passages import way_over_areas
+from bumpymap.route.passages import LEAST_SAVING_M, way_over_areas
 from bumpymap.route.places import place_in_window
+from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, find_way, seek, settle_point, tight_way
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.steering import sample_line, steer_clear
-from bumpytiles import TileWindow
+from bumpymap.route.straighten import as_cost
+from bumpytiles import Grid, TileWindow
 
-__all__ = ["PlannedWay", "Planner"]
+__all__ = ["PlannedWay", "Planner", "plan_way", "sample_line", "steer_clear"]
+
+_LEAST_PAD = 16
+"""Tiles around start and goal at least, and by which a window grows at least."""
+_PAD_SHARE = 0.125
+"""Tiles around start and goal, as a share of their distance."""
+_GROWTH = 0.25
+"""A window grows by this share of its longer side, on each side that needs it."""
+
+
+class _Box(NamedTuple):
+    """A rectangle of tiles of the map, in rows from its north and columns from its west; half-open."""
+
+    top: int
+    left: int
+    bottom: int
+    right: int
+
+    @property
+    def tiles(self) -> int:
+        return (self.bottom - self.top) * (self.right - self.left)
+
+    def grown(self, pads: "tuple[int, int, int, int]", extent: TileWindow) -> "_Box":
+        """Grow by so many tiles at the top, left, bottom and right, within the map."""
+        up, left, down, right = pads
+        return _Box(
+            max(self.top - up, 0),
+            max(self.left - left, 0),
+            min(self.bottom + down, extent.rows),
+            min(self.right + right, extent.cols),
+        )
+
+    def window(self, extent: TileWindow) -> TileWindow:
+        """Return the box as a window of the grid."""
+        row = extent.row + extent.rows - self.bottom
+        return TileWindow(extent.col + self.left, row, self.right - self.left, self.bottom - self.top)
+
+
+def plan_way(
+    load: Callable[[TileWindow], NDArray[np.floating]],
+    extent: TileWindow,
+    start: Point,
+    goal: Point,
+    *,
+    margin: float = 0.0,
+    memory_tiles: int,
+    least: float = 1.0,
+) -> Way | None:
+    """Find the cheapest way over a map of which only a window is read.
+
+    Parameters
+    ----------
+    load : callable
+        Gives the costs (rows, cols), north row first, of a window within the extent; see `find_way`.
+    extent : TileWindow
+        The whole map.
+    start, goal : (float, float)
+        Field coordinates of the extent: tiles from its north edge southwards, from its west edge eastwards.
+    margin : float
+        Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
+    memory_tiles : int
+        Tiles that a window may have at most.
+    least : float
+        No tile of the map costs less; at least 1. The nearer to the truth, the smaller the window that proves a way.
+
+    Returns
+    -------
+    Way or None
+        In field coordinates of the extent; its ``graph_cost`` is that of a search over the whole map. None if there is
+        no way, or start or goal lie in a closed tile or outside the extent.
+
+    Raises
+    ------
+    UsageError
+        The window would need more tiles than ``memory_tiles``.
+    ValueError
+        As `find_way`.
+    """
+    if not least >= 1.0:
+        raise ValueError(f"least is {least}; it must be at least 1")
+    start, goal = settle_point(start), settle_point(goal)
+    if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
+        return None
+    box = _first_box(start, goal, extent, memory_tiles)
+    while True:
+        window = box.window(extent)
+        cost = as_cost(load(window))
+        if cost.shape != (window.rows, window.cols):
+            raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
+        corner = (box.top, box.left)
+        found = seek(cost, _shift(start, corner), _shift(goal, corner), margin, least)
+        sides = _open_sides(found, box, extent)
+        if not any(sides):
+            break
+        box = _grow(box, sides, extent, memory_tiles)
+    if found.line is None:
+        return None
+    way = tight_way(found, margin)
+    return Way(way.line + np.array(corner, np.float64), way.cost, way.graph_cost)
+
+
+def _shift(point: Point, corner: tuple[int, int]) -> Point:
+    """Turn field coordinates of the map into those of a window."""
+    return point[0] - corner[0], point[1] - corner[1]
+
+
+def _open_sides(found: Found, box: _Box, extent: TileWindow) -> list[bool]:
+    """Say at which sides (top, left, bottom, right) a cheaper way might leave the window."""
+    settled = found.settled
+    goes_on = box.top > 0, box.left > 0, box.bottom < extent.rows, box.right < extent.cols
+    edges = settled[:REACH], settled[:, :REACH], settled[-REACH:], settled[:, -REACH:]
+    return [beyond and bool(edge.any()) for beyond, edge in zip(goes_on, edges, strict=True)]
+
+
+def _first_box(start: Point, goal: Point, extent: TileWindow, memory_tiles: int) -> _Box:
+    """Return the box of the straight line with as much around it as memory allows."""
+    rows, cols = sorted((int(start[0]), int(goal[0]))), sorted((int(start[1]), int(goal[1])))
+    line = _Box(rows[0], cols[0], rows[1] + 1, cols[1] + 1)
+    pad = max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(start, goal)))
+    return _fitting(line, [True] * 4, pad, extent, memory_tiles)
+
+
+def _grow(box: _Box, sides: list[bool], extent: TileWindow, memory_tiles: int) -> _Box:
+    """Grow a box on some sides."""
+    pad = max(_LEAST_PAD, int(_GROWTH * max(box.bottom - box.top, box.right - box.left)))
+    return _fitting(box, sides, pad, extent, memory_tiles)
+
+
+def _fitting(box: _Box, sides: list[bool], pad: int, extent: TileWindow, memory_tiles: int) -> _Box:
+    """Grow a box by ``pad`` tiles on some sides, by fewer where memory does not allow them."""
+    while True:
+        up, left, down, right = (pad if side else 0 for side in sides)
+        grown = box.grown((up, left, down, right), extent)
+        if grown.tiles <= memory_tiles:
+            return grown
+        if pad <= _LEAST_PAD:
+            break
+        pad = max(pad // 2, _LEAST_PAD)
+    raise UsageError(
+        f"the search for this way needs a window of {grown.tiles} tiles or more, "
+        f"{grown.tiles * BYTES_PER_TILE / 1e9:.2f} GB of memory; allowed are {memory_tiles} tiles, "
+        f"{memory_tiles * BYTES_PER_TILE / 1e9:.2f} GB. Allow more memory, or set via points that cut the way into "
+        "shorter ones"
+    )
+
 
 Floats = NDArray[np.float64]
+
+_SECTION_TILES = 24
+"""Usual length of a section."""
+_LONGEST_TILES = 96
+"""A longer section is not searched."""
+_AROUND_TILES = 5
+"""How far beside a section a way round obstacles is searched."""
+_STEP = 0.5
+"""Distance of the points of a line that are examined, in pixels."""
+
+
+def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
+    """Return a line near a given one on which the vehicle fits throughout; None if there is none.
+
+    Parameters
+    ----------
+    ground : CostGround
+        The map, with costs.
+    line : array (m, 2)
+        Easting and northing of the corners, m.
+
+    Returns
+    -------
+    array (k, 2) or None
+        Between the same ends.
+    """
+    grid = ground.site.grid
+    points, step = sample_line(line, grid)
+    if step == 0.0:
+        return line
+    cuts = _cuts(ground.clear_at(points), _SECTION_TILES * grid.tile_size / step, len(points))
+    parts = [line[:1]]
+    for first, last in pairwise(cuts):
+        part = _between(line, points, first, last, step)
+        if not ground.is_clear(part, with_room=True):
+            too_long = (last - first) * step > _LONGEST_TILES * grid.tile_size
+            steered = None if too_long else _search(ground, part)
+            if steered is None and not ground.is_clear(part):
+                return None
+            part = part if steered is None else steered
+        parts.append(part[1:])
+    return np.concatenate(parts)
+
+
+def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
+    """Return points in the middle of even parts of a line, half a pixel apart, and the length of a part, m."""
+    parts = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(parts)])
+    count = max(1, int(np.ceil(along[-1] / (_STEP * grid.pixel_size))))
+    moving = np.concatenate([[True], parts > 0])
+    distance = (np.arange(count) + 0.5) * (along[-1] / count)
+    points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
+    return points, float(along[-1] / count)
+
+
+def _cuts(is_clear: NDArray[np.bool_], apart: float, count: int) -> list[int]:
+    """Return the numbers of points at which a line is cut: the ends, and clear points about so many apart."""
+    cuts, clear = [0], np.flatnonzero(is_clear)
+    while count - 1 - cuts[-1] > 1.5 * apart:
+        wanted = cuts[-1] + apart
+        ahead = clear[clear > cuts[-1] + 0.5 * apart]
+        if not len(ahead):
+            break
+        cut = int(ahead[np.abs(ahead - wanted).argmin()])
+        if cut >= count - 1:
+            break
+        cuts.append(cut)
+    return [*cuts, count - 1]
+
+
+def _between(line: Floats, points: Floats, first: int, last: int, step: float) -> Floats:
+    """Return the part of a line between two of its points; the ends of the line are points 0 and the last."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+    start, stop = (0.0 if first == 0 else first * step), (along[-1] if last == len(points) - 1 else last * step)
+    inner = line[(along > start) & (along < stop)]
+    ends = [line[0] if first == 0 else points[first], line[-1] if last == len(points) - 1 else points[last]]
+    return np.concatenate([ends[:1], inner, ends[1:]])
+
+
+def _search(ground: CostGround, part: Floats) -> Floats | None:
+    """Search a section on pixels; None if there is no way."""
+    window = window_around(ground.site, part, _AROUND_TILES)
+    start, goal = ((float(row), float(col)) for row, col in ground.in_window(part[[0, -1]], window))
+    saving = LEAST_SAVING_M / ground.site.grid.pixel_size
+    found = find_way(ground.with_room(ground.on_pixels(window)), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
+    if found is None:
+        return None
+    line = ground.on_grid(found.line, window)
+    line[0], line[-1] = part[0], part[-1]
+    return line
+
 
 _ROOM_M = 0.1
 """Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""

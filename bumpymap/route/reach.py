@@ -2,20 +2,58 @@
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
-from bumpymap.route._moves import MOVES
-from bumpymap.route._reach_kernels import add_up_lengths
 from bumpymap.route.ground import CostGround
 from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas
 from bumpymap.route.planner import Planner
-from bumpymap.route.search import BETWEEN_OBSTACLES, spread
-from bumpytiles import TileWindow
+from bumpymap.route.search import BETWEEN_OBSTACLES, MOVES, spread
+from bumpytiles import TileWindow, kernel
 
-__all__ = ["Reach", "find_reach", "window_within"]
+__all__ = ["Reach", "add_up_lengths", "find_reach", "window_within"]
+
+
+@kernel
+def add_up_lengths(
+    back: Annotated[NDArray[np.uint8], 2],
+    moves: Annotated[NDArray[np.int64], 2],
+    row: float,
+    col: float,
+    out: Annotated[NDArray[np.float64], 2],
+) -> None:
+    """Fill the length of the way to each tile, tiles; 0 where there is none.
+
+    Every tile knows the one before it. A way is followed back to a tile whose length is known, and then once more, to
+    set what lies between: each tile is visited twice at most, and nothing else has to be held.
+
+    ``back`` is that of `bumpymap.route.search.spread` from the field coordinates (``row``, ``col``); ``out`` comes
+    filled with NaN.
+    """
+    for i in range(back.shape[0]):
+        for j in range(back.shape[1]):
+            r, c, total = i, j, 0.0
+            while math.isnan(out[r, c]):
+                k = back[r, c]
+                if k >= moves.shape[0]:
+                    straight = math.sqrt((r + 0.5 - row) ** 2 + (c + 0.5 - col) ** 2)
+                    out[r, c] = straight if k < 255 else 0.0
+                    break
+                total += math.sqrt(float(moves[k, 0] * moves[k, 0] + moves[k, 1] * moves[k, 1]))
+                r -= moves[k, 0]
+                c -= moves[k, 1]
+            total += out[r, c]
+            r, c = i, j
+            while math.isnan(out[r, c]):
+                k = back[r, c]
+                out[r, c] = total
+                total -= math.sqrt(float(moves[k, 0] * moves[k, 0] + moves[k, 1] * moves[k, 1]))
+                r -= moves[k, 0]
+                c -= moves[k, 1]
+
 
 _IN_PART = (Barred.OBSTACLE, Barred.SPLIT, Barred.UNKNOWN)
 """Tiles that are closed as a whole, but in which the vehicle may fit."""

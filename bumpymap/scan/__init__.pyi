@@ -17,16 +17,13 @@ from .learned import (
     classify_learned as classify_learned,
     network_input as network_input,
 )
-from .methods import classify_paper as classify_paper, paper_settings as paper_settings
+from .methods import SectorRater as SectorRater, classify_paper as classify_paper, paper_settings as paper_settings
 from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
 )
 from .polar import (
     polar_sectors as polar_sectors,
-)
-from .ride import (
-    SectorRater as SectorRater,
 )
 from .stripes import (
     StripeFilter as StripeFilter,

@@ -22,7 +22,7 @@ from bumpymap.core import Barred, Georeference, MapConfig, SilentProgress, rated
 from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.lab.simulate.plan import CalibrationSettings
-from bumpymap.lab.simulate.steps import WallGround, cross
+from bumpymap.lab.simulate.refit import WallGround, cross
 from bumpymap.rating import Vehicle, crossing_fails
 from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating

@@ -22,7 +22,7 @@ from driven_ways import ReliefGround, WayDrive
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.survey_trial import TrialOptions
-from bumpymap.lab.simulate.checks import sine_c_r
+from bumpymap.lab.simulate.jobs import sine_c_r
 from bumpymap.rating import RideModel
 from bumpymap.rating.vehicle_profile import load_profile
 

@@ -8,9 +8,9 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, ride_fit, steps
-from bumpymap.lab.simulate.checks import SimulatorCheck
+from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, refit, ride_fit
 from bumpymap.lab.simulate.drive import PatchDrives
+from bumpymap.lab.simulate.jobs import SimulatorCheck
 from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration
@@ -39,7 +39,7 @@ def fake_drives(monkeypatch):
         )
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
-    monkeypatch.setattr(steps, "add_steps", lambda made, *_, **__: replace(made, steps={"seed": made.settings["seed"]}))
+    monkeypatch.setattr(refit, "add_steps", lambda made, *_, **__: replace(made, steps={"seed": made.settings["seed"]}))
     monkeypatch.setattr(motion_fit, "add_motion", lambda made, *_, effort, **__: replace(made, motion=asdict(effort)))
     monkeypatch.setattr(ride_fit, "fit_ride", lambda _profile, _terrains, driven: {"terrains": len(driven)})
     monkeypatch.setattr(ride_fit, "fit_thin_surveys", lambda _profile, terrains, _ride, _limit: {"n": len(terrains)})

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.json_text import Each, Nullable, Number, parse_json, shape_fault
+from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
 from bumpymap.core.run_folder import RunFolder, work_folder
 from bumpymap.lab.simulate.jobs import Journal
 from bumpymap.scan import load_stripes

@@ -42,4 +42,4 @@ def test_every_table_is_written_so():
     for file in HOUSE.rglob("*.py"):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Attribute) and ast.unparse(node) in {"csv.writer", "csv.DictWriter"}:
-                assert file.name == "shown_text.py", file
+                assert file.match("core/files.py"), file

@@ -146,7 +146,7 @@ def _vectors(folder):
     from route_maps import bare_map
 
     from bumpymap.layers import read_areas, read_points
-    from bumpymap.layers.export.plan import read_route_line
+    from bumpymap.layers.export.write import read_route_line
 
     site = bare_map()
 

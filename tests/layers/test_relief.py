@@ -9,7 +9,7 @@ from cost_maps import make_field, make_map, part_of
 from rio_cogeo import cog_validate
 
 from bumpymap.core.types import CostTable
-from bumpymap.layers import geotiff, relief, write_relief
+from bumpymap.layers import geotiff, write_relief
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 TEXT = "holes are filled; measure on heightmap.tif"
@@ -91,7 +91,7 @@ def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
     cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
     written(cost_map, tmp_path / "whole.tif")
     monkeypatch.setattr(geotiff, "_WINDOW_PIXELS", 1)  # one block of tiles
-    monkeypatch.setattr(relief, "_READ_TILES", 1)
+    monkeypatch.setattr(geotiff, "_READ_TILES", 1)
     order = np.random.default_rng(2).permutation(len(cost_map.class_id))
     written(part_of(cost_map, order), tmp_path / "windows.tif")
     assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()

@@ -4,10 +4,8 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
-from bumpymap.patches.kernels.heightmap import pixel_index
-from bumpymap.patches.kernels.lanes import LANES
-from bumpymap.patches.kernels.plane import SUMS, fit_plane
-from bumpymap.patches.kernels.strays import stray_bounds
+from bumpymap.patches.kernels.heightmap import LANES, pixel_index
+from bumpymap.patches.kernels.measure import SUMS, fit_plane, stray_bounds
 from bumpytiles import Grid
 from bumpytiles.native import jitted
 

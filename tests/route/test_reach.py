@@ -9,10 +9,9 @@ from tile_maps import TileMap
 
 from bumpymap.core import Barred, UsageError
 from bumpymap.route import follow_back
-from bumpymap.route._window import BYTES_PER_TILE
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BETWEEN_OBSTACLES, NOT_REACHED
+from bumpymap.route.search import BETWEEN_OBSTACLES, BYTES_PER_TILE, NOT_REACHED
 from bumpymap.route.settings import CostSettings
 
 

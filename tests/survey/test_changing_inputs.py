@@ -19,8 +19,7 @@ from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import pipeline as scan_pipeline
 from bumpymap.scan.frames import FrameReader
-from bumpymap.survey.engine.collector import ResultCollector
-from bumpymap.survey.engine.results import ReadResult
+from bumpymap.survey.engine.collector import ReadResult, ResultCollector
 
 pytestmark = pytest.mark.slow
 

@@ -86,7 +86,7 @@ def test_zero_and_minus_zero_are_one_place():
 
 def test_points_with_one_hash_are_still_put_in_one_order(monkeypatch):
     monkeypatch.setattr("bumpytiles._sort_kernels.hash_point", lambda *_: np.uint64(0))
-    monkeypatch.setattr("bumpytiles.split.sort_tiles", sort_tiles.plain)
+    monkeypatch.setattr("bumpytiles.grouping.sort_tiles", sort_tiles.plain)
     columns = tuple(column[:300] for column in survey(6, n=250, span=8.0, duplicates=50))
     expected = flatten(gather(columns, np.arange(300), []))
     assert flatten(gather(columns, np.arange(300)[::-1], [50])) == expected

@@ -20,15 +20,19 @@ from .grid import (
 )
 from .grouping import (
     GroupedPoints as GroupedPoints,
+    TilePoints as TilePoints,
     group_points as group_points,
     group_scaled_points as group_scaled_points,
+    join_tiles as join_tiles,
 )
 from .native import (
+    blocked_signals as blocked_signals,
     compile_packages as compile_packages,
     compiling_reports as compiling_reports,
     helper as helper,
     kernel as kernel,
     order_free as order_free,
+    start_python as start_python,
 )
 from .pack import (
     BlockKey as BlockKey,
@@ -37,10 +41,6 @@ from .pack import (
     Pack as Pack,
     PackError as PackError,
     PackWriter as PackWriter,
-)
-from .processes import (
-    blocked_signals as blocked_signals,
-    start_python as start_python,
 )
 from .run import (
     run_blocks as run_blocks,
@@ -51,10 +51,6 @@ from .scaling import (
     Scaling as Scaling,
     coordinate as coordinate,
     coordinates as coordinates,
-)
-from .split import (
-    TilePoints as TilePoints,
-    join_tiles as join_tiles,
 )
 from .tile_table import (
     TileTable as TileTable,

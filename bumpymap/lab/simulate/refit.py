@@ -3,18 +3,235 @@
 The files are the shipped calibrations if none is named. The terrain library follows from the seed in the file, and the
 file holds its drives: ride model and model of thin surveys are fitted to them, and tiles with steps are rated anew.
 Class limits and tables stay.
+
+*Crossings* lead once over one vertical wall between two levels, up or down, at an angle: the probability of failing
+there. *Tiles* have a step across them, well inside, and are rated by the ride model of the calibration, which was
+fitted to drives over such and other ground: their C_r and p_fail. A tile is bilinear between its pixels, which makes a
+wall a ramp of 0.2 m; a crossing is not, so it shows which kerbs a wheel does not climb.
+
+The heights are multiples of the wheel radius. Results depend only on the calibration and the seed.
 """
 
+import math
 import sys
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from bumpymap.core import UsageError, atomic
-from bumpymap.lab.simulate.plan import read_library
+from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
+from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
+from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
-from bumpymap.lab.simulate.steps import rate_steps
-from bumpymap.rating import Calibration, Vehicle
+from bumpymap.lab.simulate.terrain import fit_plane
+from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
+
+__all__ = ["add_steps", "crossing_jobs", "rate_steps"]
+
+_HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
+"""Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""
+_TILE_HEIGHTS = (*_HEIGHTS, 1.4, 2.0)
+"""Heights of the steps of tiles."""
+_WHEEL_M = 0.3
+_TILE_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
+"""Directions of the steps of tiles."""
+_TILE_OFFSETS = (-0.1, 0.0, 0.1)
+"""Distances of the steps from the middle, in sides of the tile."""
+_FAIL_QUANTILE = 0.8
+"""p_fail of a tile is this quantile over places and directions: rather too careful than not enough."""
+_ANGLES_DEG = (0.0, 20.0, 40.0)
+"""Between the way and the normal of the wall. At a larger one, a small vehicle slides along the wall and gets as far as
+if it had crossed it."""
+_STREAM = 101
+"""Number of the random stream of these drives; no texture and no kind of terrain has this index."""
+_SUPERSAMPLE = 8
+
+
+@dataclass(frozen=True, slots=True)
+class WallGround:
+    """Two levels with a wall along the line easting = 0: the eastern level is higher by ``rise``.
+
+    With a ``width``, a second wall leads back: a ditch or a ridge.
+    """
+
+    rise: float
+    """m; negative if the eastern level is lower."""
+    spacing: float
+    """The wall is a ramp of this width, m."""
+    width: float = math.inf
+    """Between both walls, from the middle of the one to that of the other, m."""
+    extent: float = 1.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+
+    def height(self, easting: NDArray[np.float64], northing: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Heights of points, m."""
+        share = np.clip(easting / self.spacing, 0.0, 1.0) - np.clip((easting - self.width) / self.spacing, 0.0, 1.0)
+        return np.broadcast_to(self.rise * share, np.broadcast_shapes(easting.shape, northing.shape)).copy()
+
+
+@dataclass(frozen=True, slots=True)
+class CrossingJob:
+    """Crossings of one wall at one angle in one direction."""
+
+    height: float
+    """m."""
+    angle: int
+    """Number of the angle."""
+    up: bool
+    starts: int = 1
+
+    @property
+    def key(self) -> Key:
+        """Name of the job in a journal."""
+        return ("crossing", repr(self.height), self.angle, int(self.up))
+
+
+def crossing_jobs(profile: Vehicle) -> list[CrossingJob]:
+    """Return all crossings of a vehicle: by height, angle and direction."""
+    return [
+        CrossingJob(height, angle, up)
+        for height in _heights(profile, _HEIGHTS)
+        for angle in range(len(_ANGLES_DEG))
+        for up in (True, False)
+    ]
+
+
+def run_crossing(settings: CalibrationSettings, job: CrossingJob) -> PatchDrives:
+    """Drive once over a wall; the start has its own random stream, derived from the seed and the job."""
+    number = _heights(settings.profile, _HEIGHTS).index(job.height)
+    stream = (_STREAM, number, job.angle, int(job.up))
+    rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
+    ground = WallGround(job.height if job.up else -job.height, settings.profile.wheel.radius_m / 6)
+    made = cross(settings, ground, math.radians(_ANGLES_DEG[job.angle]), rng.random(2))
+    return PatchDrives((made.outcome,), (made.c_r if made.outcome == "completed" else None,))
+
+
+def add_steps(
+    calibration: Calibration,
+    progress: Progress | None = None,
+    *,
+    workers: int = 1,
+    journal: Journal | None = None,
+    discard_other: bool = False,
+) -> Calibration:
+    """Return a calibration with ``steps`` added or made again, for its own vehicle, seed and tiles.
+
+    Crossings that are in the journal are not driven again; see `drive_jobs`.
+
+    Raises
+    ------
+    UsageError
+        The calibration holds no ride model.
+    """
+    settings = calibrated_settings(calibration)
+    tiles = _rated_tiles(calibration, settings)
+    driven = drive_jobs(
+        partial(run_crossing, settings),
+        crossing_jobs(settings.profile),
+        progress,
+        workers=workers,
+        journal=journal,
+        discard_other=discard_other,
+    )
+    record = {"tile": tiles, "crossing": _crossings(settings.profile, driven), "seed": settings.seed}
+    return replace(calibration, steps=record)
+
+
+def rate_steps(calibration: Calibration) -> Calibration:
+    """Return a calibration whose ``steps``, if it has them, hold what its ride model predicts; crossings stay."""
+    if calibration.steps is None:
+        return calibration
+    tiles = _rated_tiles(calibration, calibrated_settings(calibration))
+    return replace(calibration, steps=calibration.steps | {"tile": tiles})
+
+
+def _crossings(profile: Vehicle, driven: Mapping[Key, PatchDrives]) -> dict[str, Any]:
+    """Return the shares of failed crossings as plain JSON: a row for each height, a column for each angle."""
+    heights = _heights(profile, _HEIGHTS)
+    shares = [
+        [[driven[CrossingJob(height, angle, up).key].failed for angle in range(len(_ANGLES_DEG))] for height in heights]
+        for up in (True, False)
+    ]
+    return {"height": list(heights), "angle_deg": list(_ANGLES_DEG), "fail_up": shares[0], "fail_down": shares[1]}
+
+
+def _rated_tiles(calibration: Calibration, settings: CalibrationSettings) -> dict[str, list[float]]:
+    """Return C_r [rad/m], the deviation of its logarithm, and p_fail of tiles with steps, as plain JSON."""
+    model = RideModel(calibration)
+    heights = _heights(settings.profile, _TILE_HEIGHTS)
+    places = [(turn, offset) for turn in _TILE_TURNS_DEG for offset in _TILE_OFFSETS]
+    unit = np.stack([step_tile(turn, offset, calibration.pixels) for turn, offset in places])
+    rows = []
+    per_metre = calibration.pixels / calibration.tile_size
+    for height in heights:
+        tiles = height * unit
+        planes = [fit_plane(tile) for tile in tiles]
+        relief = np.stack([tile - plane for tile, (plane, _) in zip(tiles, planes, strict=True)])
+        slope = np.degrees(np.arctan([math.hypot(*gradient) * per_metre for _, gradient in planes]))
+        rides = roll_over(relief.astype(np.float32), model.operator)
+        found = model.correction.predict(rides, slope, np.zeros(len(tiles)), np.full(len(tiles), 10.0))
+        logs = found.log_c_r
+        rows.append(
+            (float(np.exp(logs).mean()), float(np.std(logs, ddof=1)), float(np.quantile(found.p_fail, _FAIL_QUANTILE)))
+        )
+    c_r, sd, p_fail = ([_rounded(value) for value in column] for column in zip(*rows, strict=True))
+    return {"height": list(heights), "c_r": c_r, "c_r_log_sd": sd, "p_fail": p_fail}
+
+
+def step_tile(turn_deg: float, offset: float, pixels: int) -> NDArray[np.float64]:
+    """Return a tile (pixels, pixels) with a step of height 1; a pixel that it crosses has the mean of both levels."""
+    fine = pixels * _SUPERSAMPLE
+    axis = (np.arange(fine) + 0.5) / fine - 0.5
+    turn = math.radians(turn_deg)
+    beyond = axis[None, :] * math.cos(turn) - axis[:, None] * math.sin(turn) > offset
+    shape = (pixels, _SUPERSAMPLE, pixels, _SUPERSAMPLE)
+    return np.asarray(beyond.reshape(shape).mean(axis=(1, 3)), np.float64)
+
+
+def _heights(profile: Vehicle, heights: tuple[float, ...]) -> tuple[float, ...]:
+    scale = profile.wheel.radius_m / _WHEEL_M
+    return tuple(float(f"{height * scale:.3g}") for height in heights)
+
+
+def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift: NDArray[np.float64]) -> Drive:
+    """Drive once over a wall, or over two of them.
+
+    The measured way begins with the nose in front of the wall. A vehicle whose rear wheels have not passed the last
+    wall at its end is stuck.
+
+    Parameters
+    ----------
+    settings : CalibrationSettings
+    ground : WallGround
+    angle : float
+        Between the way and the normal of the wall, rad.
+    shift : array (2,)
+        0 to 1: moves the start along the way and along the wall.
+    """
+    profile, drive = settings.profile, settings.drive
+    before, along = shift.tolist()
+    # Along the way, from the first part of the vehicle that meets the wall to the last that leaves it.
+    half = profile.length_m / 2 + profile.width_m / 2 * math.tan(angle)
+    spare = profile.length_m / math.cos(angle)
+    between = 0.0 if math.isinf(ground.width) else ground.width / math.cos(angle)
+    total = 2 * half + 2 * spare + between
+    quiet = profile.speed_mps * (drive.ramp_s / 2 + drive.cruise_s)
+    back = quiet + half + spare * (0.25 + 0.25 * before)
+    start = Start(-back * math.cos(angle), along * ground.spacing - back * math.sin(angle), angle)
+    passed = (2 * half + spare * 0.75 + between) / total
+    return drive_from(
+        profile, ground, start, 0, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed)
+    )
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.6g}")
 
 
 def refit(calibration: Calibration) -> Calibration:

@@ -14,9 +14,13 @@ from torch import nn
 
 from bumpymap.core import CLASSES, PolarSettings, UsageError
 from bumpymap.lab.train.model_files import (
+    EpochData,
+    EpochReport,
+    LoopSettings,
     OnnxGraph,
     Score,
     TrainedModel,
+    Training,
     count_answers,
     model_files,
     model_metadata,
@@ -35,7 +39,6 @@ from bumpymap.lab.train.scan_sectors import (
     simulated_sectors,
 )
 from bumpymap.lab.train.textures import predict
-from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Training
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
 

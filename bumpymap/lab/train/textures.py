@@ -17,9 +17,13 @@ from torch import nn
 
 from bumpymap.core import TEXTURES, UsageError
 from bumpymap.lab.train.model_files import (
+    EpochData,
+    EpochReport,
+    LoopSettings,
     OnnxGraph,
     Score,
     TrainedModel,
+    Training,
     count_answers,
     model_files,
     model_metadata,
@@ -40,7 +44,6 @@ from bumpymap.lab.train.texture_data import (
     unseen_patches,
     unseen_short_waves,
 )
-from bumpymap.lab.train.training import EpochData, EpochReport, LoopSettings, Training
 from bumpymap.rating import FEATURE_VERSION
 
 __all__ = ["NetworkSettings", "TrainSettings", "make_model", "predict"]

@@ -25,7 +25,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, plain_manifest
 from bumpymap.layers.products import refuse_present, require_folder
-from bumpymap.layers.route.names import OTHER_FILES
+from bumpymap.layers.route.picture import OTHER_FILES
 
 __all__ = [
     "CHECK_FORMAT",

@@ -23,7 +23,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route.coordinates import MapSource, RouteCoordinates
+from bumpymap.layers.route.lines import MapSource, RouteCoordinates
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
 from bumpytiles import Grid, TileWindow
 

@@ -19,8 +19,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from bumpymap.core import BadInputError
-from bumpymap.layers.export.area import FRAME, ExportArea, write_file
-from bumpymap.layers.export.cost import passable_cost
+from bumpymap.layers.export.area import FRAME, ExportArea, passable_cost, write_file
 
 __all__ = [
     "SQUARES",

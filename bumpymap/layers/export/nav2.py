@@ -14,17 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
-from bumpymap.layers.export.area import FRAME, ExportArea, write_file
-from bumpymap.layers.export.cost import (
+from bumpymap.layers.export.area import (
     DEAREST,
+    FRAME,
     LETHAL,
     UNKNOWN_CELL,
     CostScale,
+    ExportArea,
     cost_values,
     keepout_values,
     lay_objects,
     passable_cost,
     speed_values,
+    write_file,
 )
 
 __all__ = ["Nav2Grids", "make_grids", "params_text", "travel_multiplier", "write_nav2"]

@@ -1,4 +1,4 @@
-"""Export a map: choose the area, make everything in memory, write it at once."""
+"""Export a map, or a route as a mission for QGroundControl: make everything in memory, write it at once."""
 
 import os
 from collections.abc import Callable
@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageError
+from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageError, parse_json, read_regular
 from bumpymap.layers.export.area import (
     DATUM_NAME,
     EXPORT_FILES,
@@ -18,16 +19,181 @@ from bumpymap.layers.export.area import (
     choose_area,
     export_folder,
     write_json,
+    write_pixel_cost,
 )
-from bumpymap.layers.export.cost import write_pixel_cost
 from bumpymap.layers.export.graph import SQUARES, make_graph, write_graph
 from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
-from bumpymap.layers.export.plan import make_mission, read_route_line, write_plan
 from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap
+from bumpytiles import TileWindow
 
-__all__ = ["Export", "ExportSettings", "export_map"]
+__all__ = ["Export", "ExportSettings", "Mission", "export_map", "make_mission", "read_route_line", "write_plan"]
+
+_WAYPOINT = 16
+"""MAV_CMD_NAV_WAYPOINT."""
+_RELATIVE = 3
+"""MAV_FRAME_GLOBAL_RELATIVE_ALT: heights above the home position. Rovers stay on the ground whatever it is."""
+_ARDUPILOT, _ROVER = 3, 10
+"""MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
+_MOST_WAYPOINTS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Waypoints on the ground."""
+
+    longitude: NDArray[np.float64]
+    """(n,) degrees, WGS 84."""
+    latitude: NDArray[np.float64]
+    """(n,) degrees."""
+    home_z: float
+    """Height of the ground at the first waypoint, m; 0 if unknown."""
+    speed_mps: float
+    obstacle_m: float = 0.0
+    """Length on which the vehicle touches obstacles, m."""
+
+
+def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:
+    """Read the first line of a route file.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``.
+    through_obstacles : bool
+        Read a route that touches obstacles (its property ``obstacle_m``) too.
+
+    Returns
+    -------
+    line : float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+    obstacle_m : float
+        Length on which it touches obstacles, m.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, or holds no such line, or one that touches obstacles.
+    """
+    try:
+        record = parse_json(read_regular(path).decode())
+        line, about = _first_line(record)
+        corners = np.array(line, np.float64)[:, :2]
+        touched = float((about or {}).get("obstacle_m") or 0.0)
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise BadInputError(
+            f"cannot read a route from {path}: {error}. Give a GeoJSON file with a line, such as the route.geojson "
+            "that `bumpymap route` writes"
+        ) from error
+    if touched > 0.0 and not through_obstacles:
+        raise BadInputError(
+            f"the route in {path} touches obstacles on {touched:.1f} m. Plan one that does not, or pass "
+            "`through_obstacles=True` here too"
+        )
+    longitude, latitude = corners.T
+    if len(corners) < 2 or not (np.abs(longitude) <= 180.0).all() or not (np.abs(latitude) <= 90.0).all():
+        raise BadInputError(f"the line in {path} is not one of two or more points in longitude and latitude (degrees)")
+    return corners, touched
+
+
+def _first_line(record: Any) -> tuple[list[Any], Any]:
+    """Return the positions of the first line of a GeoJSON object, parts one after the other, and its properties."""
+    if not isinstance(record, dict) or "type" not in record:
+        raise LookupError("it is no GeoJSON")
+    features = record["features"] if record["type"] == "FeatureCollection" else [record]
+    for feature in features:
+        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+        if geometry is not None and geometry["type"] == "LineString":
+            return [position[:2] for position in geometry["coordinates"]], feature.get("properties")
+        if geometry is not None and geometry["type"] == "MultiLineString":
+            line = [position[:2] for part in geometry["coordinates"] for position in part]
+            return line, feature.get("properties")
+    raise LookupError("it holds no line")
+
+
+def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
+    """Make a mission of a line over a map.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        Gives the speed, and the height of the ground at the start.
+    line : float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+
+    Raises
+    ------
+    BadInputError
+        The line leaves the map or has too many corners, or the map has no CRS.
+    """
+    if len(line) > _MOST_WAYPOINTS:
+        raise BadInputError(f"the route has {len(line):,} corners; a mission may have {_MOST_WAYPOINTS:,}")
+    if not route_map.has_crs:
+        raise BadInputError(
+            "a mission is in longitude and latitude, and the map has no CRS. Map the survey with `crs='EPSG:CODE'`"
+        )
+    easting, northing = route_map.from_lonlat(line[:, 0], line[:, 1])
+    bounds, edge = route_map.grid.window_bounds(route_map.window), 0.1  # m: files round coordinates to 1 cm
+    inside = (easting >= bounds.west - edge) & (easting <= bounds.east + edge)
+    inside &= (northing >= bounds.south - edge) & (northing <= bounds.north + edge)
+    if not inside.all():
+        number = int(np.flatnonzero(~inside)[0])
+        raise BadInputError(
+            f"point {number + 1} of the route, {line[number, 0]:.7f},{line[number, 1]:.7f}, lies outside of the map. "
+            "Give the layers that the route was planned on"
+        )
+    height = _ground(route_map, float(easting[0]), float(northing[0]))
+    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
+
+
+def _ground(route_map: RouteMap, easting: float, northing: float) -> float:
+    """Return the mean height of the tile at a place, m; 0 if unknown."""
+    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
+    heights = route_map.heights(TileWindow(col, row, 1, 1))
+    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
+
+
+def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
+    """Write route.plan, and return what the sidecar file says of it."""
+    places = list(zip(mission.latitude.tolist(), mission.longitude.tolist(), strict=True))
+    items = [_item(number, *place) for number, place in enumerate(places, start=1)]
+    record = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": _ARDUPILOT,
+            "vehicleType": _ROVER,
+            "cruiseSpeed": mission.speed_mps,
+            "hoverSpeed": mission.speed_mps,
+            "globalPlanAltitudeMode": 1,
+            "plannedHomePosition": [*places[0], mission.home_z],
+            "items": items,
+        },
+    }
+    write_json(folder / "route.plan", record)
+    about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
+    return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
+
+
+def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
+    """Return a waypoint: no hold, no heading of its own, on the ground."""
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": _WAYPOINT,
+        "doJumpId": number,
+        "frame": _RELATIVE,
+        "params": [0, 0, 0, None, latitude, longitude, 0],
+        "AMSLAltAboveTerrain": None,
+        "Altitude": 0,
+        "AltitudeMode": 1,
+    }
+
 
 _FORMAT, _VERSION = "bumpymap-export", 1
 

@@ -20,9 +20,22 @@ from bumpymap.core import (
 from bumpymap.layers.colours import CHANGE_COLOURS
 from bumpymap.layers.manifest import COUNT, PLACE_SHAPE
 from bumpymap.layers.report.change_site import NOT_COMPARED, ChangedPlace, ChangeSite
-from bumpymap.layers.report.charts import lines_of, swatch
 from bumpymap.layers.report.map_figure import controls_of, scale_of, stage_of
-from bumpymap.layers.report.markup import DASH, Html, area, document, join, number, share, shares, table, tag, whole
+from bumpymap.layers.report.markup import (
+    DASH,
+    Html,
+    area,
+    document,
+    join,
+    lines_of,
+    number,
+    share,
+    shares,
+    swatch,
+    table,
+    tag,
+    whole,
+)
 from bumpymap.layers.report.site import plain_name
 from bumpymap.layers.report.tiles import NOT_KNOWN, ByteGrid
 

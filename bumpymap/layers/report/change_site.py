@@ -19,7 +19,7 @@ from rasterio.windows import Window
 from bumpymap.core import CHANGE_KINDS, BadInputError, parse_json, read_regular, stated_crs
 from bumpymap.layers.colours import CHANGE_COLOURS
 from bumpymap.layers.map_files import open_layer
-from bumpymap.layers.report.ground import jpeg
+from bumpymap.layers.report.site import jpeg
 from bumpymap.layers.report.tiles import ByteGrid, packed
 
 __all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace"]

@@ -25,8 +25,7 @@ from bumpymap.layers.check.words import (
 )
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
-from bumpymap.layers.report.charts import lines_of
-from bumpymap.layers.report.markup import Html, join, raw, table, tag
+from bumpymap.layers.report.markup import Html, join, lines_of, raw, table, tag
 
 __all__ = ["DrawnCheck", "drive_chart", "drive_figures", "read_drawn_check"]
 

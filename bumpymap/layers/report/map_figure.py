@@ -7,8 +7,7 @@ import numpy as np
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, NO_CLASS, OBSTACLE, Barred
 from bumpymap.layers.check.offset import OFF_KINDS
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS, class_ranges
-from bumpymap.layers.report.charts import swatch
-from bumpymap.layers.report.markup import Html, join, raw, tag
+from bumpymap.layers.report.markup import Html, join, raw, swatch, tag
 from bumpymap.layers.report.site import Site
 from bumpymap.layers.report.tiles import NOT_KNOWN, ByteGrid
 

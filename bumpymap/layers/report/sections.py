@@ -7,9 +7,22 @@ from typing import Any
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, REASON_TEXT, Barred, Reason, count_text
 from bumpymap.layers.colours import class_limits, class_ranges
 from bumpymap.layers.products import REPORT_NAME, SHEET_TABLE_NAME
-from bumpymap.layers.report.charts import c_r_chart, lines_of, slope_chart
 from bumpymap.layers.report.drives import drive_figures
-from bumpymap.layers.report.markup import DASH, Html, area, join, number, share, shares, table, tag, whole
+from bumpymap.layers.report.markup import (
+    DASH,
+    Html,
+    area,
+    c_r_chart,
+    join,
+    lines_of,
+    number,
+    share,
+    shares,
+    slope_chart,
+    table,
+    tag,
+    whole,
+)
 from bumpymap.layers.report.site import DrawnWay, Site
 from bumpymap.layers.report.words import base_name, command_of, limits_of, meaning_of, measured_surfaces, settings_of
 from bumpymap.layers.summary import LITTLE_SEEN

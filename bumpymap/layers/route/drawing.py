@@ -14,8 +14,8 @@ from PIL import Image, ImageDraw
 from bumpymap.core import NO_TILE, Barred, RouteProfile
 from bumpymap.layers._font import font
 from bumpymap.layers.colours import RideScale
-from bumpymap.layers.relief import box_sum
-from bumpymap.layers.route.coordinates import MapSource
+from bumpymap.layers.geotiff import box_sum
+from bumpymap.layers.route.lines import MapSource
 from bumpytiles import Grid, TileWindow
 
 __all__ = [

@@ -19,17 +19,24 @@ from bumpymap.core import (
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
 from bumpymap.layers.products import check_folder, refuse_present
-from bumpymap.layers.route.coordinates import MapSource, RouteCoordinates, route_properties
-from bumpymap.layers.route.lines import stop_names, write_gpx, write_profile, write_route_geojson
-from bumpymap.layers.route.names import (
+from bumpymap.layers.route.lines import (
+    MapSource,
+    RouteCoordinates,
+    route_properties,
+    stop_names,
+    write_gpx,
+    write_profile,
+    write_route_geojson,
+)
+from bumpymap.layers.route.picture import (
     REACH_KINDS,
     ROUTE_KINDS,
     ROUTE_MANIFEST_NAME,
     ROUTE_NAMES,
     check_out,
     is_one_file,
+    write_route_picture,
 )
-from bumpymap.layers.route.picture import write_route_picture
 from bumpymap.layers.route.reach import ReachField, write_isochrones, write_reach, write_reach_back
 
 __all__ = ["ReachLevels", "write_reach_files", "write_routes"]

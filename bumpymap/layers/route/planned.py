@@ -8,7 +8,7 @@ import shapely
 from bumpymap.core import Route
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route.coordinates import route_properties
+from bumpymap.layers.route.lines import route_properties
 from bumpymap.layers.route.reach import ReachField
 
 if TYPE_CHECKING:

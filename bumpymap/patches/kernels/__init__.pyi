@@ -11,18 +11,16 @@ from .objects import (
     find_in_tiles as find_in_tiles,
     object_scratch as object_scratch,
 )
-from .pairs import (
-    PAIR_MEASURES as PAIR_MEASURES,
-    PairSettings as PairSettings,
-    measure_pairs as measure_pairs,
-    pair_scratch as pair_scratch,
-)
 from .solids import (
     settle_solids as settle_solids,
     solid_scratch as solid_scratch,
 )
 from .standing import (
+    PAIR_MEASURES as PAIR_MEASURES,
+    PairSettings as PairSettings,
     StandingLimits as StandingLimits,
     mark_standing as mark_standing,
+    measure_pairs as measure_pairs,
+    pair_scratch as pair_scratch,
     standing_scratch as standing_scratch,
 )

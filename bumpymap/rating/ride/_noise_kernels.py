@@ -1,4 +1,4 @@
-"""Compiled loops: the noise of a heightmap, and what of it is ground; see ``bumpymap.rating.ride.noise`` for the model.
+"""Compiled loops: the noise of a heightmap, and what of it is ground; see ``bumpymap.rating.ride.rate`` for the model.
 
 A patch goes through the cosine transform; its coefficients are gathered in bands of equal wave number, the likeliest
 ground spectrum is fitted to the powers of the bands, and each coefficient shrinks to its share of ground. Nothing here

@@ -1,4 +1,4 @@
-"""What pitches, rolls and lifts a chassis at several speeds: more rows over the same rolled wheels.
+"""What pitches, rolls and lifts a chassis at several speeds, by geometry alone: more rows over the same rolled wheels.
 
 Strategy. As in ``bumpymap.rating.ride.operator``, a sample is a row of a sparse matrix over the nodes of the envelope:
 
@@ -26,9 +26,21 @@ from typing import Annotated, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.rating.ride._ride_kernels import (
+    PatchesToRide,
+    RideScratch,
+    VehicleGeometry,
+    lay_nodes,
+    ride_patches,
+    ride_scratch,
+    roll_wheel,
+    sample_means,
+    take_group,
+)
 from bumpymap.rating.ride.operator import (
     NodeLattice,
     PitchSamples,
+    RideOperator,
     WheelShape,
     WheelShares,
     chassis_response,
@@ -38,58 +50,105 @@ from bumpymap.rating.ride.operator import (
     wheel_rows,
     wheel_shape,
 )
+from bumpytiles import kernel
 
-__all__ = ["WEIGHTED_BAND_HZ", "MotionOperator", "felt_response", "heave_filter", "weighting_wk"]
-
-WEIGHTED_BAND_HZ = (0.4, 10.0)
-"""Vertical motion of these frequencies counts, Hz."""
-_LIMITS_HZ = (0.4, 100.0)
-_VELOCITY_HZ, _VELOCITY_Q = 12.5, 0.63
-"""Above this frequency the weight falls: velocity is felt rather than acceleration."""
-_STEP_HZ, _STEP_Q = (2.37, 3.35), 0.91
-"""Between these frequencies the weight rises."""
-_CUT_Q = (0.5411961, 1.3065630)
-"""Of the two parts of a Butterworth low pass of fourth order."""
-
-
-def weighting_wk(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
-    """Return the response of Wk at frequencies [Hz] of any shape, with its phase; 0 at 0 Hz.
-
-    The product of a high pass, a low pass, the acceleration to velocity transition and the upward step, with the
-    constants of ISO 2631-1:1997, annex A.
-    """
-    p: NDArray[Any] = 2j * np.pi * frequency
-    low, high = (2 * np.pi * corner for corner in _LIMITS_HZ)
-    velocity, (first, second) = 2 * np.pi * _VELOCITY_HZ, (2 * np.pi * corner for corner in _STEP_HZ)
-    high_pass = p**2 / (p**2 + np.sqrt(2) * low * p + low**2)
-    low_pass = 1 / _second_order(p / high, np.sqrt(0.5))
-    transition = (1 + p / velocity) / _second_order(p / velocity, _VELOCITY_Q)
-    step = _second_order(p / first, _STEP_Q) / _second_order(p / second, _STEP_Q) * (first / second) ** 2
-    response: NDArray[np.complex128] = high_pass * low_pass * transition * step
-    return response
-
-
-def felt_response(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
-    """Return the weighted acceleration [m/s2] for a vertical motion of 1 m at frequencies [Hz], up to 10 Hz."""
-    p: NDArray[Any] = 1j * frequency / WEIGHTED_BAND_HZ[1]
-    cut = _second_order(p, _CUT_Q[0]) * _second_order(p, _CUT_Q[1])
-    response: NDArray[np.complex128] = (2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut
-    return response
-
-
-def _second_order(p: NDArray[Any], quality: float) -> NDArray[Any]:
-    section: NDArray[Any] = 1 + p / quality + p**2
-    return section
-
+__all__ = [
+    "WEIGHTED_BAND_HZ",
+    "MotionOperator",
+    "Motions",
+    "Rides",
+    "felt_response",
+    "heave_filter",
+    "move_over",
+    "move_over_patches",
+    "roll_over",
+    "weighting_wk",
+]
 
 Floats = NDArray[np.float64]
-_SAMPLES = 128
-"""Samples before the eight symmetries."""
-_PER_WAVE = 2.5
-"""Samples in the shortest wave that is felt, at least."""
-_FILTER_S = 2.0
-"""Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
-_LONG = 1 << 15
+
+
+@kernel
+def move_over_patches(
+    patches: PatchesToRide,
+    wheel: WheelShape,
+    samples: PitchSamples,
+    bounds: Annotated[NDArray[np.int64], 1],
+    motions: Annotated[Floats, 3],
+    scratch: RideScratch,
+) -> None:
+    """Roll a vehicle over patches.
+
+    ``motions`` (tiles, groups, 2) is filled: mean absolute value and root mean square of the samples of each group, the
+    rows from one of ``bounds`` to the next.
+    """
+    nodes = patches.relief.shape[1] * patches.fine + 1
+    held = take_group(patches, 0, scratch)
+    while held > 0:
+        lay_nodes(patches.fine, nodes, scratch)
+        roll_wheel(nodes, wheel, scratch)
+        for group in range(len(bounds) - 1):
+            sample_means(samples, bounds[group], bounds[group + 1], scratch.envelope, scratch.rides)
+            for lane in range(held):
+                for k in range(2):
+                    motions[scratch.members[lane], group, k] = scratch.rides[k, lane]
+        held = take_group(patches, scratch.members[held - 1] + 1, scratch)
+
+
+_APART = 2
+"""Pixels between heights that are compared: 0.4 m in a tile of 3 m."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rides:
+    """What a vehicle does on each of n patches; NaN where a patch has NaN."""
+
+    pitch_change: NDArray[np.float64]
+    """(n,) mean absolute change of the chassis' pitch per metre, rad/m: the geometric C_r."""
+    pitch_change_rms: NDArray[np.float64]
+    """(n,) its root mean square, rad/m."""
+    pitch: NDArray[np.float64]
+    """(n,) root mean square of the pitch about the patch's plane, rad."""
+    roll: NDArray[np.float64]
+    """(n,) the same of the roll, rad."""
+    twist: NDArray[np.float64]
+    """(n,) the same of the difference of the two sides' pitch, rad."""
+    belly_reach: NDArray[np.float64]
+    """(n,) highest ground under the belly over its clearance; 1: it touches."""
+    height_range: NDArray[np.float64]
+    """(n,) highest above lowest pixel of the relief, m."""
+    height_change: NDArray[np.float64]
+    """(n,) mean absolute height difference of pixels two apart, m."""
+
+
+def roll_over(relief_map: NDArray[np.float32], operator: RideOperator) -> Rides:
+    """Roll a vehicle over patches.
+
+    Parameters
+    ----------
+    relief_map : array (n, pixels, pixels) float32
+        Plane-removed relief without holes, m; patches with NaN are left out.
+    operator : RideOperator
+        Of the vehicle.
+    """
+    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    rides = np.full((len(relief_map), 6), np.nan)
+    geometry = VehicleGeometry(operator.wheelbase, operator.track, operator.belly_half, operator.clearance)
+    ride_patches(patches, operator.wheel, operator.samples, operator.poses, geometry, rides, scratch)
+    heights = _heights(np.where(patches.known[:, None, None], patches.relief, np.float32(np.nan)))
+    return Rides(*(*rides.T.copy(), *heights))
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """How a vehicle moves on each of n patches at each of k speeds; NaN where a patch has NaN."""
+
+    roll_change: NDArray[np.float64]
+    """(n,) mean absolute change of the chassis' roll per metre, rad/m, at any speed."""
+    pitch_change: NDArray[np.float64]
+    """(n, k) the same of its pitch, rad/m."""
+    heave: NDArray[np.float64]
+    """(n, k) root mean square of the weighted vertical acceleration, m/s2."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +191,108 @@ class MotionOperator:
             samples=_joined(groups),
             bounds=np.concatenate(([0], np.cumsum(counts))).astype(np.int64),
         )
+
+
+def move_over(relief_map: NDArray[np.float32], operator: MotionOperator) -> Motions:
+    """Roll a vehicle over patches at several speeds.
+
+    Parameters
+    ----------
+    relief_map : array (n, pixels, pixels) float32
+        Plane-removed relief without holes, m; patches with NaN are left out.
+    operator : MotionOperator
+        Of the vehicle.
+    """
+    patches, scratch = _patches_and_scratch(relief_map, operator.wheel, operator.fine, operator.nodes)
+    motions = np.full((len(relief_map), len(operator.bounds) - 1, 2), np.nan)
+    move_over_patches(patches, operator.wheel, operator.samples, operator.bounds, motions, scratch)
+    return Motions(motions[:, 0, 0], motions[:, 1::2, 0], motions[:, 2::2, 1])
+
+
+def _patches_and_scratch(
+    relief_map: NDArray[np.float32], wheel: WheelShape, fine: int, nodes: int
+) -> tuple[PatchesToRide, RideScratch]:
+    patches = np.ascontiguousarray(relief_map, np.float32)
+    known = np.asarray(np.isfinite(patches).all(axis=(1, 2)))
+    margin = int(max(np.abs(wheel.row).max(), np.abs(wheel.col).max()))
+    return PatchesToRide(known, patches, fine), ride_scratch(patches.shape[1], nodes, margin)
+
+
+def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return range and mean difference of the heights of patches, (n,) each, m; NaN where a patch has NaN.
+
+    A patch has the same bits wherever it stands among others: its sums run over a row of its own.
+    """
+    count, pixels = patches.shape[:2]
+    flat = patches.reshape(count, pixels * pixels)
+    span = flat.max(axis=1).astype(np.float64) - flat.min(axis=1)
+    apart = (patches[:, _APART:] - patches[:, :-_APART], patches[:, :, _APART:] - patches[:, :, :-_APART])
+    sizes = [np.abs(part).reshape(count, (pixels - _APART) * pixels) for part in apart]
+    return span, np.concatenate(sizes, axis=1).mean(axis=1, dtype=np.float64)
+
+
+WEIGHTED_BAND_HZ = (0.4, 10.0)
+"""Vertical motion of these frequencies counts, Hz."""
+
+
+_LIMITS_HZ = (0.4, 100.0)
+
+
+_VELOCITY_HZ, _VELOCITY_Q = 12.5, 0.63
+"""Above this frequency the weight falls: velocity is felt rather than acceleration."""
+
+
+_STEP_HZ, _STEP_Q = (2.37, 3.35), 0.91
+"""Between these frequencies the weight rises."""
+
+
+_CUT_Q = (0.5411961, 1.3065630)
+"""Of the two parts of a Butterworth low pass of fourth order."""
+
+
+def weighting_wk(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
+    """Return the response of Wk at frequencies [Hz] of any shape, with its phase; 0 at 0 Hz.
+
+    The product of a high pass, a low pass, the acceleration to velocity transition and the upward step, with the
+    constants of ISO 2631-1:1997, annex A.
+    """
+    p: NDArray[Any] = 2j * np.pi * frequency
+    low, high = (2 * np.pi * corner for corner in _LIMITS_HZ)
+    velocity, (first, second) = 2 * np.pi * _VELOCITY_HZ, (2 * np.pi * corner for corner in _STEP_HZ)
+    high_pass = p**2 / (p**2 + np.sqrt(2) * low * p + low**2)
+    low_pass = 1 / _second_order(p / high, np.sqrt(0.5))
+    transition = (1 + p / velocity) / _second_order(p / velocity, _VELOCITY_Q)
+    step = _second_order(p / first, _STEP_Q) / _second_order(p / second, _STEP_Q) * (first / second) ** 2
+    response: NDArray[np.complex128] = high_pass * low_pass * transition * step
+    return response
+
+
+def felt_response(frequency: NDArray[np.floating]) -> NDArray[np.complex128]:
+    """Return the weighted acceleration [m/s2] for a vertical motion of 1 m at frequencies [Hz], up to 10 Hz."""
+    p: NDArray[Any] = 1j * frequency / WEIGHTED_BAND_HZ[1]
+    cut = _second_order(p, _CUT_Q[0]) * _second_order(p, _CUT_Q[1])
+    response: NDArray[np.complex128] = (2j * np.pi * frequency) ** 2 * weighting_wk(frequency) / cut
+    return response
+
+
+def _second_order(p: NDArray[Any], quality: float) -> NDArray[Any]:
+    section: NDArray[Any] = 1 + p / quality + p**2
+    return section
+
+
+_SAMPLES = 128
+"""Samples before the eight symmetries."""
+
+
+_PER_WAVE = 2.5
+"""Samples in the shortest wave that is felt, at least."""
+
+
+_FILTER_S = 2.0
+"""Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
+
+
+_LONG = 1 << 15
 
 
 def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:

@@ -1,33 +1,211 @@
-"""Speeds that a map is asked for: the calibration at another speed, and factors on its C_r at several.
+"""Other speeds: the calibration at the speed of a map, and what a vehicle feels at several, as factors on its C_r.
 
 A calibration remembers the speed of a map in its ``motion``, so that everything that is made from it (tiles, thin
 tiles, steps) and its ``id`` follow that speed. What the drives of the calibration measured stays theirs: p_fail.
+
+Three quantities are predicted for each speed, all as logarithms over the C_r at the profile's own speed, because what
+is uncertain about a tile (noise, tyres, ground finer than a pixel) then cancels:
+
+- c_r: linear in the geometric ratio of both speeds and in s, the logarithm of the speed over the profile's, with terms
+  of the roughness. Every term is 0 at s = 0: at its own speed a vehicle has the C_r of the map, to the bit.
+- c_roll, the same as C_r about the forward axis, from the geometric roll over the geometric pitch;
+- a_w, the weighted vertical acceleration, from the geometric heave over the geometric pitch.
+
+Where a tile has no heightmap (it is rated from few points), the same quantities follow from its C_r alone.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SPEED_BANDS, UsageError
+from bumpymap.core import SPEED_BANDS, BadInputError, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
-from bumpymap.rating.ride.geometry import move_over
-from bumpymap.rating.ride.motion import MotionModel
-from bumpymap.rating.ride.motion_operator import MotionOperator
+from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_over
 from bumpymap.rating.vehicle_body import less_floor, with_floor
 
 __all__ = [
+    "QUANTITIES",
+    "MotionFit",
+    "MotionModel",
     "SpeedRating",
     "at_speed",
     "motion_felt",
+    "motion_terms",
     "plain_factors",
     "plain_speed_factor",
+    "plain_terms",
     "require_speeds",
     "speed_log_sd",
 ]
 
 Floats = NDArray[np.float64]
+QUANTITIES = ("c_r", "c_roll", "a_w")
+"""What is predicted at each speed: rad/m, rad/m, m/s2."""
+_TERMS = {"c_r": 6, "c_roll": 7, "a_w": 10}
+_PLAIN_TERMS = {"c_r": 5, "c_roll": 6, "a_w": 6}
+_LEAST = 1e-5
+"""Geometric values below are rounding errors, rad/m and m/s2."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotionFit:
+    """How one quantity follows from the geometry, or from C_r alone."""
+
+    terms: tuple[float, ...]
+    """Coefficients of `motion_terms`."""
+    plain: tuple[float, ...]
+    """Coefficients of `plain_terms`."""
+    log_sd: float
+    """Standard deviation of the logarithm about ``terms``; of c_r, at twice or half the profile's speed."""
+    plain_log_sd: float
+    """The same about ``plain``."""
+
+    @classmethod
+    def from_record(cls, name: str, record: Mapping[str, Any]) -> "MotionFit":
+        """Read the fit of a quantity; raise ValueError, LookupError or TypeError if it is damaged."""
+        terms, plain = (tuple(float(value) for value in record[key]) for key in ("terms", "plain"))
+        if (len(terms), len(plain)) != (_TERMS[name], _PLAIN_TERMS[name]):
+            raise ValueError(f"{len(terms)} and {len(plain)} coefficients of {name}")
+        return cls(terms, plain, float(record["log_sd"]), float(record["plain_log_sd"]))
+
+
+@dataclass(frozen=True, slots=True)
+class MotionModel:
+    """What drives at several speeds taught, fitted to the drives of a calibration."""
+
+    speed_mps: float
+    """The profile's own speed."""
+    range: tuple[float, float]
+    """Lowest and highest speed that may be asked for, as shares of the profile's."""
+    log_range: tuple[float, float]
+    """Lowest and highest ln of the geometric C_r of the driven ground."""
+    log_c_r_range: tuple[float, float]
+    """The same of the C_r."""
+    c_r: MotionFit
+    c_roll: MotionFit
+    a_w: MotionFit
+    origin: dict[str, Any]
+    """The data of the fit, and its errors."""
+
+    @classmethod
+    def from_record(cls, record: Mapping[str, Any], speed: float) -> "MotionModel":
+        """Read the mapping that `to_record` returned, for a vehicle with this speed [m/s].
+
+        Raises
+        ------
+        BadInputError
+            A value is missing or has the wrong length.
+        """
+        try:
+            return cls(
+                speed,
+                range=_pair(record["range"]),
+                log_range=_pair(record["log_range"]),
+                log_c_r_range=_pair(record["log_c_r_range"]),
+                c_r=MotionFit.from_record("c_r", record["c_r"]),
+                c_roll=MotionFit.from_record("c_roll", record["c_roll"]),
+                a_w=MotionFit.from_record("a_w", record["a_w"]),
+                origin=dict(record["origin"]),
+            )
+        except (LookupError, TypeError, ValueError) as error:
+            raise BadInputError(
+                f"the record of speeds in the calibration is damaged: {error!r}. Make the calibration again with: "
+                "bumpymap calibrate"
+            ) from error
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the coefficients as plain numbers for JSON."""
+        return {name: _lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
+
+    def log_factors(self, motions: Motions, pitch_change: Floats, speeds: tuple[float, ...]) -> Floats:
+        """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, (n, k, 3).
+
+        Parameters
+        ----------
+        motions : Motions
+            Geometric values of n patches at k speeds.
+        pitch_change : array (n,)
+            Geometric C_r at the profile's speed, rad/m.
+        speeds : tuple of float
+            The k speeds, m/s.
+        """
+        terms = motion_terms(motions, pitch_change, self._log_ratios(speeds), self.log_range)
+        return np.stack([terms[name] @ np.array(self._fit(name).terms) for name in QUANTITIES], axis=-1)
+
+    def plain_log_factors(self, c_r: Floats, speeds: tuple[float, ...]) -> Floats:
+        """Return the same from C_r [rad/m] at the profile's speed alone, (..., k, 3)."""
+        terms = plain_terms(c_r, self._log_ratios(speeds), self.log_c_r_range)
+        return np.stack([terms[name] @ np.array(self._fit(name).plain) for name in QUANTITIES], axis=-1)
+
+    def log_sd(self, speed: float) -> float:
+        """Return the standard deviation of ln c_r that another speed than the profile's adds."""
+        return float(self.c_r.log_sd * min(abs(self._log_ratios((speed,))[0]) / np.log(2.0), 1.0))
+
+    def _fit(self, name: str) -> MotionFit:
+        fit: MotionFit = getattr(self, name)
+        return fit
+
+    def _log_ratios(self, speeds: tuple[float, ...]) -> Floats:
+        return np.log(np.array(speeds) / self.speed_mps)
+
+
+def motion_terms(
+    motions: Motions, pitch_change: Floats, log_speed: Floats, log_range: tuple[float, float]
+) -> dict[str, Floats]:
+    """Return the terms of each of ``QUANTITIES``, (n, k, terms).
+
+    Parameters
+    ----------
+    motions : Motions
+        Geometric values of n patches at k speeds.
+    pitch_change : array (n,)
+        Geometric C_r at the profile's speed, rad/m.
+    log_speed : array (k,)
+        ln of the speeds over the profile's.
+    log_range : (float, float)
+        Lowest and highest ln of the geometric C_r of the driven ground; the terms of the roughness stay beyond.
+    """
+    shape = motions.pitch_change.shape
+    own = np.log(np.maximum(pitch_change, _LEAST))[:, None]
+    s = np.broadcast_to(log_speed, shape)
+    rough = np.broadcast_to(np.clip(own, *log_range), shape)
+    pitch = np.log(np.maximum(motions.pitch_change, _LEAST)) - own
+    roll = np.broadcast_to(np.log(np.maximum(motions.roll_change, _LEAST))[:, None] - own, shape)
+    heave = np.log(np.maximum(motions.heave, _LEAST)) - own
+    one = np.ones(shape)
+    return {
+        "c_r": np.stack((pitch, s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1),
+        "c_roll": np.stack((one, roll, rough, rough**2, s, s * rough, s**2), axis=-1),
+        "a_w": np.stack(
+            (one, heave, rough, rough**2, s, s * rough, s**2, roll, heave * s, heave * rough), axis=-1
+        ),
+    }  # fmt: skip
+
+
+def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, float]) -> dict[str, Floats]:
+    """Return the terms of each of ``QUANTITIES`` from C_r [rad/m] alone, (..., k, terms)."""
+    rough = np.clip(np.log(np.maximum(c_r, _LEAST)), *log_c_r_range)[..., None]
+    s = np.broadcast_to(log_speed, (*c_r.shape, len(log_speed)))
+    rough = np.broadcast_to(rough, s.shape)
+    one = np.ones(s.shape)
+    other = np.stack((one, rough, rough**2, s, s * rough, s**2), axis=-1)
+    return {"c_r": np.stack((s, s * rough, s * rough**2, s**2, s**2 * rough), axis=-1), "c_roll": other, "a_w": other}
+
+
+def _pair(value: Any) -> tuple[float, float]:
+    low, high = value
+    return float(low), float(high)
+
+
+def _lists(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _lists(item) for key, item in value.items()}
+    return [_lists(item) for item in value] if isinstance(value, tuple) else value
+
+
 _LEVEL = 5e-4
 """Geometric C_r of ground that is as good as level, rad/m."""
 

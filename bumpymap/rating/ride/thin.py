@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 from bumpymap.rating.ride.correction import Prediction
-from bumpymap.rating.ride.geometry import roll_over
+from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
 
 __all__ = ["THIN_COLUMNS", "ThinModel", "fail_terms", "log_points", "ride_terms", "spread_terms", "thin_columns"]

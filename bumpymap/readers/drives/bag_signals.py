@@ -13,7 +13,7 @@ from bumpymap.core import BadInputError, PlaceTrack, UsageError, WheelTrack
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import check_lonlat, guess_local, refuse_odd_rates
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
-from bumpymap.readers.frames.bag import BagReader, BagRecord
+from bumpymap.readers.frames.raw import BagReader, BagRecord
 from bumpymap.readers.source import decoding
 
 __all__ = ["Ros1Bag", "bag_signals", "is_ros1"]

@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Scan, UsageError
-from bumpymap.readers.frames.bag import BAG_SUFFIXES, CLOUD, BagReader, BagRecord, is_bag
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
 from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
-from bumpymap.readers.frames.raw import RawScan, read_cloud
+from bumpymap.readers.frames.raw import BAG_SUFFIXES, CLOUD, BagReader, BagRecord, RawScan, is_bag, read_cloud
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["BagTopics", "Robot", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]

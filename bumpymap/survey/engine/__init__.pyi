@@ -5,8 +5,10 @@ from .block_work import (
     engine_errors as engine_errors,
 )
 from .budget import (
+    ADVICE as ADVICE,
     Budget as Budget,
     Estimate as Estimate,
+    Workspace as Workspace,
     estimate as estimate,
     with_memory as with_memory,
 )
@@ -19,7 +21,3 @@ from .run import (
     run_engine as run_engine,
 )
 from .worker import LocalExecutor as LocalExecutor
-from .workspace import (
-    ADVICE as ADVICE,
-    Workspace as Workspace,
-)

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Ground, OutputError, UsageError
 from bumpymap.readers import LineSums
-from bumpymap.survey.engine.budget import Budget
-from bumpymap.survey.engine.workspace import Workspace
+from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpytiles import (
     BLOCK_TILES,
     BlockKey,

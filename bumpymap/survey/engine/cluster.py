@@ -23,13 +23,12 @@ from uuid import uuid4
 from bumpymap.core import BadInputError, OutputError, Progress, UsageError
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
-from bumpymap.survey.engine.budget import Budget
+from bumpymap.survey.engine.budget import Budget, Workspace
+from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, range_points, shared_tasks
 from bumpymap.survey.engine.reading import OpenRange
-from bumpymap.survey.engine.results import BlockGroup, FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.worker import Worker, new_folder
-from bumpymap.survey.engine.workspace import Workspace
 
 if TYPE_CHECKING:
     from bumpytiles import Workers

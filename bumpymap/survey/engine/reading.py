@@ -20,8 +20,8 @@ from bumpymap.core import POINT_GROUND, BadInputError, Progress
 from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
+from bumpymap.survey.engine.collector import ReadResult, Span
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
-from bumpymap.survey.engine.results import ReadResult, Span
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets
 
 __all__ = ["BadFile", "BlockCompletion", "ChunkStream", "OpenRange", "RangeReader", "ReadChunk", "refuse_no_points"]

@@ -12,12 +12,10 @@ from typing import Any, Protocol
 from bumpymap.core import Progress, Stopwatch, decide_ground
 from bumpymap.readers import Chunk, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
-from bumpymap.survey.engine.budget import Budget
-from bumpymap.survey.engine.collector import Checkpoints, ResultCollector
+from bumpymap.survey.engine.budget import Budget, Workspace
+from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, FinishedTiles, ReadResult, ResultCollector
 from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
-from bumpymap.survey.engine.results import BlockGroup, FinishedTiles, ReadResult
-from bumpymap.survey.engine.workspace import Workspace
 from bumpymap.survey.inputs import SurveyInputs
 from bumpytiles import BlockKey, Pack
 

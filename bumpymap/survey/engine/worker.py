@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from bumpymap.core import PieceRuns, Progress
 from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
-from bumpymap.survey.engine.budget import Budget
+from bumpymap.survey.engine.budget import Budget, Workspace
+from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, single_task
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
-from bumpymap.survey.engine.results import BlockGroup, FinishedTiles, ReadResult
 from bumpymap.survey.engine.run import ReadPlan
-from bumpymap.survey.engine.workspace import Workspace
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
 
 __all__ = ["LocalExecutor", "Worker", "new_folder"]

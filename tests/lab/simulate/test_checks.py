@@ -5,8 +5,8 @@ from itertools import pairwise
 
 import pytest
 
-from bumpymap.lab.simulate.checks import check_plane, check_repeat, check_sine, check_step, sine_c_r
 from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.jobs import check_plane, check_repeat, check_sine, check_step, sine_c_r
 from bumpymap.lab.simulate.model import Physics
 from bumpymap.rating.vehicle_profile import load_profile
 

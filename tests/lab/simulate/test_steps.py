@@ -5,7 +5,7 @@ import pytest
 
 from bumpymap.core import UsageError
 from bumpymap.lab.simulate.plan import CalibrationSettings
-from bumpymap.lab.simulate.steps import CrossingJob, WallGround, add_steps, crossing_jobs, run_crossing, step_tile
+from bumpymap.lab.simulate.refit import CrossingJob, WallGround, add_steps, crossing_jobs, run_crossing, step_tile
 from bumpymap.rating import Calibration, load_profile
 
 SETTINGS = CalibrationSettings(load_profile("warthog"))
@@ -60,8 +60,8 @@ def test_a_crossing_repeats_and_is_that_of_the_shipped_calibration():
 def test_tiles_are_rated_again_from_the_file(monkeypatch):
     """With the crossings at hand, the record of the shipped calibration can be made without driving."""
     shipped = Calibration.shipped("warthog")
-    monkeypatch.setattr("bumpymap.lab.simulate.steps.drive_jobs", lambda *_, **__: {})
-    monkeypatch.setattr("bumpymap.lab.simulate.steps._crossings", lambda *_: shipped.steps["crossing"])
+    monkeypatch.setattr("bumpymap.lab.simulate.refit.drive_jobs", lambda *_, **__: {})
+    monkeypatch.setattr("bumpymap.lab.simulate.refit._crossings", lambda *_: shipped.steps["crossing"])
     again = add_steps(replace(shipped, steps=None)).steps
     np.testing.assert_allclose(again["tile"]["c_r"], shipped.steps["tile"]["c_r"], rtol=1e-4)
     np.testing.assert_allclose(again["tile"]["p_fail"], shipped.steps["tile"]["p_fail"], rtol=1e-3)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from driven_ways import GuideLine, ReliefGround, Stop, WayDrive, drive_way, follow_guide
 
-from bumpymap.lab.simulate.checks import sine_c_r
 from bumpymap.lab.simulate.drive import DriveSettings
+from bumpymap.lab.simulate.jobs import sine_c_r
 from bumpymap.lab.simulate.model import Pose
 from bumpymap.rating.vehicle_profile import load_profile
 

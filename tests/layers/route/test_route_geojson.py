@@ -14,7 +14,7 @@ from route_records import CORNERS, FIGURES, make_route
 
 from bumpymap.core import Georeference
 from bumpymap.layers import write_route_geojson
-from bumpymap.layers.route.coordinates import split_at_antimeridian
+from bumpymap.layers.route.lines import split_at_antimeridian
 
 US_FOOT = 1200 / 3937
 PROPERTIES = {

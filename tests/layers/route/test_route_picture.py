@@ -13,7 +13,7 @@ from route_records import CORNERS, MadeUpMap, make_route
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
 from bumpymap.layers.colours import RideScale, nice_limit
-from bumpymap.layers.relief import box_sum
+from bumpymap.layers.geotiff import box_sum
 from bumpymap.layers.route import drawing, picture as picture_module
 from bumpymap.layers.route.drawing import (
     BARRED_SHADE,

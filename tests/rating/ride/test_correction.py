@@ -9,8 +9,7 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, BumpymapError
 from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
-from bumpymap.rating.ride.correction import NORMAL_TAIL, subtract_noise
-from bumpymap.rating.ride.fitting import calibrate_spread, student_factor
+from bumpymap.rating.ride.correction import NORMAL_TAIL, calibrate_spread, student_factor, subtract_noise
 
 COUNT = 400
 

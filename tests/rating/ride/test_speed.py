@@ -19,7 +19,7 @@ from bumpymap.rating import (
     roll_over,
 )
 from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor
-from bumpymap.rating.step_effect import StepEffect, apply_steps
+from bumpymap.rating.steps import StepEffect, apply_steps
 
 WARTHOG = Calibration.shipped("warthog")
 SPEEDS = (0.5, 1.0, 2.0)

@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from bumpymap.core import BadInputError, missing_resource
 from bumpymap.readers import read_drive
-from bumpymap.readers.frames.bag import BagReader
+from bumpymap.readers.frames.raw import BagReader
 
 T0 = 1_700_000_000_000_000_000
 COUNT = 200

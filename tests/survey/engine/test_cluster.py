@@ -36,9 +36,9 @@ from bumpymap.survey.engine.cluster import (
     opened,
     read_ranges,
 )
+from bumpymap.survey.engine.collector import BlockCatalogue
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
 from bumpymap.survey.engine.reading import BlockCompletion
-from bumpymap.survey.engine.results import BlockCatalogue
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 pytestmark = pytest.mark.slow
@@ -150,7 +150,7 @@ def here(monkeypatch):
     monkeypatch.setattr("bumpymap.survey.pipeline.connect", connect)
     monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 2)
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
-    monkeypatch.setattr("bumpymap.survey.engine.results.MOST_BLOCKS", 3)
+    monkeypatch.setattr("bumpymap.survey.engine.collector.MOST_BLOCKS", 3)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 4_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 9_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 5_000)

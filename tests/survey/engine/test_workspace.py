@@ -9,7 +9,7 @@ import pytest
 from bumpymap.core import run_folder
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
-from bumpymap.survey.engine.workspace import Workspace
+from bumpymap.survey.engine.budget import Workspace
 
 ASKED = {"inputs": {"a.laz": {"bytes": 1}}, "settings": {}, "made with": {}, "cut": {"chunk_points": 100}}
 
