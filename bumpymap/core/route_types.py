@@ -103,6 +103,8 @@ class RouteProfile:
     p_fail: NDArray[np.float64]
     cost: NDArray[np.float64]
     """Cost of the way so far, m."""
+    obstacle: NDArray[np.bool_]
+    """Where the vehicle touches an obstacle, as it may only if ways through obstacles are allowed."""
 
 
 @dataclass(frozen=True, slots=True)

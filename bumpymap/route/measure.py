@@ -203,6 +203,7 @@ def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
         c_r_high=pieces.c_r_high[piece],
         p_fail=pieces.p_fail[piece],
         cost=np.interp(distance, np.concatenate([[0.0], ends]), spent),
+        obstacle=np.zeros(count, np.bool_),
     )
 
 

@@ -393,6 +393,10 @@ class Planner:
         touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
         tight = ground.tight_turns_deg(line)
         measured = measure_way(self.site, line, stops, ground.of_field, obstacle_m=touched, tight_turns_deg=tight)
+        if touched > 0.0:
+            profile = measured.profile
+            clear = ground.clear_at(np.column_stack([profile.easting, profile.northing]))
+            measured = replace(measured, profile=replace(profile, obstacle=~clear))
         return PlannedWay(line, measured)
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:

@@ -142,8 +142,10 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
     assert planner(site).way(stops) is None
     plan = planner(site, through_obstacles=True)
-    figures = plan.way(stops).measured.figures
+    measured = plan.way(stops).measured
+    figures, profile = measured.figures, measured.profile
     assert figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
+    assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
     expected = np.exp(-figures.hazard - figures.tight_turns_deg / 100) * 0.5**figures.obstacle_m
     assert figures.p_arrives == pytest.approx(expected)
 

@@ -405,10 +405,10 @@ def _text(parent: ET.Element, tag: str, text: str) -> None:
 
 PROFILE_COLUMNS = (
     *("route", "distance_m", "lon", "lat", "x", "y"),
-    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m"),
+    *("z_m", "slope_deg", "c_r", "c_r_low", "c_r_high", "p_fail", "cost_m", "obstacle"),
 )
 """Columns of profile.csv; ``x`` and ``y`` are in units of the survey's CRS."""
-_FORMATS = ("%.3f", "%.7f", "%.7f", "%.3f", "%.3f", "%.3f", "%.3f", "%.6f", "%.6f", "%.6f", "%.6f", "%.3f")
+_FORMATS = ("%.3f", "%.7f", "%.7f", "%.3f", "%.3f", "%.3f", "%.3f", "%.6f", "%.6f", "%.6f", "%.6f", "%.3f", "%d")
 
 
 def write_profile(routes: Sequence[Route], path: Path) -> None:
@@ -437,6 +437,7 @@ def _rows(route: Route, place: RouteCoordinates) -> Iterator[tuple[str, ...]]:
     columns = (
         *(profile.distance, *degrees.T, *place.in_crs(grid_m).T),
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
+        profile.obstacle,
     )
     texts = [_texts(values, form) for values, form in zip(columns, _FORMATS, strict=True)]
     return zip([route.name] * len(profile.distance), *texts, strict=True)

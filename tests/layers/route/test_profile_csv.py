@@ -34,6 +34,7 @@ def test_every_number_of_the_profile_is_there(georeference, tmp_path):
         "z_m": profile.z,
         "slope_deg": profile.slope,
         "cost_m": profile.cost,
+        "obstacle": profile.obstacle,
         **{name: getattr(profile, name) for name in ("c_r", "c_r_low", "c_r_high", "p_fail")},
     }
     for name, values in expected.items():
