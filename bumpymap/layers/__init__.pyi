@@ -27,7 +27,6 @@ from .change import (
     open_pair as open_pair,
     write_change as write_change,
 )
-from .check.folder import write_check as write_check
 from .check.record import (
     CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
     CHECK_NAMES as CHECK_NAMES,
@@ -43,6 +42,7 @@ from .check.words import (
     level_words as level_words,
     warnings_of as warnings_of,
 )
+from .check_files import write_check as write_check
 from .colours import (
     BARRED_COLOURS as BARRED_COLOURS,
     CHANGE_COLOURS as CHANGE_COLOURS,

@@ -1,5 +1,6 @@
 """The whole check over the layers of a small survey: readings by stretch and tile, and what is refused."""
 
+import html
 from dataclasses import replace
 from pathlib import Path
 
@@ -60,8 +61,8 @@ def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, parked):
     why = result.skipped[bad]
     assert ("never drives" if parked else "no table") in why
     assert [drive.name for drive in result.drives] == ["imu,gnss"]
-    page = (tmp_path / "out" / "check.md").read_text()
-    assert all(bad in text and why in text.replace("\\", "") for text in (done.output, page))
+    page = html.unescape((tmp_path / "out" / "check.html").read_text())
+    assert all(bad in text and why in text for text in (done.output, page))
     assert check_drives(None, [good, bad]).skipped == result.skipped
 
 

@@ -161,9 +161,9 @@ WITH_FOLDER = """
 import os, shutil, signal, sys
 from types import SimpleNamespace
 from bumpymap.__main__ import run
-from bumpymap.survey.engine import workspace
+from bumpymap.survey.engine import budget
 
-make = workspace.mkdtemp
+make = budget.mkdtemp
 
 def mkdtemp(**settings):
     folder = make(**settings)
@@ -175,9 +175,9 @@ def rmtree(folder, **settings):
     shutil.rmtree(folder, **settings)
 
 if sys.argv.pop(1) == "made":
-    workspace.mkdtemp = mkdtemp
+    budget.mkdtemp = mkdtemp
 else:
-    workspace.shutil = SimpleNamespace(rmtree=rmtree)
+    budget.shutil = SimpleNamespace(rmtree=rmtree)
 run()
 """
 

@@ -40,8 +40,7 @@ __all__ = [
 
 CHECK_MANIFEST_NAME = "check.json"
 CHECK_NAMES = (
-    "check.md",
-    "check.png",
+    "check.html",
     "stretches.csv",
     "check.geojson",
     "check_tiles.geojson",

@@ -1,45 +1,23 @@
-"""What a check found, in words and tables: check.md, the page of the map, the terminal."""
+"""Findings of a check in words, for pages and the terminal."""
 
-import math
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import (
-    CLASS_NAMES,
-    NO_CLASS,
-    CheckedDrive,
-    CheckResult,
-    DrivenStretches,
-    MapAgreement,
-    atomic,
-    count_text,
-)
-from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.report.markup import DASH, number
+from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement, count_text
 
 __all__ = [
-    "AGREEMENT_HEAD",
     "FEW",
-    "WORST_HEAD",
-    "agreement_rows",
     "check_headline",
-    "check_page",
     "check_verdict",
     "columns_words",
     "drive_notes",
-    "drive_rows",
-    "left_out_rows",
     "level_words",
-    "measured_mean",
     "metres",
     "names_of",
     "percent",
     "sorted_reasons",
     "warnings_of",
-    "worst_rows",
-    "write_check_page",
 ]
 
 FEW = 5
@@ -58,7 +36,7 @@ def check_headline(result: CheckResult) -> str:
     """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
     agreement = result.agreement
     if agreement is None:
-        mean = measured_mean(result.stretches)
+        mean = _measured_mean(result.stretches)
         way = float(np.sum(result.stretches.way_m))
         count = count_text(len(result.drives), "drive")
         if not np.isfinite(mean):
@@ -113,7 +91,7 @@ def level_words(agreement: MapAgreement) -> str:
     return f"reads {percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
 
 
-def measured_mean(stretches: DrivenStretches) -> float:
+def _measured_mean(stretches: DrivenStretches) -> float:
     """Return the measured C_r over all stretches, weighted by their length, rad/m; NaN without any."""
     known = np.isfinite(stretches.measured) & (stretches.way_m > 0.0)
     if not known.any():
@@ -152,103 +130,6 @@ def names_of(items: Sequence[str], most: int = 3) -> str:
     return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
 
 
-Rows = list[tuple[str, ...]]
-AGREEMENT_HEAD = (
-    *("ground by the map", "stretches", "way", "map / drive, median", "error, median", "Spearman"),
-    *("in the 80 % interval", "same class"),
-)
-WORST_HEAD = (
-    "drive",
-    "from, clock of the IMU",
-    "easting, northing, m",
-    "drive, rad/m",
-    "map, rad/m",
-    "map's 80 % interval",
-    "map / drive",
-)
-_WORST = 10
-_NO_CLASS_NAME = "off the map"
-
-
-def agreement_rows(result: CheckResult) -> Rows:
-    """Return map against drives over all stretches, then by class of the map."""
-    if result.agreement is None:
-        return []
-    by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
-    return [_agreement(name, found) for name, found in [("all", result.agreement), *by_class] if found.stretches]
-
-
-def _agreement(name: str, found: MapAgreement) -> tuple[str, ...]:
-    return (
-        name,
-        f"{found.stretches:,}",
-        metres(found.way_m),
-        number(found.median_ratio, 2),
-        percent(found.median_error),
-        number(found.spearman, 2),
-        percent(found.inside),
-        percent(found.same_class),
-    )
-
-
-def worst_rows(result: CheckResult) -> Rows:
-    """Return the stretches that are farthest off, of those whose difference errors do not explain; at most 10."""
-    stretches, offset = result.stretches, MapOffset.of(result.stretches)
-    order = np.argsort(-np.nan_to_num(offset.beyond, posinf=np.inf), kind="stable")
-    names = [drive.name for drive in result.drives]
-    return [
-        (
-            names[stretches.drive[at]],
-            f"{stretches.start_s[at]:.1f} s",
-            f"{stretches.easting[at]:.1f}, {stretches.northing[at]:.1f}",
-            f"{stretches.measured[at]:.3f} ± {stretches.measured_sd[at]:.3f}",
-            f"{stretches.c_r[at]:.3f} ({_class(int(stretches.class_id[at]))})",
-            f"{number(float(stretches.c_r_low[at]), 3)} to {number(float(stretches.c_r_high[at]), 3)}",
-            f"{offset.ratio[at]:.2f}",
-        )
-        for at in order[:_WORST].tolist()
-        if offset.is_off[at]
-    ]
-
-
-def drive_rows(drives: Sequence[CheckedDrive]) -> Rows:
-    """Return what was found about each drive and its sensors: a row for each figure, a column for each drive."""
-    figures: list[tuple[str, list[str]]] = [
-        ("way", [f"{metres(drive.way_m)} in {drive.seconds:,.0f} s" for drive in drives]),
-        ("of it counts", [metres(drive.used_m) for drive in drives]),
-        ("median speed there", [number(drive.speed_mps, 2, " m/s") for drive in drives]),
-        ("rate of the IMU", [number(drive.rate_hz, 0, " Hz") for drive in drives]),
-        ("pitch rates kept up to", [number(drive.band_hz, 1, " Hz") for drive in drives]),
-        ("positions, standard deviation", [number(drive.position_error_m, 2, " m") for drive in drives]),
-        ("clock of the positions", [_clock(drive) for drive in drives]),
-        ("IMU in the vehicle: roll, pitch, yaw", [_mount(drive.mount_deg) for drive in drives]),
-        ("floor at standstill", [number(drive.floor_radps, 4, " rad/s") for drive in drives]),
-    ]
-    return [(label, *texts) for label, texts in figures]
-
-
-def left_out_rows(result: CheckResult) -> Rows:
-    """Return why parts of the ways do not count, with their lengths over all drives."""
-    return [(reason, metres(length)) for reason, length in sorted_reasons(result)]
-
-
-def _class(code: int) -> str:
-    return _NO_CLASS_NAME if code == NO_CLASS else CLASS_NAMES[code]
-
-
-def _clock(drive: CheckedDrive) -> str:
-    if not math.isfinite(drive.clock_offset_s):
-        return "cannot be told"
-    text = f"{drive.clock_offset_s:+.3f} s"
-    if math.isfinite(drive.clock_offset_sd_s):
-        text += f" ± {drive.clock_offset_sd_s:.3f} s"
-    return f"{text}, {drive.clock_drift_ppm:+.0f} ppm" if math.isfinite(drive.clock_drift_ppm) else text
-
-
-def _mount(angles: Iterable[float]) -> str:
-    return ", ".join(f"{angle:+.1f}°" if math.isfinite(angle) else DASH for angle in angles)
-
-
 def drive_notes(result: CheckResult) -> list[str]:
     """Return from which columns each drive was read and what was guessed, a sentence each."""
     return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
@@ -265,112 +146,3 @@ def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> li
     """Put the name of a drive before texts that do not say it, where there are several drives."""
     several, name = len(result.drives) > 1, drive.name
     return [f"{name}: {text}" if several and not text.startswith(name) else text for text in texts]
-
-
-_READ = """\
-Ride cost C_r is pitch motion per metre driven, rad/m. Each drive is cut into stretches; on each, the C_r that the IMU
-measured, less what it reads at standstill, stands beside that of the map over the same ground."""
-_READ_FIGURES = """\
-- **map / drive** is the ratio of both: under 1, the ground is rougher for this vehicle than the map says. Its median
-  over many stretches says whether the level of the map fits this vehicle. A level that is off alike on all classes is
-  one number to correct; one that differs by class says that smooth and rough ground are off in different ways.
-- **error** is the median of the absolute difference of that ratio from 1.
-- **Spearman** is the correlation of ranks: at 1 the map puts all stretches in the order in which the vehicle felt
-  them. Planning routes needs this more than the level. Where all ground is alike it says little.
-- **in the 80 % interval** is the share of stretches whose measurement lies in the map's interval, widened by the error
-  of the measurement. 80 % is right; far less means that the map is surer than it may be.
-- A stretch is listed as off only if neither the map's interval nor the errors of measurement and position explain the
-  difference. If all is as it should be, that happens on one stretch in five."""
-_FILES = {
-    "check.png": "the map with the stretches on it, map against drive, and both along the way",
-    "check.geojson": "the stretches, for QGIS and other GIS; QGIS takes its style from check.qml",
-    "check_tiles.geojson": "the tiles that were driven over, likewise",
-    "stretches.csv": "the stretches as a table",
-    "check.json": "all of it, with settings, versions and checksums",
-}
-
-
-def write_check_page(result: CheckResult, names: Iterable[str], path: Path) -> None:
-    """Write the page.
-
-    Parameters
-    ----------
-    result : CheckResult
-    names : iterable of str
-        The files beside it.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    text = check_page(result, names)
-    with atomic(path) as temporary:
-        temporary.write_bytes(text.encode("utf-8", "backslashreplace"))
-
-
-def check_page(result: CheckResult, names: Iterable[str]) -> str:
-    """Return the page as Markdown; ``names`` are the files beside it."""
-    ground = result.ground
-    drives = names_of([drive.name for drive in result.drives])
-    title = f"Drives measured: {drives}" if ground is None else f"{ground.name} checked against {drives}"
-    parts = [f"# {_plain(title)}", _plain(check_headline(result))]
-    if ground is not None:
-        limits = ", ".join(f"{limit:.3g}" for limit in ground.class_limits)
-        parts.append(
-            f"Map: vehicle {_plain(ground.vehicle)}, calibration {_plain(ground.calibration_id)}, driven at "
-            f"{ground.speed_mps:g} m/s, limits of the classes {limits} rad/m."
-        )
-    parts += _section("Warnings", _list(map(_plain, warnings_of(result))))
-    parts += _section("Map against drives", _table(AGREEMENT_HEAD, agreement_rows(result)))
-    parts += _section("Where the map is off", *_off(result))
-    parts += _section(
-        "The drives",
-        _table(("", *_drive_names(result)), drive_rows(result.drives)),
-        _list(map(_plain, drive_notes(result))),
-    )
-    parts += _section("What does not count", _table(("why", "way"), left_out_rows(result)))
-    parts += _section("How to read this", _READ, _READ_FIGURES if result.agreement is not None else "")
-    parts += _section("Files", _list(f"`{name}`: {text}" for name, text in _FILES.items() if name in set(names)))
-    return "\n\n".join(parts) + "\n"
-
-
-def _off(result: CheckResult) -> list[str]:
-    if result.agreement is None or result.agreement.stretches < FEW:
-        return []
-    rows = worst_rows(result)
-    if not rows:
-        return ["On no stretch more than the map's interval and the errors of measurement explain."]
-    return ["Farthest beyond what the map's interval and the errors of measurement explain:", _table(WORST_HEAD, rows)]
-
-
-def _drive_names(result: CheckResult) -> list[str]:
-    return [drive.name for drive in result.drives]
-
-
-def _section(title: str, *parts: str) -> list[str]:
-    found = [part for part in parts if part]
-    return [f"## {title}", *found] if found else []
-
-
-def _list(items: Iterable[str]) -> str:
-    return "\n".join(f"- {item}" for item in items)
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    if not rows:
-        return ""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join(f"| {' | '.join(map(_cell, line))} |" for line in lines)
-
-
-def _cell(text: str) -> str:
-    return text if text == "---" else _plain(text).replace("|", "\\|")
-
-
-def _plain(text: str) -> str:
-    """Return text without line breaks, with what Markdown would take for marks or HTML made harmless."""
-    one_line = " ".join(text.split())
-    return "".join(f"\\{letter}" if letter in "\\`*<[" else letter for letter in one_line)

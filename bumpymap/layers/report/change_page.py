@@ -29,6 +29,7 @@ from bumpymap.layers.report.markup import (
     join,
     lines_of,
     number,
+    section,
     share,
     shares,
     swatch,
@@ -194,7 +195,7 @@ def kind_section(site: ChangeSite) -> Html:
     ]
     head = ("what became of them", "share of compared", "area", "tiles")
     parts = [table("Tiles by what became of them", head, rows), *(tag("p", note) for note in notes)]
-    return _section("Counts", "counts", *parts)
+    return section("Counts", "counts", *parts)
 
 
 def class_section(site: ChangeSite) -> Html:
@@ -209,7 +210,7 @@ def class_section(site: ChangeSite) -> Html:
         "the other by the noise of its survey: read tiles off the diagonal as changes only where the map says so."
     )
     head = ("before, down; after, across", *names)
-    return _section(
+    return section(
         "Classes before and after", "classes", table("Tiles by class", head, rows, wide=True), tag("p", note)
     )
 
@@ -218,7 +219,7 @@ def place_section(site: ChangeSite) -> Html:
     """Return the table of the places, the largest first."""
     total = int(site.record["counts"]["regions"])
     if not site.places:
-        return _section("Places", "places", tag("p", "No place was found that has changed."))
+        return section("Places", "places", tag("p", "No place was found that has changed."))
     x, y, decimals = ("longitude, °", "latitude, °", 6) if site.degrees else ("x", "y", 1)
     head = (
         *("place, and its ride", "area", "tiles", "height, m", "lowest to highest, m", "volume, m³"),
@@ -232,7 +233,7 @@ def place_section(site: ChangeSite) -> Html:
         "the ids in change.geojson. Heights and C_r are means over the place,"
         f" after minus before; a positive volume was heaped up.{more}"
     )
-    return _section("Places", "places", table("Places that have changed", head, rows, wide=True), tag("p", note))
+    return section("Places", "places", table("Places that have changed", head, rows, wide=True), tag("p", note))
 
 
 def surveys_section(site: ChangeSite) -> Html:
@@ -254,7 +255,7 @@ def surveys_section(site: ChangeSite) -> Html:
     remarks = [f"{text[:1].upper()}{text[1:]}." for text in map(str, site.record.get("remarks") or ())]
     head = tag("h3", "What to know before the changes are believed")
     parts = join(head, lines_of(*remarks)) if remarks else Html()
-    return _section(
+    return section(
         "The two surveys", "surveys", table("Before and after", ("of the survey", "before", "after"), rows), parts
     )
 
@@ -300,7 +301,7 @@ def settings_section(site: ChangeSite) -> Html:
     facts = tag("dl", *(join(tag("dt", name), tag("dd", text)) for name, text in rows))
     note = "change.json beside this page holds all of it, with the checksums of both surveys' layers."
     told = [tag("p", text) for text in words]
-    return _section(
+    return section(
         "How it was decided", "settings", *told, facts, tag("p", "To repeat it:"), again, tag("p", note, class_="note")
     )
 
@@ -327,11 +328,7 @@ def limits_section(site: ChangeSite) -> Html:
     ]
     if not site.degrees:
         limits.append("The surveys have no CRS: places have coordinates of their own, but no place on Earth.")
-    return _section("What this comparison does not know", "limits", lines_of(*limits))
-
-
-def _section(title: str, key: str, *parts: str) -> Html:
-    return tag("section", tag("h2", title, id=key), *parts, aria_labelledby=key)
+    return section("What this comparison does not know", "limits", lines_of(*limits))
 
 
 def _run(site: ChangeSite, side: str) -> Mapping[str, Any]:

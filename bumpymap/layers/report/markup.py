@@ -26,6 +26,7 @@ __all__ = [
     "lines_of",
     "number",
     "raw",
+    "section",
     "share",
     "shares",
     "slope_chart",
@@ -167,6 +168,11 @@ def swatch(colour: tuple[int, ...], *, hatched: bool = False, falling: bool = Fa
     return raw(f'<svg class="swatch" viewBox="0 0 14 14" aria-hidden="true">{square}{lines}</svg>')
 
 
+def section(title: str, key: str, *parts: str) -> Html:
+    """Return a section of a page with its heading, which links find by ``key``."""
+    return tag("section", tag("h2", title, id=key), *parts, aria_labelledby=key)
+
+
 def lines_of(*items: str) -> Html:
     """Return a list of items."""
     return tag("ul", join(*(tag("li", item) for item in items)))
@@ -272,7 +278,13 @@ def area(square_metres: float) -> str:
 _DATA = Path(__file__).with_name("data")
 
 
-def document(title: str, header: Sequence[Html], sections: Sequence[Html], data: Mapping[str, Any]) -> str:
+def document(
+    title: str,
+    header: Sequence[Html],
+    sections: Sequence[Html],
+    data: Mapping[str, Any],
+    source: str = "the layers in the folder of this page",
+) -> str:
     """Return a page as HTML.
 
     Parameters
@@ -283,6 +295,8 @@ def document(title: str, header: Sequence[Html], sections: Sequence[Html], data:
         What the page begins with, and its sections.
     data : mapping
         What the script needs to draw the maps, as plain JSON.
+    source : str
+        Named at the foot of the page.
     """
     style, script = _asset("report.css"), _asset("report.js")
     policy = (
@@ -304,7 +318,7 @@ def document(title: str, header: Sequence[Html], sections: Sequence[Html], data:
         "body",
         tag("header", *header),
         tag("main", *sections),
-        tag("footer", tag("p", "Made by bumpymap from the layers in the folder of this page. It needs no network.")),
+        tag("footer", tag("p", f"Made by bumpymap from {source}. It needs no network.")),
         raw(f'<script type="application/json" id="report-data">{text}</script>'),
         raw(f"<script>{script}</script>"),
     )

@@ -5,6 +5,7 @@ from pathlib import PurePosixPath
 from typing import Any
 
 from bumpymap.core import BARRED_TEXT, CLASS_NAMES, REASON_TEXT, Barred, Reason, count_text
+from bumpymap.layers.check.words import check_headline
 from bumpymap.layers.colours import class_limits, class_ranges
 from bumpymap.layers.products import REPORT_NAME, SHEET_TABLE_NAME
 from bumpymap.layers.report.drives import drive_figures
@@ -16,6 +17,7 @@ from bumpymap.layers.report.markup import (
     join,
     lines_of,
     number,
+    section,
     share,
     shares,
     slope_chart,
@@ -247,50 +249,55 @@ def ground_section(sites: Sequence[Site]) -> Html:
         for at, (letter, site) in enumerate(lettered(sites))
     ]
     tables = (class_table(sites), bar_table(sites), reason_table(sites))
-    return _section("The ground", "ground", *tables, tag("div", *charts, class_="beside"))
+    return section("The ground", "ground", *tables, tag("div", *charts, class_="beside"))
 
 
 def sheet_section(sites: Sequence[Site]) -> Html:
     """Return the sheets of maps that are written in sheets; empty if none is."""
     in_sheets = any(site.record.get("sheets") for site in sites)
-    return _section("The sheets", "sheets", *_each(sites, sheet_table)) if in_sheets else Html()
+    return section("The sheets", "sheets", *_each(sites, sheet_table)) if in_sheets else Html()
 
 
 def survey_section(sites: Sequence[Site]) -> Html:
     """Return what was surveyed, how densely, where, when, and the files."""
-    return _section("The survey", "survey", *_each(sites, _survey))
+    return section("The survey", "survey", *_each(sites, _survey))
 
 
 def vehicle_section(sites: Sequence[Site]) -> Html:
     """Return the vehicle and what its numbers mean."""
     parts = _each(sites, lambda site: join(tag("h3", site.vehicle), *(tag("p", line) for line in meaning_of(site))))
-    return _section("The vehicle, and what its numbers mean", "vehicle", *parts, measured_surfaces())
+    return section("The vehicle, and what its numbers mean", "vehicle", *parts, measured_surfaces())
 
 
 def way_section(sites: Sequence[Site]) -> Html:
     """Return the figures of ways; empty if there are none."""
     ways = [way for site in sites for way in site.ways]
-    return _section("The way", "way", _way_table(ways)) if ways else Html()
+    return section("The way", "way", _way_table(ways)) if ways else Html()
 
 
 def drive_section(sites: Sequence[Site]) -> Html:
     """Return what real drives show of the maps; empty if none was checked."""
     checked = [(letter, site.name, site.check) for letter, site in lettered(sites) if site.check is not None]
     parts = [
-        tag("div", tag("h3", f"{letter}: {name}") if letter else "", drive_figures(check, letter or "map"))
+        tag(
+            "div",
+            tag("h3", f"{letter}: {name}") if letter else "",
+            tag("p", check_headline(check.result)),
+            drive_figures(check, letter or "map"),
+        )
         for letter, name, check in checked
     ]
-    return _section("Against real drives", "drives", *parts) if parts else Html()
+    return section("Against real drives", "drives", *parts) if parts else Html()
 
 
 def limit_section(sites: Sequence[Site]) -> Html:
     """Return what the map does not know."""
-    return _section("What this map does not know", "limits", *_each(sites, lambda site: lines_of(*limits_of(site))))
+    return section("What this map does not know", "limits", *_each(sites, lambda site: lines_of(*limits_of(site))))
 
 
 def repeat_section(sites: Sequence[Site]) -> Html:
     """Return what is needed to make the layers again."""
-    return _section("To make these layers again", "again", *_each(sites, _repeat))
+    return section("To make these layers again", "again", *_each(sites, _repeat))
 
 
 def lettered(sites: Sequence[Site]) -> list[tuple[str, Site]]:
@@ -305,10 +312,6 @@ def _each(sites: Sequence[Site], part: Any) -> list[Html]:
         return [blocks[0][2]]
     found = [tag("div", tag("h3", f"{letter}: {site.name}") if letter else "", text) for letter, site, text in blocks]
     return [tag("div", *found, class_="beside")] if len(found) > 1 else found
-
-
-def _section(title: str, key: str, *parts: str) -> Html:
-    return tag("section", tag("h2", title, id=key), *parts, aria_labelledby=key)
 
 
 def _facts(rows: Sequence[tuple[str, str]]) -> Html:

@@ -1,7 +1,7 @@
 """Write report.html, one file that requests nothing: as a view of a run that is ending, or again for its layers."""
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -13,20 +13,23 @@ from bumpymap.core import (
     REASON_TEXT,
     BadInputError,
     Barred,
+    CheckResult,
     OutputError,
     Reason,
     UsageError,
     atomic,
     utf8_path,
 )
+from bumpymap.layers.check.vectors import CheckGround
+from bumpymap.layers.check.words import check_headline, names_of
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.map_files import require_map_written, require_written
 from bumpymap.layers.products import REPORT_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.layers.report.drives import DrawnCheck, read_drawn_check
+from bumpymap.layers.report.drives import DrawnCheck, drive_figures, read_drawn_check, reading_notes
 from bumpymap.layers.report.map_figure import RAMP, map_figure
-from bumpymap.layers.report.markup import Html, document, join, tag
+from bumpymap.layers.report.markup import Html, document, join, section, tag
 from bumpymap.layers.report.sections import (
     drive_section,
     ground_section,
@@ -43,7 +46,7 @@ from bumpymap.layers.report.site import Site, read_ways
 from bumpymap.layers.report.tiles import UNKNOWN_FROM
 from bumpymap.layers.report.words import headline
 
-__all__ = ["render", "write_report", "write_reports"]
+__all__ = ["render", "write_check_page", "write_report", "write_reports"]
 
 
 def render(sites: Sequence[Site]) -> str:
@@ -55,7 +58,6 @@ def render(sites: Sequence[Site]) -> str:
     name = " and ".join(site.name for site in sites)
     shared = _same_place(sites)
     data = {"maps": [site.map_record() for site in sites], "together": shared, "codes": _codes()}
-    maps = [map_figure(site, at, letter) for at, (letter, site) in enumerate(lettered(sites))]
     sections = [
         tag(
             "section",
@@ -63,7 +65,7 @@ def render(sites: Sequence[Site]) -> str:
             tag("p", "Both maps move together and show the same layers." if shared else "", class_="note")
             if len(sites) > 1
             else "",
-            tag("div", *maps, class_="beside maps"),
+            tag("div", *_figures(sites), class_="beside maps"),
             *_to_sheets(sites),
             aria_labelledby="map",
         ),
@@ -98,6 +100,69 @@ def _headings(sites: Sequence[Site], name: str) -> list[Html]:
         lines += [tag("p", f"{letter}: {summary_line(site)}", class_="facts") for letter, site in lettered(sites)]
     kind = "Ground roughness" if len(sites) == 1 else "Ground roughness, two maps compared"
     return [tag("p", kind, class_="kind"), tag("h1", name), join(*lines)]
+
+
+def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path) -> None:
+    """Write check.html: the drives over the map they were checked against, charts, tables, how to read them.
+
+    Without a map, or where its layers cannot be drawn, the page has no map.
+
+    Parameters
+    ----------
+    result : CheckResult
+    ground : CheckGround or None
+        The map; None without one.
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The page cannot be written.
+    """
+    check = DrawnCheck(result, is_of_this_run=True)
+    sites = [] if ground is None else list(_driven_sites(check, ground))[:_MOST]
+    about = result.ground
+    names = names_of([drive.name for drive in result.drives])
+    title = f"Drives measured: {names}" if about is None else f"{about.name} checked against {names}"
+    header = [tag("p", "Ride cost by real drives", class_="kind"), tag("h1", title)]
+    header.append(tag("p", check_headline(result), class_="result"))
+    if about is not None:
+        limits = ", ".join(f"{limit:.3g}" for limit in about.class_limits)
+        facts = (
+            f"Map: vehicle {about.vehicle}, calibration {about.calibration_id}, driven at {about.speed_mps:g} m/s, "
+            f"limits of the classes {limits} rad/m"
+        )
+        header.append(tag("p", facts, class_="facts"))
+    sections = [
+        section("Map", "map", tag("div", *_figures(sites), class_="beside maps")) if sites else Html(),
+        section("Drives", "drives", drive_figures(check, "check")),
+        section("How to read this", "read", reading_notes(result)),
+    ]
+    data = {"maps": [site.map_record() for site in sites], "together": _same_place(sites), "codes": _codes()}
+    text = document(title, header, sections, data, source="the drives and layers that check.json names")
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def _driven_sites(check: DrawnCheck, ground: CheckGround) -> Iterator[Site]:
+    """Yield the maps with a stretch on them, as far as they can be drawn."""
+    stretches = check.result.stretches
+    for folder, record in zip(ground.folders, ground.manifests, strict=False):
+        try:
+            with utf8_path(folder) as readable:
+                site = Site.read(readable, record, maps=min(_MOST, len(ground.folders)), has_links=False, check=check)
+        except BadInputError:
+            continue
+        spot = site.tiles.spot
+        east, south = stretches.easting - spot.west, spot.north - stretches.northing
+        inside = (east >= 0) & (east < spot.cols * spot.tile_size) & (south >= 0) & (south < spot.rows * spot.tile_size)
+        if inside.any():
+            yield site
+
+
+def _figures(sites: Sequence[Site]) -> list[Html]:
+    return [map_figure(site, at, letter) for at, (letter, site) in enumerate(lettered(sites))]
 
 
 def _same_place(sites: Sequence[Site]) -> bool:

@@ -241,6 +241,8 @@ def read_in_child(
 ) -> tuple[DriveLog | None, Exception | None]:
     """Read files of a drive, named relative to a folder, in the child; return it, or the error for the parent."""
     os.chdir(folder)
+    # The allocator of pyarrow would reserve as much as the limit on memory allows.
+    os.environ["ARROW_DEFAULT_MEMORY_POOL"] = "system"
     try:
         return _read(paths, wanted), None
     except Exception as error:  # noqa: BLE001 (the parent raises it)

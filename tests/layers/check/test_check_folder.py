@@ -16,14 +16,14 @@ from bumpymap.layers import (
     CHECK_NAMES,
     CHECK_VIEW_NAMES,
     check_check_out,
+    check_files,
     read_check,
     write_check,
 )
-from bumpymap.layers.check import folder as folder_module
 from bumpymap.layers.check.record import check_entries, result_of
 
 ALL = sorted((*CHECK_NAMES, *CHECK_VIEW_NAMES))
-WITHOUT_MAP = ["check.json", "check.md", "check.png", "stretches.csv"]
+WITHOUT_MAP = ["check.html", "check.json", "stretches.csv"]
 SETTINGS = {"settings": {"band_hz": 10.0, "window_m": 10.0}}
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
@@ -31,12 +31,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 @pytest.fixture(scope="module")
 def ground():
     return MadeUpMap.around()
-
-
-@pytest.fixture(autouse=True)
-def no_picture(monkeypatch):
-    """A picture takes a second; its own tests look at it."""
-    monkeypatch.setattr(folder_module, "write_check_picture", lambda *given: given[-1].write_bytes(b"PNG"))
 
 
 def names(folder):
@@ -72,9 +66,8 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     assert record["calibration"] == {"id": "c0ffee"}
     assert record["crs"]["code"] == "EPSG:32614"
     assert "bumpymap" in record["versions"]
-    assert [entry["path"] for entry in record["files"]] == [
-        "check.md", "check.png", "stretches.csv", "check.geojson", "check_tiles.geojson",
-    ]  # fmt: skip
+    listed = [entry["path"] for entry in record["files"]]
+    assert listed == ["check.html", "stretches.csv", "check.geojson", "check_tiles.geojson"]
     for entry in record["files"]:
         content = (out / entry["path"]).read_bytes()
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
@@ -113,7 +106,7 @@ def test_without_positions_there_is_nothing_for_gis(ground, tmp_path):
 def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(ground, tmp_path):
     write_check(made_up_check(), tmp_path, ground=ground)
     before = (tmp_path / "check.json").read_bytes()
-    with pytest.raises(OutputError, match=r"already holds check\.md.*overwrite=True"):
+    with pytest.raises(OutputError, match=r"already holds check\.html.*overwrite=True"):
         write_check(made_up_check(seed=6), tmp_path, ground=ground)
     with pytest.raises(OutputError, match="already holds"):
         check_check_out(tmp_path, overwrite=False)
@@ -122,7 +115,7 @@ def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(g
     write_check(made_up_check(seed=6), tmp_path, ground=ground, overwrite=True)
     assert (tmp_path / "check.json").read_bytes() != before
     write_check(made_up_check(ground=False), tmp_path, overwrite=True)
-    assert names(tmp_path) == [*WITHOUT_MAP[:3], "my notes.txt", "stretches.csv"]
+    assert names(tmp_path) == [*WITHOUT_MAP[:2], "my notes.txt", "stretches.csv"]
 
 
 def test_links_are_replaced_and_never_followed(ground, tmp_path):
@@ -144,7 +137,7 @@ def test_a_file_that_fails_leaves_the_old_ones(ground, tmp_path, monkeypatch):
     def fail(*_given, **_named):
         raise OSError("disk full")
 
-    monkeypatch.setattr(folder_module, "write_check_style", fail)
+    monkeypatch.setattr(check_files, "write_check_style", fail)
     for out in ("out", "new"):
         with pytest.raises(OSError, match="disk full"):
             write_check(made_up_check(seed=6), tmp_path / out, ground=ground, overwrite=True)
@@ -162,8 +155,8 @@ def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):
         check_check_out(tmp_path / "file", overwrite=True)
     with pytest.raises(UsageError, match=r"named like a \.json file, but a check is a folder"):
         check_check_out(tmp_path / "check.json", overwrite=False)
-    (tmp_path / "other" / "check.png").mkdir(parents=True)
-    with pytest.raises(OutputError, match=r"check\.png is not a file"):
+    (tmp_path / "other" / "check.html").mkdir(parents=True)
+    with pytest.raises(OutputError, match=r"check\.html is not a file"):
         check_check_out(tmp_path / "other", overwrite=True)
 
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from check_records import made_up_check
 
-from bumpymap.core import CLASS_NAMES
 from bumpymap.layers import check_headline, check_verdict, level_words
-from bumpymap.layers.check.words import check_page, metres, percent
+from bumpymap.layers.check.words import metres, percent
 
 
 def judged(n=40, **figures):
@@ -74,7 +73,6 @@ def test_the_headline_holds_the_figures():
 def test_few_stretches_judge_nothing():
     result = made_up_check(3)
     assert check_headline(result).startswith("Too little was driven on the map to judge it: 30 m in 3 stretches.")
-    assert "Where the map is off" not in check_page(result, ())
 
 
 def test_without_a_map_the_drives_alone_are_told():
@@ -83,10 +81,6 @@ def test_without_a_map_the_drives_alone_are_told():
     assert check_headline(result) == (
         f"1 drive measured over 80 m: a ride cost of {mean:.3f} rad/m on average. No map was checked."
     )
-    page = check_page(result, ("check.png",))
-    assert "Map against drives" not in page
-    assert "Spearman" not in page
-    assert page.startswith("# Drives measured: drive 1\n")
 
 
 def test_nothing_measured_is_said():
@@ -99,51 +93,3 @@ def test_nothing_measured_is_said():
 def test_lengths_and_shares():
     assert [metres(value) for value in (0.4, 4999.0, 12_345.0)] == ["0 m", "4,999 m", "12.3 km"]
     assert [percent(value) for value in (0.123, float("nan"))] == ["12 %", "\N{EN DASH}"]
-
-
-def table_of(page, title):
-    """Rows of the first Markdown table under a heading."""
-    lines = page.split(f"## {title}\n", 1)[1].split("\n## ")[0].splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    return [rows[0], *rows[2:]]
-
-
-def test_the_page_has_the_figures_of_all_classes_and_the_worst_stretches():
-    result = made_up_check(60, bias=1.3, noise=0.3)
-    page = check_page(result, ("check.png", "check.json"))
-    agreement = table_of(page, "Map against drives")
-    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
-    assert [row[0] for row in agreement[1:]] == ["all", *classes]
-    assert sum(int(row[1]) for row in agreement[2:]) == int(agreement[1][1]) == 60
-    worst = table_of(page, "Where the map is off")[1:]
-    assert len(worst) == 10
-    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst]) for at in (3, 4))
-    ratio = np.array([float(row[6]) for row in worst])
-    assert ratio == pytest.approx(c_r / measured, rel=0.03)
-    assert (np.diff(np.abs(np.log(ratio))) <= 0.01).all()
-    assert "- `check.json`:" in page
-    assert "check.geojson" not in page.split("## Files")[1]
-
-
-def test_the_name_of_a_drive_stands_before_what_does_not_say_it_if_there_are_several():
-    result = made_up_check(8, drives=2)
-    drives = (
-        replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")),
-        replace(result.drives[1], warnings=("too fast",)),
-    )
-    page = check_page(replace(result, drives=drives, warnings=("odd",)), ())
-    assert "- odd\n- drive 1: no standstill\n- drive 1: too fast\n- drive 2: too fast\n" in page
-    assert "- drive 1: read from the log: gyro_y [deg/s] as rate_y" in page.replace("\\", "")
-    assert "- drive 2: times are Unix seconds" in page
-
-
-def test_the_page_holds_what_names_hold_but_not_their_marks():
-    result = made_up_check(8, warnings=["speed is 3.1 m/s, the map is for 1 m/s"])
-    drive = replace(result.drives[0], name="a|b *<img src=x>*\n# c", warnings=("no standstill",), notes=("1 `x`",))
-    page = check_page(replace(result, drives=(drive,)), ())
-    assert "<img" not in page.replace("\\<img", "")
-    assert "\n# c" not in page
-    assert "- speed is 3.1 m/s, the map is for 1 m/s\n- no standstill" in page
-    assert all(len(row) == 2 for row in table_of(page.replace("\\|", "/"), "The drives"))
-    assert "- 1 \\`x\\`" in page
-    assert table_of(page, "What does not count")[1:] == [["turning", "120 m"], ["no position", "89 m"]]

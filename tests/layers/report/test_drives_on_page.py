@@ -1,19 +1,21 @@
 """The page of a map with real drives over it."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from check_records import made_up_check
+from check_records import made_up_check, make_check, stretches_at
 from page_outline import Outline
 from route_maps import copy_folder
 from route_records import MadeUpMap
 
-from bumpymap.core import BadInputError, UsageError
+from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import check_headline, open_map, write_check, write_reports
-from bumpymap.layers.check.offset import MapOffset
+from bumpymap.layers.check.offset import LogAxis, MapOffset
+from bumpymap.layers.report.drives import along_chart, drive_chart
 
 
 def on_site(result, site):
@@ -116,6 +118,85 @@ def test_nothing_to_compare_is_drawn_without_a_chart(site, tmp_path, read_page):
     page = read_page(write_reports([site], tmp_path / "a.html", check=tmp_path / "out"))
     assert "Against real drives" in page.text
     assert "chart-drives" not in page.text
+
+
+def test_the_page_of_a_check_holds_map_figures_and_drives(checked, read_page):
+    out, result = checked
+    page = read_page(out / "check.html")
+    outline = Outline(page.text)
+    (about,) = page.data["maps"]
+    assert len(about["stretches"]) == 50
+    assert check_headline(result).replace("'", "&#x27;") in page.text
+    rows = outline.tables["Map against drives"]
+    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
+    assert [row[0] for row in rows[1:]] == ["all", *classes]
+    assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
+    (worst,) = (table for title, table in outline.tables.items() if title.startswith("Stretches that are off"))
+    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
+    ratio = np.array([float(row[6]) for row in worst[1:]])
+    assert 0 < len(worst) - 1 <= 10
+    assert ratio == pytest.approx(c_r / measured, rel=0.03)
+    assert outline.tables["Parts of the ways that do not count"][1:] == [["turning", "241 m"], ["no position", "178 m"]]
+    assert "<img src=x" not in page.text
+    assert page.text.count("<circle") == 49 + 50
+
+
+def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
+    result = made_up_check(8, ground=False, drives=2)
+    drives = (replace(result.drives[0], warnings=("drive 1: no standstill", "too fast")), result.drives[1])
+    write_check(replace(result, drives=drives), tmp_path)
+    page = read_page(tmp_path / "check.html")
+    assert page.data["maps"] == []
+    assert "Map against drives" not in Outline(page.text).tables
+    assert "Spearman" not in page.text
+    assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
+    assert "<li>drive 1: no standstill</li><li>drive 1: too fast</li>" in page.text
+    assert "<li>drive 2: times are Unix seconds</li>" in page.text
+
+
+def test_layers_that_cannot_be_drawn_leave_a_page_without_a_map(site, checked, tmp_path, read_page):
+    later = copy_folder(site, tmp_path / "later", name="later")
+    result, ground = on_site(made_up_check(50), later)
+    (later / "tiles.parquet").unlink()
+    write_check(result, tmp_path / "out", ground=ground)
+    assert read_page(tmp_path / "out" / "check.html").data["maps"] == []
+
+
+MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text-anchor="middle">([\d.]+)</text>'
+
+
+def test_a_mark_lies_at_what_map_and_drive_say():
+    result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
+    chart, along = drive_chart(result, ""), along_chart(result, "")
+    (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
+    ticks = np.array(re.findall(TICK, chart), float)
+    scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
+    assert [x, right] == pytest.approx(np.polyval(scale, np.log([0.1, 0.4])), abs=0.2)
+    assert (y - top) / (right - x) == pytest.approx(np.log(12) / np.log(4) * 380 / 484, rel=0.01)
+    first, second = np.array(re.findall(MARK, along), float)
+    zero = float(re.search(r'y="([\d.]+)" text-anchor="end">0</text>', along)[1]) - 4
+    assert (zero - second[1]) / (zero - first[1]) == pytest.approx(12.0, rel=0.01)
+    assert second[0] - first[0] == pytest.approx((1120 - 64 - 12) / 2, abs=0.2)
+
+
+@pytest.mark.parametrize("case", ["one stretch", "nearly nothing known", "nothing measured", "many"])
+def test_odd_findings_are_drawn_too(case):
+    number = {"one stretch": 1, "many": 3000}.get(case, 8)
+    result = made_up_check(number, unknown=range(7) if case == "nearly nothing known" else ())
+    if case == "nothing measured":
+        result = replace(result, stretches=replace(result.stretches, measured=np.full(8, np.nan)), agreement=None)
+    for chart in (drive_chart(result, "a"), along_chart(result, "b")):
+        assert "nan" not in chart
+        assert not chart or Outline(chart).ids
+
+
+def test_a_logarithmic_axis_holds_its_values_and_round_numbers():
+    axis = LogAxis.around(np.array([0.03, 0.9]))
+    assert axis.part(np.array([axis.low, np.sqrt(axis.low * axis.high), axis.high])) == pytest.approx([0.0, 0.5, 1.0])
+    assert axis.ticks == [0.05, 0.1, 0.2, 0.5, 1.0]
+    assert axis.part(np.array([-1.0, 1e9])).tolist() == [0.0, 1.0]
+    one = LogAxis.around(np.array([0.2]))
+    assert one.high / one.low == pytest.approx(4.0)
 
 
 @pytest.fixture(scope="module")

@@ -40,6 +40,13 @@ def test_quotes_around_names_and_text_beside_numbers(tmp_path):
     np.testing.assert_array_equal(log.imu.rate, gyro(columns))
 
 
+def test_half_an_hour_at_50_hz_is_no_damaged_file(tmp_path):
+    """The process that reads has a limit of memory, which libraries must not use up by reserving."""
+    columns = {name: np.round(values, 3) for name, values in drive(90_000).items()}
+    log = read_drive(write(tmp_path / "long.csv", columns | {"remark": ["x" * 16] * 90_000}))
+    np.testing.assert_array_equal(log.imu.rate, gyro(columns))
+
+
 def test_remarks_between_rows_and_lines_before_the_header_are_skipped(tmp_path):
     columns = drive(50)
     text = (tmp_path / "drive.csv", columns)

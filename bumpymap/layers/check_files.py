@@ -14,7 +14,6 @@ from bumpymap.core import (
     write_together,
     writing_to,
 )
-from bumpymap.layers.check.picture import write_check_picture
 from bumpymap.layers.check.record import (
     CHECK_FORMAT,
     CHECK_MANIFEST_NAME,
@@ -30,7 +29,6 @@ from bumpymap.layers.check.vectors import (
     write_stretch_table,
     write_stretches,
 )
-from bumpymap.layers.check.words import write_check_page
 from bumpymap.layers.gis.styles import write_check_style
 from bumpymap.layers.manifest import (
     MANIFEST_NAME,
@@ -40,6 +38,7 @@ from bumpymap.layers.manifest import (
     write_manifest,
 )
 from bumpymap.layers.products import check_folder, refuse_present
+from bumpymap.layers.report.write import write_check_page
 
 __all__ = ["write_check"]
 
@@ -116,7 +115,7 @@ def write_check(
 def _writers(result: CheckResult, ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Writer]:
     """Return how each file is written, by name."""
     writers: dict[str, Writer] = {
-        "check.png": partial(write_check_picture, result, ground),
+        "check.html": partial(write_check_page, result, ground if places is not None else None),
         "stretches.csv": partial(write_stretch_table, result, places),
     }
     if places is not None:
@@ -125,7 +124,7 @@ def _writers(result: CheckResult, ground: CheckGround | None, places: CheckPlace
         if result.tiles is not None and len(result.tiles.col):
             writers["check_tiles.geojson"] = partial(write_driven_tiles, result.tiles, places)
             writers["check_tiles.qml"] = partial(write_check_style, areas=True)
-    return {"check.md": partial(write_check_page, result, (*writers, CHECK_MANIFEST_NAME)), **writers}
+    return writers
 
 
 def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:
