@@ -39,7 +39,7 @@ WAY = (
     *((92, 11), (36, 10), (14, 8), (14, 29), (60, 29), (116, 23)),
     *((118, 44), (98, 58), (84, 46), (50, 36), (19, 38), (19, 72)),
 )
-"""Clear of obstacles over meadow, road, ruts, rubble, floor, ramp; metres east and north of the map's south-west corner."""
+"""Clear of obstacles over meadow, road, ruts, rubble, floor, ramp; m east and north of the map's south-west corner."""
 STOPS = (Stop(60.0, 4.0), Stop(150.0, 4.0))
 SENSORS = DriveSensors(
     IMUS["good"], GNSS["rtk"], mount_deg=(1.0, -2.0, 1.5), clock=ClockFault(offset_s=0.23, drift_ppm=20.0)
