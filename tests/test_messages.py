@@ -14,8 +14,8 @@ from bumpymap.change.pipeline import DiffSettings
 from bumpymap.check import CheckConfig
 from bumpymap.check.pipeline import CheckSettings
 from bumpymap.cli import main
-from bumpymap.cli._text import _SPELLED, as_options
-from bumpymap.core import PolarSettings, Scan
+from bumpymap.cli._text import as_options
+from bumpymap.core import PolarSettings, Robot, Scan
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
@@ -270,7 +270,9 @@ def test_every_setting_in_backquotes_is_one():
     known = set(MapConfig.__dataclass_fields__) | {"fit", "check"}
     known |= set(BatchConfig.__dataclass_fields__)
     known |= set(RouteConfig.__dataclass_fields__) | set(CostSettings.__dataclass_fields__)
-    known |= set(ScanConfig.__dataclass_fields__) | set(PolarSettings.__dataclass_fields__) | set(_SPELLED)
+    known |= (
+        set(ScanConfig.__dataclass_fields__) | set(PolarSettings.__dataclass_fields__) | set(Robot.__dataclass_fields__)
+    )
     known |= set(ExportSettings.__dataclass_fields__)
     known |= set(DiffConfig.__dataclass_fields__) | set(CheckConfig.__dataclass_fields__)
     for file in sorted((ROOT / "bumpymap").rglob("*.py")):

@@ -20,6 +20,7 @@ __all__ = [
     "PATH",
     "SHARE",
     "NumberList",
+    "WordList",
     "emit",
     "interrupt_note",
     "restored_logging",
@@ -131,12 +132,26 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
 
     name = "list"
 
+    def __init__(self, kind: type[int] | type[float] = float) -> None:
+        self._kind = kind
+
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
         """Convert a string to numbers."""
         try:
-            return tuple(float(word) for word in str(value).split(","))
+            return tuple(self._kind(word) for word in str(value).split(","))
         except ValueError:
-            self.fail(f"{value!r} is no list of numbers; give one such as 1,2,5", param, ctx)
+            whole = "whole " if self._kind is int else ""
+            self.fail(f"{value!r} is no list of {whole}numbers; give one such as 1,2,5", param, ctx)
+
+
+class WordList(click.ParamType):  # type: ignore[type-arg]
+    """Words with commas between them."""
+
+    name = "list"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Convert a string to words."""
+        return tuple(word.strip() for word in str(value).split(",") if word.strip())
 
 
 @contextmanager

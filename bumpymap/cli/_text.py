@@ -29,26 +29,30 @@ __all__ = [
     "error_console",
     "flush",
     "is_plain",
+    "option_name",
     "print_error",
     "print_json",
     "print_labelled",
     "print_line",
     "print_table",
+    "spell_setting",
 ]
 
-_SPELLED = {
-    "start": "from",
-    "goal": "to",
-    "round_trip": "return",
-    "radius_m": "robot-radius",
-    "range_m": "range",
-    "zone_starts_m": "zones",
-    "band_hz": "band",
-    "window_m": "window",
-    "drives": "drive",
-}
-"""Options that do not have the name of the setting: ``from`` and ``return`` are words of Python."""
+_SPELLED: dict[str, str] = {}
+"""Setting -> option, where the two differ (``from`` is a word of Python); of the commands that were made."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
+
+
+def spell_setting(name: str, option: str) -> str:
+    """Return the option of a setting; one of another name, without dashes, is remembered for messages."""
+    if option:
+        _SPELLED[name] = option
+    return option_name(name)
+
+
+def option_name(name: str) -> str:
+    """Return the option of a setting, such as ``--tile-size``."""
+    return f"--{_SPELLED.get(name, name).replace('_', '-')}"
 
 
 def as_options(text: str) -> str:
@@ -58,7 +62,7 @@ def as_options(text: str) -> str:
 
 def _option(found: re.Match[str]) -> str:
     name, quoted, plain = found.groups()
-    option = f"--{_SPELLED.get(name, name).replace('_', '-')}"
+    option = option_name(name)
     if quoted is not None:
         return f"{option} {shlex.quote(quoted)}"
     return option if plain in {None, "True"} else f"{option} {plain}"

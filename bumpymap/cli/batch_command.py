@@ -5,18 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    given_options,
-    option_name,
-    output_options,
-    rating_options,
-    sheets_option,
-    tolerance_options,
-)
+from bumpymap.cli._options import config_option, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note, set_up_logging
-from bumpymap.cli._text import as_options, print_json, print_line
-from bumpymap.core import CLASHES, count_text, refuse_clashes
+from bumpymap.cli._text import as_options, option_name, print_json, print_line
+from bumpymap.core import CLASHES, MapConfig, count_text, refuse_clashes
 
 if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
@@ -46,22 +39,15 @@ _MOST_LISTED = 20
     help="What in the folder SOURCE is one survey [default: file].",
 )
 @click.option("--jobs", type=int, metavar="N", default=1, help="Number of surveys mapped at a time [default: 1].")
-@rating_options
-@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings for all surveys.")
-@click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --jobs [default: all cores].")
-@click.option(
-    "--memory", metavar="SIZE", help="Memory limit, shared by --jobs [default: auto, a quarter of what is free]."
+@settings_options(
+    MapConfig,
+    without=("out", "resume"),
+    threads="Number of threads, shared by --jobs",
+    memory="Memory limit, shared by --jobs",
+    scratch="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded",
+    overwrite="Replace layers of other inputs or settings",
 )
-@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
-@click.option(
-    "--scratch",
-    type=PATH,
-    metavar="DIR",
-    help="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded.",
-)
-@tolerance_options
-@sheets_option
-@click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")
+@config_option
 @output_options()
 @click.pass_context
 def command(

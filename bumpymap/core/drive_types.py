@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.settings_file import brief_repr
+from bumpymap.core.settings import brief_repr
 
 __all__ = [
     "CheckResult",

@@ -13,7 +13,6 @@ from .evaluate.scan_report import (
     write_scan_report as write_scan_report,
 )
 from .evaluate.scans import (
-    ScanEvaluateSettings as ScanEvaluateSettings,
     ScanFindings as ScanFindings,
     ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
@@ -22,10 +21,18 @@ from .evaluate.scans import (
     simulated_scans as simulated_scans,
 )
 from .evaluate.survey_trial import (
-    EvaluateSettings as EvaluateSettings,
     Findings as Findings,
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
+)
+from .settings import (
+    CalibrationSettings as CalibrationSettings,
+    EvaluateSettings as EvaluateSettings,
+    LoopSettings as LoopSettings,
+    NetworkSettings as NetworkSettings,
+    ScanEvaluateSettings as ScanEvaluateSettings,
+    ScanTrainSettings as ScanTrainSettings,
+    TrainSettings as TrainSettings,
 )
 from .simulate.calibrate import (
     calibrate_vehicle as calibrate_vehicle,
@@ -44,7 +51,6 @@ from .simulate.motion_fit import (
     motion_journal as motion_journal,
 )
 from .simulate.plan import (
-    CalibrationSettings as CalibrationSettings,
     library_terrains as library_terrains,
 )
 from .simulate.refit import add_steps as add_steps, crossing_jobs as crossing_jobs
@@ -57,12 +63,9 @@ from .train.model_files import (
     TrainedModel as TrainedModel,
 )
 from .train.scan_net import (
-    ScanTrainSettings as ScanTrainSettings,
     make_scan_model as make_scan_model,
 )
 from .train.textures import (
-    NetworkSettings as NetworkSettings,
-    TrainSettings as TrainSettings,
     make_model as make_model,
 )
 from .worlds.sample import (

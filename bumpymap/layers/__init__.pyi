@@ -51,9 +51,12 @@ from .colours import (
     OFF_COLOURS as OFF_COLOURS,
     REASON_COLOURS as REASON_COLOURS,
 )
+from .export.settings import (
+    ExportFormat as ExportFormat,
+    ExportSettings as ExportSettings,
+)
 from .export.write import (
     Export as Export,
-    ExportSettings as ExportSettings,
     export_map as export_map,
 )
 from .folder import (
@@ -195,7 +198,6 @@ from .scan.frame import (
 )
 from .scan.grid_bag import (
     GridBag as GridBag,
-    GridSettings as GridSettings,
     GroundGrid as GroundGrid,
     check_bag_file as check_bag_file,
 )

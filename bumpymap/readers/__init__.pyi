@@ -43,7 +43,6 @@ from .frames.raw import (
 )
 from .frames.read import (
     BagTopics as BagTopics,
-    Robot as Robot,
     bags_at as bags_at,
     find_frames as find_frames,
     find_sources as find_sources,

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from bumpymap.core import NO_CLASS, FeatureSettings, Georeference, PatchStack, Progress, Reason, UsageError, counted
 from bumpymap.lab.evaluate.rated_survey import MAPPED, MeasuredSurvey, Subject, Verdict
 from bumpymap.lab.evaluate.survey_trial import uniform_by_key
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
+from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate.plan import library_terrain
 from bumpymap.lab.worlds.terrains import FINE, KINDS, Terrain
 from bumpymap.patches import join_stacks, measure
 from bumpymap.rating import Calibration, Vehicle, classify

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from bumpymap.core import Barred, Georeference, MapConfig, SilentProgress, rated_columns
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
-from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.lab.simulate.refit import WallGround, cross
 from bumpymap.rating import Vehicle, crossing_fails
 from bumpymap.survey.second_pass import NeighbourRating, add_neighbours

@@ -22,7 +22,8 @@ from bumpymap.core import FeatureSettings, PatchStack, Progress, Reason, SilentP
 from bumpymap.lab.evaluate.agreement import DriveStats, coverage, median_error, median_ratio
 from bumpymap.lab.evaluate.rated_survey import Subject, Verdict, take_tiles
 from bumpymap.lab.evaluate.report import driven_lines
-from bumpymap.lab.evaluate.survey_trial import EvaluateSettings, Findings, PatchTrial, TrialOptions
+from bumpymap.lab.evaluate.survey_trial import Findings, PatchTrial, TrialOptions
+from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.jobs import Key
 from bumpymap.lab.simulate.ride_fit import relief_and_slope, survey_terrains
 from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain

@@ -14,7 +14,7 @@ from _tile_trials import density_sweep, invariance, step_costs
 
 from bumpymap.core import Reason, SilentProgress
 from bumpymap.lab.evaluate.rated_survey import Subject, load_survey, open_readers
-from bumpymap.lab.evaluate.survey_trial import EvaluateSettings
+from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.rating import TextureModel, find_calibration
 from bumpymap.readers import ReadOptions
 from bumpytiles import Grid

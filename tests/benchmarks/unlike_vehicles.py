@@ -20,9 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import DriveSettings, Effort, drive_patch
 from bumpymap.lab.simulate.model import Physics
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain
+from bumpymap.lab.simulate.plan import library_terrain
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import Calibration, Vehicle
 

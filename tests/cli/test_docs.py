@@ -11,7 +11,7 @@ import pytest
 
 from bumpymap.cli import main
 from bumpymap.core.config import MapConfig
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings import read_settings_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"

@@ -83,7 +83,7 @@ MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
     ("evaluate", "seed", 0): lambda got: got[0]["seed"],
     ("train", "seed", 0): lambda got: got[0].seed,
-    ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
+    ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
     ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,

@@ -4,7 +4,7 @@ import pytest
 
 from bumpymap.core.config import FeatureSettings, MapConfig
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings import read_settings_file
 
 
 def test_defaults_need_no_file():

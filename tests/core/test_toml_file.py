@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, strategies as st
 
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import read_toml, short_names, short_repr
+from bumpymap.core.settings import read_toml, short_names, short_repr
 
 
 def read(tmp_path, content):

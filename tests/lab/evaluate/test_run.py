@@ -12,7 +12,8 @@ from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate import survey_trial
 from bumpymap.lab.evaluate.rated_survey import Subject, open_readers
 from bumpymap.lab.evaluate.report import plain_record
-from bumpymap.lab.evaluate.survey_trial import EvaluateSettings, TrialOptions, evaluate_survey
+from bumpymap.lab.evaluate.survey_trial import TrialOptions, evaluate_survey
+from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.readers import ReadOptions
 
 pytestmark = pytest.mark.slow

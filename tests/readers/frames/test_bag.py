@@ -16,8 +16,8 @@ pytest.importorskip("rosbags")
 
 from bags import LIDAR, cloud, lidar_rows, odometry, transforms, write_bag
 
-from bumpymap.core import BadInputError, UsageError
-from bumpymap.readers import BagReader, BagTopics, Robot, find_sources, read_message
+from bumpymap.core import BadInputError, Robot, UsageError
+from bumpymap.readers import BagReader, BagTopics, find_sources, read_message
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000

@@ -7,9 +7,9 @@ import pytest
 from ply_files import write_ply
 from pypcd4 import Encoding, PointCloud
 
-from bumpymap.core import Dropped
+from bumpymap.core import Dropped, Robot
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import Robot, read_scan
+from bumpymap.readers import read_scan
 
 NAN, INF = float("nan"), float("inf")
 ROWS = np.array(

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.config import MapConfig
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import parse_record, read_settings_file
+from bumpymap.core.settings import parse_record, read_settings_file
 
 Colour = Literal["red", "blue"]
 
@@ -177,7 +177,7 @@ def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
 def test_what_a_dataclass_refuses_is_said_with_file_and_table(tmp_path):
     file = tmp_path / "a.toml"
     file.write_text("[features]\nmin_points = 2\n")
-    with pytest.raises(UsageError, match=r"a\.toml: \[features\]: min_points is 2; it must be a whole number"):
+    with pytest.raises(UsageError, match=r"a\.toml: features\.min_points is 2; it must be a whole number, at least 3"):
         read_settings_file(file, MapConfig)
 
 
