@@ -1,8 +1,13 @@
 """Settings in messages: arguments for a Python caller, options on the command line."""
 
 import ast
+import os
 import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import is_dataclass
 from pathlib import Path
+from types import UnionType
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 import pytest
@@ -24,6 +29,7 @@ from bumpymap.scan import ScanConfig
 from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig
 from bumpymap.survey.api import MapSettings
+from bumpymap.survey.batch import BatchSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -239,6 +245,54 @@ def test_the_command_line_reads_options(words, said, style, tmp_path):
 )
 def test_settings_are_spelled_as_options(text, shown):
     assert as_options(text) == shown
+
+
+def members(kind):
+    return set(get_args(kind)) if get_origin(kind) in (Union, UnionType) else {kind}
+
+
+def accepted(kind):
+    """Types that a keyword takes for a field of a type: a tuple from any sequence, a path from a string, a table."""
+    if get_origin(kind) is tuple:
+        item = get_args(kind)[0]
+        return {Iterable[str | os.PathLike[str]] if item is Path else Sequence[item]}
+    if is_dataclass(kind):
+        return {kind, Mapping[str, Any]}
+    return {str, os.PathLike[str]} if kind is Path else {kind}
+
+
+SIGNATURES = [
+    (MapSettings, [MapConfig], {"surveys", "out"}, bumpymap.map_survey),
+    (BatchSettings, [MapConfig, BatchConfig], {"surveys", "out", "resume", "source", "given", "defaults"}, None),
+    (
+        RouteSettings,
+        [RouteConfig, CostSettings],
+        {*("layers", "start", "goal", "via", "points", "out", "isochrones", "isocosts", "cost")},
+        bumpymap.find_routes,
+    ),
+    (DiffSettings, [DiffConfig], {"before", "after", "out"}, bumpymap.diff_surveys),
+    (CheckSettings, [CheckConfig], {"drives", "layers", "out"}, bumpymap.check_drives),
+]
+
+
+@pytest.mark.parametrize(("signature", "owners", "elsewhere", "call"), SIGNATURES)
+def test_the_keywords_of_a_call_are_those_of_the_declaration(signature, owners, elsewhere, call):
+    declared = {name: kind for owner in owners for name, kind in get_type_hints(owner).items() if name not in elsewhere}
+    keywords = get_type_hints(signature)
+    assert set(keywords) == set(declared)
+    for name, kind in declared.items():
+        of_setting = {each for part in members(kind) for each in accepted(part)}
+        more = {int} if name in {"crs", "force_crs"} else {os.PathLike[str]} if name == "vehicle" else set()
+        assert members(keywords[name]) == of_setting | more, name
+    if call is not None:
+        assert set(declared) <= set(re.findall(r"[a-z_]+", call.__doc__)), "its docstring names every setting"
+
+
+def test_the_keywords_of_a_classifier_are_settings_of_a_scan():
+    declared, named = get_type_hints(ScanConfig), bumpymap.ScanClassifier.__doc__
+    for name, kind in get_type_hints(ClassifierSettings).items():
+        assert {each for part in members(declared[name]) for each in accepted(part)} <= members(kind), name
+        assert f"    {name} :" in named, name
 
 
 def _is_for_commands(file):

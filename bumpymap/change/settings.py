@@ -26,4 +26,5 @@ class DiffConfig:
     """Height that is taken off the later survey, m; None: the median difference, as measured."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier run")] = False
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)

@@ -39,7 +39,8 @@ class ReadingSettings:
     turn_radius_m: float = 4.0
     """Parts that turn more sharply do not count, m."""
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,17 +1,28 @@
 """Options of commands, made from the declaration of their settings, and which were given on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._terminal import LOCATION, PATH, SHARE, NumberList, WordList
-from bumpymap.cli._text import option_name, spell_setting
-from bumpymap.core import Clash, Declared, override_settings, refuse_clashes, settings_with_options
+from bumpymap.cli._text import option_name, set_up_logging, spell_setting
+from bumpymap.core import (
+    Clash,
+    Declared,
+    override_settings,
+    parse_share,
+    path_fault,
+    refuse_clashes,
+    settings_with_options,
+)
 
 __all__ = [
+    "FILE",
+    "LOCATION",
+    "PATH",
     "config_option",
     "given_options",
     "jobs_option",
@@ -23,12 +34,93 @@ __all__ = [
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
-    """Add ``--quiet`` and ``--log-json``; ``what`` is the help text of ``--quiet``."""
+class _NamedPath(click.Path):
+    """A path that is not empty: an unset shell variable must not mean the current folder."""
 
-    def add(command: _Command) -> _Command:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert a string to a Path."""
+        if value == "":
+            self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
+        if isinstance(value, str) and (reason := path_fault(value)):
+            self.fail(reason, param, ctx)
+        if isinstance(value, str) and "://" in value:
+            self.fail(f"{value} is a URL; URLs can be surveys, and the --out of batch", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _NamedPath(path_type=Path)
+"""Type of every path on the command line."""
+FILE = _NamedPath(dir_okay=False, path_type=Path)
+"""Type of a path that must not be a folder."""
+
+
+class _Location(_NamedPath):
+    """A path, or a URL, which stays a string."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert a string to a Path, unless it is a URL."""
+        return value if isinstance(value, str) and "://" in value else super().convert(value, param, ctx)
+
+
+LOCATION = _Location(path_type=Path)
+"""Type of surveys on the command line."""
+
+
+class _Share(click.ParamType):  # type: ignore[type-arg]
+    """A share, as a number from 0 to 1 or as a percentage."""
+
+    name = "share"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert a string to a number from 0 to 1."""
+        share = parse_share(str(value))
+        if share is None:
+            self.fail(f"{value!r} is no share; give one such as 50% or 0.5", param, ctx)
+        return share
+
+
+SHARE = _Share()
+"""Type of a share on the command line."""
+
+
+class NumberList(click.ParamType):  # type: ignore[type-arg]
+    """Numbers with commas between them."""
+
+    name = "list"
+
+    def __init__(self, kind: type[int] | type[float] = float) -> None:
+        self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Convert a string to numbers."""
+        try:
+            return tuple(self._kind(word) for word in str(value).split(","))
+        except ValueError:
+            whole = "whole " if self._kind is int else ""
+            self.fail(f"{value!r} is no list of {whole}numbers; give one such as 1,2,5", param, ctx)
+
+
+class WordList(click.ParamType):  # type: ignore[type-arg]
+    """Words with commas between them."""
+
+    name = "list"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Convert a string to words."""
+        return tuple(word.strip() for word in str(value).split(",") if word.strip())
+
+
+def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
+    """Add ``--quiet`` and ``--log-json``, by which logs are printed; ``what`` is the help text of ``--quiet``."""
+
+    def add(command: Callable[..., Any]) -> Any:
+        @wraps(command)
+        def run(*values: Any, **options: Any) -> Any:
+            set_up_logging(as_json=options["log_json"])
+            return command(*values, **options)
+
         log_json = click.option("--log-json", is_flag=True, help="Print events, warnings and errors as JSON lines.")
-        return click.option("--quiet", is_flag=True, help=what)(log_json(command))
+        return click.option("--quiet", is_flag=True, help=what)(log_json(run))
 
     return add
 

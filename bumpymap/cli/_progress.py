@@ -7,8 +7,7 @@ from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bumpymap.cli._terminal import emit
-from bumpymap.cli._text import error_console, is_plain, print_error
+from bumpymap.cli._text import emit, error_console, is_plain, print_error
 from bumpymap.core import Progress as BaseProgress, escape_controls
 
 if TYPE_CHECKING:

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import config_option, given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, config_option, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note, set_up_logging
-from bumpymap.cli._text import as_options, option_name, print_json, print_line
+from bumpymap.cli._text import as_options, interrupt_note, option_name, print_json, print_line
 from bumpymap.core import CLASHES, MapConfig, count_text, refuse_clashes
+from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
@@ -25,20 +25,7 @@ _MOST_LISTED = 20
 
 @click.command("batch")
 @click.argument("source", type=PATH)
-@click.option(
-    "--out",
-    type=LOCATION,
-    metavar="DIR",
-    required=True,
-    help="Folder for the layers, a folder for each survey; or a URL, such as s3://bucket/night.",
-)
-@click.option(
-    "--survey-per",
-    type=click.Choice(["file", "folder"]),
-    default="file",
-    help="What in the folder SOURCE is one survey [default: file].",
-)
-@click.option("--jobs", type=int, metavar="N", default=1, help="Number of surveys mapped at a time [default: 1].")
+@settings_options(BatchConfig, required=("out",))
 @settings_options(
     MapConfig,
     without=("out", "resume"),
@@ -70,11 +57,10 @@ def command(
     bumpymap batch surveys --out night
     bumpymap batch surveys.csv --out night --jobs 4
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
+    from bumpymap.survey import read_batch_settings, run_batch
 
-    own = {"survey_per": given.pop("survey_per"), "jobs": given.pop("jobs")}
     settings = given_options(given)
+    own = {name: settings.pop(name) for name in ("survey_per", "jobs") if name in settings}
     refuse_clashes(settings, CLASHES, option_name)
     defaults = read_batch_settings(config_file) if config_file else {}
     config = BatchConfig(source, out, settings, defaults, **own)

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, jobs_option, output_options, settings_options
+from bumpymap.cli._options import FILE, given_options, jobs_option, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note, set_up_logging
-from bumpymap.cli._text import about, option_name, print_error, print_json, print_line
+from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, option_name, print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 from bumpymap.lab import CalibrationSettings
 
@@ -48,7 +47,6 @@ def command(
     """
     from bumpymap.rating import load_profile
 
-    set_up_logging(as_json=log_json)
     vehicle = vehicle or _default_vehicle(out, check=check)
     profile = load_profile(vehicle)
     workers, overwrite = given.pop("jobs") or os.cpu_count() or 1, given.pop("overwrite")

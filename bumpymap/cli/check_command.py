@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.check import CheckConfig
-from bumpymap.cli._options import given_options, output_options, settings_options
+from bumpymap.cli._options import FILE, PATH, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import FILE, PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import (
     BadInputError,
@@ -345,7 +344,6 @@ def command(
     bumpymap check --drive drive.csv
     bumpymap check site_layers --drive drive.mcap --refit my_robot.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     from bumpymap.check import run_check
     from bumpymap.readers import parse_columns
 

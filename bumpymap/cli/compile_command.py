@@ -4,7 +4,6 @@ import click
 
 from bumpymap.cli._options import output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import set_up_logging
 from bumpymap.core import OutputError
 
 __all__ = ["command"]
@@ -14,7 +13,6 @@ __all__ = ["command"]
 @output_options()
 def command(*, quiet: bool, log_json: bool) -> None:
     """Compile the numerical kernels now, once, instead of in the first run that needs them."""
-    set_up_logging(as_json=log_json)
     from bumpytiles import compile_packages
 
     with show_progress(quiet=quiet, as_json=log_json):

@@ -4,9 +4,8 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import output_options
+from bumpymap.cli._options import PATH, output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_line
 from bumpymap.core import MapConfig
 
@@ -35,7 +34,6 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     from bumpymap.layers import REPORT_NAME
     from bumpymap.survey import map_surveys
 
-    set_up_logging(as_json=log_json)
     if survey is None:
         from bumpymap.lab import make_quarry_survey
 

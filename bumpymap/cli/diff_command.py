@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.change import DiffConfig
-from bumpymap.cli._options import given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import count_text, share_text, shares_text
 
@@ -83,7 +82,6 @@ def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: 
     \b
     bumpymap diff may_layers june_layers --out may_to_june
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     from bumpymap.change import find_changes
 
     config = DiffConfig(before, after, **given_options(given))

@@ -8,10 +8,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, jobs_option, merge_settings, output_options, settings_options
+from bumpymap.cli._options import (
+    LOCATION,
+    PATH,
+    given_options,
+    jobs_option,
+    merge_settings,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note, set_up_logging
-from bumpymap.cli._text import option_name, print_json, print_line
+from bumpymap.cli._text import DRIVES_KEPT, interrupt_note, option_name, print_json, print_line
 from bumpymap.core import OF_CRS, MapConfig, OutputError, Progress, Rating, UsageError, locked
 from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 
@@ -60,7 +67,6 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=given["log_json"])
     shown = _Output(given["quiet"], given["log_json"])
     _refuse_other_options(places=bool(surveys), scans=scans)
     if scans:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options, settings_options
-from bumpymap.cli._terminal import PATH, set_up_logging
+from bumpymap.cli._options import PATH, given_options, output_options, settings_options
 from bumpymap.cli._text import option_name, print_json, print_line
 from bumpymap.core import UsageError
 from bumpymap.layers import ExportFormat, ExportSettings
@@ -61,7 +60,6 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     options = given_options(given)
     _refuse_idle(options, given["to"])
     from bumpymap.layers import export_map, open_map

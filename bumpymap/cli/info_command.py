@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options, settings_options
+from bumpymap.cli._options import LOCATION, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION, set_up_logging
 from bumpymap.cli._text import as_options, option_name, print_json, print_labelled, print_line, print_table
 from bumpymap.core import OF_CRS, Ground, MapConfig, count_text, refuse_clashes
 
@@ -58,7 +57,6 @@ def command(
     from bumpymap.survey import Budget, with_memory
     from bumpytiles import Grid
 
-    set_up_logging(as_json=log_json)
     refuse_clashes({name: given[name] for name in ("crs", "force_crs") if given[name] is not None}, OF_CRS, option_name)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.

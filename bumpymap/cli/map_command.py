@@ -8,9 +8,15 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._options import config_option, given_options, merge_settings, output_options, settings_options
+from bumpymap.cli._options import (
+    LOCATION,
+    config_option,
+    given_options,
+    merge_settings,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import LOCATION, set_up_logging
 from bumpymap.core import CLASHES, MapConfig, Progress, UsageError, read_settings_file
 
 __all__ = ["ImportsAhead", "command", "start_ahead"]
@@ -71,7 +77,6 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}
     settings = merge_settings(from_file, given_options(given), CLASHES)
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import UsageError, count_text
 from bumpymap.route import CostSettings, RouteConfig
@@ -148,7 +147,6 @@ def command(*, quiet: bool, log_json: bool, **given: Any) -> None:
     bumpymap route layers --from 11.5001,48.2003 --to 11.5034,48.2011 --out way
     bumpymap route layers --from 434100,5411200 --out reach --isochrones 1,2,5
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     settings = given_options(given)
     if not settings.get("layers"):
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import config_option, given_options, merge_settings, output_options, settings_options
+from bumpymap.cli._options import PATH, config_option, given_options, merge_settings, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import option_name, print_json, print_line, print_table
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
@@ -197,7 +196,6 @@ def command(
     from bumpymap.layers import import_without_pandas
     from bumpymap.scan import fit_frames, scan_frames
 
-    set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
     if ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])

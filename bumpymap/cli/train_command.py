@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options, settings_options
+from bumpymap.cli._options import FILE, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import FILE, interrupt_note, set_up_logging
-from bumpymap.cli._text import option_name, print_json, print_line
+from bumpymap.cli._text import interrupt_note, option_name, print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
 from bumpymap.lab import LoopSettings, NetworkSettings, ScanTrainSettings, TrainSettings
 
@@ -58,7 +57,6 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     options = given_options(given)
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)

@@ -208,7 +208,6 @@ from .shared_kernels import (
     Plane as Plane,
     best_candidate as best_candidate,
     fill_holes as fill_holes,
-    squared_distances as squared_distances,
 )
 from .types import (
     BANDS as BANDS,

@@ -98,7 +98,8 @@ class FeatureSettings:
     stray_share: Annotated[float, Setting(low=0.0, high=1.0)] = 0.01
     """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +115,8 @@ class CsfSettings:
     slope_smooth: bool = True
     """Pull the cloth down at the foot of steep slopes, where it hangs in the air."""
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -245,7 +245,7 @@ def settings_with_options(owner: type) -> tuple[Declared, ...]:
     return tuple(each for each in _declared(owner) if each.setting.help)
 
 
-def check_settings(settings: Any) -> None:
+def check_settings(settings: object) -> None:
     """Check the fields of a settings object against their declaration; to be called by its ``__post_init__``.
 
     Raises

@@ -188,7 +188,8 @@ class ScanEvaluateSettings:
     seed: Annotated[int, Setting("Random seed", "N", 0)] = 7
     """Seed of the scenes."""
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,7 +218,8 @@ class NetworkSettings:
     """Units of the hidden layer between the averages over the patch and the output."""
     classes: tuple[str, ...] = field(default_factory=_textures)
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

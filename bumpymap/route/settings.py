@@ -33,7 +33,8 @@ class CostSettings:
     through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way")] = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
 
-    __post_init__ = check_settings
+    def __post_init__(self) -> None:
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,11 +49,10 @@ from bumpymap.layers import (
     read_thumbnail,
     write_manifest,
 )
-from bumpymap.survey.batch.settings import naming_remote
 from bumpymap.survey.run_record import MapResult, WarningCollector
 from bumpytiles import compile_packages
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
+__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
 
 _MOST_WAIT_S = 5.0
 _NOT_RESUME = " instead of `resume=True`"
@@ -137,6 +136,15 @@ def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyVie
         raise OutputError(f"{error}. The layers are in {out}; the next start uploads them") from error
     remove_path(out)
     return replace(row, status="done" if row.status == "already done" else row.status), view
+
+
+@contextmanager
+def naming_remote(remote: RemoteFolder, folder: Path) -> Iterator[None]:
+    """Name the URL instead of a folder of this machine in the message of an error of the body."""
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(str(error).replace(str(folder), remote.url)) from error
 
 
 def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> SurveyRow:

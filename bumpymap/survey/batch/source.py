@@ -7,10 +7,10 @@ import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, get_args, get_origin
+from typing import Any, get_origin
 from urllib.parse import urlsplit
 
 from bumpymap.core import (
@@ -26,6 +26,7 @@ from bumpymap.core import (
     read_regular,
     refuse_clashes,
     refuse_faults,
+    settings_with_options,
 )
 from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import find_calibration
@@ -133,9 +134,7 @@ def _is_reserved(name: str) -> bool:
 
 
 _SURVEY, _NAME = "survey", "name"
-_TABLES = ("features", "csf")
-"""Settings that are tables, which a cell cannot hold."""
-_KINDS = {item.name: item.type for item in fields(MapConfig) if item.name not in {*OWN_SETTINGS, *_TABLES}}
+_KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
 """Column -> type of its setting."""
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
@@ -226,19 +225,16 @@ def _row(
 
 def _value(name: str, text: str) -> Any:
     """Convert a cell to the type of its setting; one that cannot be is left for the message."""
-    kinds = get_args(_KINDS[name]) or (_KINDS[name],)
+    kind = _KINDS[name]
     if name == "max_unknown":
         share = parse_share(text)
         return text if share is None else share
-    if bool in kinds:
+    if kind is bool:
         return _WORDS.get(text.lower(), text)
-    if any(get_origin(kind) is tuple for kind in kinds):  # of numbers
-        with suppress(ValueError):
+    with suppress(ValueError):
+        if get_origin(kind) is tuple:  # of numbers
             return [float(word) for word in text.replace(",", " ").split()]
-    for kind in (int, float):
-        if kind in kinds:
-            with suppress(ValueError):
-                return kind(text)
+        return kind(text) if kind in (int, float) else text
     return text
 
 
