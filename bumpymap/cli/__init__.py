@@ -11,7 +11,7 @@ import click
 from bumpymap.cli._exit_code import RunInterrupted, exit_code_of
 from bumpymap.core import Terminated, interruptible
 
-__all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json", "say_table"]
+__all__ = ["main"]
 
 _COMMANDS = {
     "batch": "map many surveys, each to a folder of its own",

@@ -2,7 +2,7 @@
 
 import os
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,10 +67,9 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    shown = _Output(given["quiet"], given["log_json"])
     _refuse_other_options(places=bool(surveys), scans=scans)
     if scans:
-        _evaluate_scans(surveys, out, given, shown)
+        _evaluate_scans(surveys, out, given)
         return
     if not surveys:
         raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
@@ -91,12 +90,12 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     require_dart()
     options = ReadOptions(crs=given["crs"], z_unit=given["z_unit"], force_crs=given["force_crs"])
     readers = open_readers(surveys, options, local=given["local"])
-    with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
+    with locked(out), interrupt_note(DRIVES_KEPT), _progress(given) as progress:
         _check_place(out, overwrite=given["overwrite"])
         trial = TrialOptions(out, given["jobs"] or os.cpu_count() or 1, given["overwrite"], progress)
         findings = evaluate_survey(readers, options, given["ground"] or "auto", subjects, settings, trial)
         files = write_report(findings, out)
-    if shown.summary(out, files):
+    if _is_text(out, files, given):
         _summary(findings, files)
 
 
@@ -116,25 +115,18 @@ def _refuse_other_options(*, places: bool, scans: bool) -> None:
         raise UsageError("--labels applies to frames: give frames, or leave it out")
 
 
-@dataclass(frozen=True, slots=True)
-class _Output:
-    """What an evaluation prints in addition to its report."""
-
-    quiet: bool
-    log_json: bool
-
-    def progress(self) -> AbstractContextManager[Progress]:
-        """Return the context manager that shows the progress."""
-        return show_progress(quiet=self.quiet, as_json=self.log_json)
-
-    def summary(self, out: Path, files: list[Path]) -> bool:
-        """Print the list of files as JSON with ``log_json``; return whether to print a summary as text."""
-        if self.log_json and not self.quiet:
-            print_json({"out": str(out), "files": [path.name for path in files]})
-        return not (self.quiet or self.log_json)
+def _progress(given: dict[str, Any]) -> AbstractContextManager[Progress]:
+    return show_progress(quiet=given["quiet"], as_json=given["log_json"])
 
 
-def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Output) -> None:
+def _is_text(out: Path, files: list[Path], given: dict[str, Any]) -> bool:
+    """Return whether to print a summary as text; with ``--log-json``, the list of files is printed as JSON."""
+    if given["log_json"] and not given["quiet"]:
+        print_json({"out": str(out), "files": [path.name for path in files]})
+    return not (given["quiet"] or given["log_json"])
+
+
+def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
     from bumpymap.lab import (
         ScanMethods,
         evaluate_scans,
@@ -154,12 +146,12 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], s
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     labels = labels_of(frames, given["labels"])
-    with locked(out), shown.progress() as progress:
+    with locked(out), _progress(given) as progress:
         _check_place(out, overwrite=given["overwrite"])
         scans = read_frames(frames, labels) if frames else simulated_scans(settings)
         findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
         files = write_scan_report(findings, out)
-    if shown.summary(out, files):
+    if _is_text(out, files, given):
         _summarise_scans(findings)
         print_line(f"wrote {files[0]}")
 

@@ -17,6 +17,7 @@ from bumpymap.core import (
     UsageError,
     count_text,
     read_settings_file,
+    settings_with_options,
     shares_text,
 )
 from bumpymap.scan import ScanConfig
@@ -130,27 +131,8 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
 
 
 _PARTLY_DONE = 4
-_NOT_OF_A_FIT = (
-    "out",
-    "poses",
-    "crs",
-    "deskew",
-    "method",
-    "model",
-    "stripes",
-    "compat",
-    "products",
-    "odometry",
-    "bag",
-    "pictures",
-    "range_m",
-    "threads",
-    "vehicle",
-    "calibration",
-    "resume",
-)
-
-
+_OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
+_NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
 _TABLES = (PolarSettings.__dataclass_fields__, Robot.__dataclass_fields__)
 
 

@@ -417,14 +417,6 @@ def test_every_setting_can_stand_in_a_file(tmp_path):
     assert config.polar == PolarSettings()
 
 
-def test_help_loads_nothing_heavy():
-    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code, "scan", "--help"], capture_output=True, text=True, check=True)
-    loaded = done.stdout.split()
-    assert "--poses" in loaded
-    assert not {"numpy", "bumpytiles", "rasterio", "pyarrow", "laspy", "onnxruntime", "llvmlite"} & set(loaded)
-
-
 @pytest.mark.slow
 def test_a_run_loads_neither_a_workshop_nor_a_plotting_library(frame, tmp_path):
     code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"

@@ -1,7 +1,6 @@
 """``bumpymap train`` as a user meets it: two networks, one command, no mixture of their options."""
 
 import re
-import subprocess
 import sys
 from types import ModuleType
 
@@ -192,11 +191,3 @@ def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
 def test_the_help_names_the_epochs_of_both_networks():
     help_of = {option.name: option.help for option in train_command.command.params}
     assert f"[default: {TrainSettings().epochs}; with --scans {ScanTrainSettings().epochs}]" in help_of["epochs"]
-
-
-def test_help_loads_no_library_of_the_workshop():
-    code = "import sys; from bumpymap.cli import main; main(sys.argv[1:], standalone_mode=False); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code, "train", "--help"], capture_output=True, text=True, check=True)
-    loaded = done.stdout.split()
-    assert "--scans" in loaded
-    assert not {"torch", "onnx", "open3d", "numpy", "scipy"} & set(loaded)

@@ -9,20 +9,12 @@ import pytest
 
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.types import TEXTURES
+from bumpymap.lab.settings import CalibrationSettings, LibraryJob, TableJob, log_spaced
 from bumpymap.lab.simulate import calibrate as calibrate_module
 from bumpymap.lab.simulate.calibrate import calibrate_vehicle, class_limits
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.lab.simulate.jobs import Journal
-from bumpymap.lab.simulate.plan import (
-    CalibrationSettings,
-    LibraryJob,
-    TableJob,
-    library_terrain,
-    library_terrains,
-    log_spaced,
-    read_library,
-    run_job,
-)
+from bumpymap.lab.simulate.plan import library_terrain, library_terrains, read_library, run_job
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile

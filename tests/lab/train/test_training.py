@@ -16,17 +16,11 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'"
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.cli import main  # noqa: E402
+from bumpymap.lab.settings import NetworkSettings, TrainSettings  # noqa: E402
 from bumpymap.lab.train import textures  # noqa: E402
 from bumpymap.lab.train.model_files import Score  # noqa: E402
 from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
-from bumpymap.lab.train.textures import (  # noqa: E402
-    NetworkSettings,
-    TrainSettings,
-    predict,
-    score,
-    to_onnx,
-    train,
-)
+from bumpymap.lab.train.textures import predict, score, to_onnx, train  # noqa: E402
 from bumpymap.rating.textures import TextureModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
