@@ -171,7 +171,7 @@ def _option(each: Declared, text: str, required: bool) -> Callable[[_Command], _
         as_flag: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
         return click.option(spelled, each.name, help=shown, **as_flag)
     kind, several = _click_type(each.kind, setting.metavar)
-    more = {"multiple": several, "required": required, "metavar": setting.metavar}
+    more: dict[str, Any] = {"multiple": several, "required": required, "metavar": setting.metavar}
     return click.option(spelled, each.name, type=kind, help=shown, **more)
 
 

@@ -253,7 +253,8 @@ def check_settings(settings: object) -> None:
     UsageError
         A number is out of bounds, or a value is none of those to choose from.
     """
-    for each in _declared(type(settings)):
+    owner: type = type(settings)
+    for each in _declared(owner):
         value = getattr(settings, each.name)
         if not (each.optional and value is None) and not _is_allowed(value, each.kind, each.setting):
             name = f"`{each.name}`" if each.setting.help else each.name

@@ -56,6 +56,16 @@ def test_every_option_is_described_and_no_other(name):
     assert options(name) <= shown
 
 
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"batch", "vehicle"}))  # batch takes options as map does
+def test_the_tables_name_the_defaults_of_the_declaration(name):
+    rows = [line for line in section(name).splitlines() if line.startswith("|") and "as for `map`" not in line]
+    for option in command(name).params:
+        default = re.search(r"\[default: ([\d.]+)[\];]", getattr(option, "help", None) or "")
+        own = [row for row in rows if re.search(rf"{option.opts[0]}[ `]", row)]
+        if default and own:
+            assert any(re.search(rf"\b{re.escape(default[1])}\b", row) for row in own), f"{option.opts[0]}: {own}"
+
+
 def shown_commands():
     """Every line of the README and the pages that starts with bumpymap."""
     for page in (ROOT / "README.md", *sorted(PAGES.glob("*.md"))):
