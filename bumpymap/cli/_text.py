@@ -54,9 +54,15 @@ _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 
 
 def spell_setting(name: str, option: str) -> str:
-    """Return the option of a setting; one of another name, without dashes, is remembered for messages."""
-    if option:
-        _SPELLED[name] = option
+    """Return the option of a setting; one of another name, without dashes, is remembered for messages.
+
+    Raises
+    ------
+    ValueError
+        Another command spells this setting in another way.
+    """
+    if option and _SPELLED.setdefault(name, option) != option:
+        raise ValueError(f"{name} is --{option} here and --{_SPELLED[name]} elsewhere")
     return option_name(name)
 
 

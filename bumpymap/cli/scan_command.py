@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -30,6 +29,8 @@ __all__ = ["command", "show", "show_fit"]
 
 def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
     """Print the result of a run as a table, or as one JSON object."""
+    from statistics import median
+
     record = _record(result, config)
     if as_json:
         print_json(record)

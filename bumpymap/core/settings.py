@@ -209,7 +209,7 @@ class Setting:
             return f" {low} {self.low:g} {high} {self.high:g}{unit}{self.why}"
         if self.low > -math.inf:
             return f"{' greater than' if self.exclusive else ', at least'} {self.low:g}{unit}{self.why}"
-        return f"{unit and f' of{unit}'}{self.why}"
+        return f"{unit and f' ({self.unit})'}{self.why}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -547,18 +547,19 @@ def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
-    setting = _setting_of(kind) or Setting()
+    setting = _setting_of(kind)
     kind = _plain_type(kind)
     return f"a table, [{name}], with {_names(kind)}" if is_dataclass(kind) else _allowed_of(kind, setting)
 
 
-def _allowed_of(kind: Any, setting: Setting) -> str:
-    items = get_args(kind)
+def _allowed_of(kind: Any, setting: Setting | None) -> str:
+    items, bounds = get_args(kind), setting.bounds if setting else ""
+    article = "a finite number" if setting and setting.high == math.inf else "a number"
     if get_origin(kind) is tuple:
         count = "" if items[-1] is Ellipsis else f"{len(items)} "
         if get_origin(items[0]) is Literal:
             return f"a list of {count}{_TEXT[1]}: {', '.join(get_args(items[0]))}"
-        return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}{setting.bounds}"
+        return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}{bounds}"
     if get_origin(kind) is Literal:
         return f"one of {', '.join(map(str, items))}"
-    return f"{_WORDS.get(kind, _TEXT)[0]}{setting.bounds}"
+    return f"{article if kind is float else _WORDS.get(kind, _TEXT)[0]}{bounds}"

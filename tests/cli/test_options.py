@@ -213,7 +213,7 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
 
 @dataclass(frozen=True)
 class Walk:
-    start: Annotated[str | None, Setting("Where to begin", "POINT", option="from-where")] = None
+    origin: Annotated[str | None, Setting("Where to begin", "POINT", option="from-where")] = None
     tile_size: Annotated[float, Setting("Side of a tile", "M", 0.5, 9.0, "m")] = 3.0
     deskew: Annotated[bool, Setting("Keep points as measured", option="no-deskew")] = True
     stops: Annotated[tuple[str, ...], Setting("Where to stop", "POINT")] = ()
@@ -242,7 +242,9 @@ def test_options_follow_from_the_declaration():
     assert CliRunner().invoke(walk, words).exit_code == 0
     assert walks == [Walk(), Walk("a", 1.5, deskew=False, stops=("b", "c"), speeds=(1.0, 2.0))]
     refused = CliRunner().invoke(walk, ["--tile-size", "10"]).exception
-    assert as_options(f"{refused}: `start`") == "--tile-size is 10.0; it must be a number from 0.5 to 9 m: --from-where"
+    assert (
+        as_options(f"{refused}: `origin`") == "--tile-size is 10.0; it must be a number from 0.5 to 9 m: --from-where"
+    )
 
 
 def test_a_slip_of_the_fingers_is_told_what_may_be_meant():

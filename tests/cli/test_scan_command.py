@@ -397,7 +397,7 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
         ("frames = [1]", "must be a string"),
         ('frames = "drive"', "must be a list of strings"),
         ("skip_bad = 1", "must be true or false"),
-        ("[robot]\nradius_m = true", "must be a number"),
+        ("[robot]\nradius_m = true", "must be a finite number"),
         ("frames = [", "cannot read settings"),
     ],
 )

@@ -80,10 +80,10 @@ def test_log_spaced_values_have_equal_ratios():
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"patches": 1}, "`patches` is 1; it must be 2"),
+        ({"patches": 1}, "`patches` is 1; it must be a whole number, at least 2"),
         ({"starts": 0}, "`starts` is 0"),
-        ({"terrains": 0}, "`terrains` is 0; it must be 1"),
-        ({"terrain_starts": 1}, "`terrain_starts` is 1; it must be 2"),
+        ({"terrains": 0}, "`terrains` is 0; it must be a whole number, at least 1"),
+        ({"terrain_starts": 1}, "`terrain_starts` is 1; it must be a whole number, at least 2"),
         ({"seed": -1}, "`seed` is -1"),
         ({"tile_size": 0.0}, "`tile_size` is 0.0"),
         ({"z_range": (0.2, 0.1)}, "rise"),

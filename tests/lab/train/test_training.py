@@ -87,7 +87,7 @@ def test_no_batch_is_too_small_to_normalise(batch):
 
 
 def test_a_batch_of_one_patch_is_refused():
-    with pytest.raises(UsageError, match="`batch` is 1; it must be at least 2"):
+    with pytest.raises(UsageError, match="batch is 1; it must be a whole number, at least 2"):
         replace(SMALL, batch=1)
 
 
