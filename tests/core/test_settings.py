@@ -214,22 +214,6 @@ def test_settings_from_a_file(tmp_path):
     assert config.features == FeatureSettings(min_points=50)
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"),
-    [
-        ({"tile_size": 0.0}, "tile_size"),
-        ({"pixels": 2}, "pixels"),
-        ({"threads": 0}, "threads"),
-        ({"ground": "some"}, "`ground` is 'some'; it must be one of auto, all, class"),
-        ({"z_unit": "yard"}, "z_unit"),
-        ({"compat": "other"}, "compat"),
-    ],
-)
-def test_values_out_of_bounds_are_refused(setting, message):
-    with pytest.raises(UsageError, match=message):
-        MapConfig(surveys=(Path("a.laz"),), out=Path("out"), **setting)
-
-
 @dataclass(frozen=True, slots=True)
 class Job:
     side: Annotated[float, Setting("Side of a tile", "M", 0.0, 10.0, "m", exclusive=True)] = 3.0
