@@ -1,6 +1,3 @@
-from .folder import (
-    write_check as write_check,
-)
 from .record import (
     CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
     CHECK_NAMES as CHECK_NAMES,
