@@ -48,7 +48,7 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_map, write_check
-from bumpymap.readers import close_log_reader, read_drive
+from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
     "CheckRun",
@@ -329,9 +329,10 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
         The files cannot be written.
     """
     progress = progress or SilentProgress()
+    site = None if config.layers is None else open_map([config.layers])
+    _usable(((place, partial(drive_files, place)) for place in config.drives), {})
     if config.out is not None:
         check_check_out(config.out, overwrite=config.overwrite)
-    site = None if config.layers is None else open_map([config.layers])
     skipped: dict[str, str] = {}
 
     def read(place: str) -> tuple[DriveLog, MetrePlaces | None]:
