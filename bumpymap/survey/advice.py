@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bumpymap.core import REASON_TEXT, THIN_PARTS, THIN_POINTS, FeatureSettings, MapConfig, Reason, TooUnknownError
-from bumpymap.layers import MapSummary
 from bumpymap.survey.run_record import MapResult
 from bumpytiles import Grid
 
@@ -270,12 +269,9 @@ def require_known(result: MapResult, config: MapConfig, *, explain: bool = True)
     outcome = outcome_of_run(result, config)
     if config.max_unknown is None or outcome.share <= config.max_unknown:
         return
+    summary = result.summary
     raise TooUnknownError(
-        f"more than `max_unknown={config.max_unknown:g}` of the tiles is unknown: {_share(result.summary)}. The layers "
-        f"in {config.out} are complete",
+        f"{summary.unknown:,} of {summary.tiles:,} tiles are unknown ({outcome.share:.1%}), more than the "
+        f"{100.0 * config.max_unknown:g}% that `max_unknown` allows. The layers in {config.out} are complete",
         *([unknown_line(result, config)] if explain else []),
     )
-
-
-def _share(summary: MapSummary) -> str:
-    return f"{summary.unknown:,} of {summary.tiles:,} ({summary.unknown / summary.tiles:.1%})"
