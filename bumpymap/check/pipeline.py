@@ -1,4 +1,4 @@
-"""Job: hold a map against real drives over it, or measure drives alone.
+"""Job: compare a map with real drives over it, or measure drives alone.
 
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
@@ -171,8 +171,8 @@ def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool)
         )
     if has_positions and np.isnan(drive.clock_offset_s):
         found.append(
-            f"{drive.name}: the offset of the clocks of IMU and positions cannot be told; "
-            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way tell it"
+            f"{drive.name}: the offset of the clocks of IMU and positions cannot be determined; "
+            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way determine it"
         )
     if has_positions and drive.track.scatter.total_m > 0.5 * _TILE_M:
         found.append(
@@ -233,7 +233,7 @@ def check_drives(
     out: PathLike | None = None,
     **settings: Unpack[CheckSettings],
 ) -> CheckResult:
-    """Hold a map against real drives over it, as ``bumpymap check`` does.
+    """Compare a map with real drives over it, as ``bumpymap check`` does.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ _MARGIN_M = 12.0
 
 @dataclass(frozen=True, slots=True)
 class CheckRun:
-    """What a check found, and what it wrote."""
+    """Result of a check, and the files that it wrote."""
 
     result: CheckResult
     files: tuple[Path, ...]
@@ -317,7 +317,7 @@ class _Done:
 
 
 def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun:
-    """Hold a map against drives as the settings ask, and write what was found.
+    """Compare a map with drives as the settings ask, and write what was found.
 
     Drives that cannot be used are left out; ``skipped`` of the result names them.
 

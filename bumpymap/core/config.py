@@ -78,7 +78,7 @@ class NumberRange:
     high: float = math.inf
     unit: str = ""
     whole: bool = False
-    """Whether only whole numbers are allowed."""
+    """True: only whole numbers are allowed."""
 
     @property
     def allowed(self) -> str:
@@ -118,7 +118,7 @@ class FeatureSettings:
     stray_points: Annotated[int, NumberRange(0, whole=True)] = 3
     """Number of stray points searched for above, and below, the others."""
     stray_share: Annotated[float, NumberRange(0.0, 1.0)] = 0.01
-    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
+    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be separated from noise."""
 
     def __post_init__(self) -> None:
         _check_ranges(self)
@@ -154,7 +154,7 @@ class MapConfig:
     pixels: Annotated[int, NumberRange(3, 255, whole=True)] = 15
     """Pixels along a side of a tile."""
     ground: Ground = "auto"
-    """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
+    """Points that are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
     align: Align = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
@@ -170,7 +170,7 @@ class MapConfig:
     speed: Annotated[float | None, _SPEED] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
     speeds: tuple[Annotated[float, _SPEED], ...] | None = None
-    """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
+    """Speeds, m/s, at which c_r, c_roll and a_w are also computed, in speeds.tif; None: it is not written."""
     model: Path | None = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None

@@ -298,7 +298,7 @@ class ListedSurvey:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Its own settings, of a CSV."""
     renamed: bool = False
-    """Whether another survey has, or could have, the name that it would get."""
+    """True if another survey has, or could have, the name that it would get."""
 
 
 def list_surveys(
