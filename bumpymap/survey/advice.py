@@ -95,8 +95,8 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
     if outcome.share <= _FEW_UNKNOWN:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
-    head = f"{outcome.share:.0%} of the tiles {'will be' if before_run else 'are'} unknown"
-    head = f"about {head}" if before_run else head
+    share = f"about {outcome.share:.0%}" if before_run else f"{outcome.share:.1%}"
+    head = f"{share} of the tiles {'will be' if before_run else 'are'} unknown"
     why, help_ = {
         Reason.TOO_MANY_HOLES: _holes,
         Reason.OUTLIER_RELIEF: _outliers,
@@ -109,7 +109,8 @@ def models_for(grid: Grid) -> str:
     size = size_options(grid)
     return (
         "a calibration that drives patches of that size: "
-        f"bumpymap calibrate {size} --out my.json; then bumpymap map {size} --calibration my.json"
+        f"bumpymap calibrate --vehicle NAME_OR_FILE {size} --out my.json; then "
+        f"bumpymap map {size} --calibration my.json"
     )
 
 

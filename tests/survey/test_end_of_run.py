@@ -45,7 +45,7 @@ def test_which_ground_a_survey_wants(found, words):
     [
         (0, "no tile with points is unknown"),
         (4, "4.0% of the tiles are unknown, mostly because of too few"),
-        (40, "40%"),
+        (40, "40.0% of the tiles are unknown, mostly because of too few"),
     ],
 )
 def test_every_run_says_what_is_unknown(unknown, words, tmp_path):
