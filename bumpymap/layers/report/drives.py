@@ -390,7 +390,7 @@ def _class(code: int) -> str:
 
 def _clock(drive: CheckedDrive) -> str:
     if not math.isfinite(drive.clock_offset_s):
-        return "cannot be told"
+        return "not known"
     text = f"{drive.clock_offset_s:+.3f} s"
     if math.isfinite(drive.clock_offset_sd_s):
         text += f" ± {drive.clock_offset_sd_s:.3f} s"
