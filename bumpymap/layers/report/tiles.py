@@ -88,7 +88,7 @@ class ByteGrid:
     @property
     def rounding(self) -> str:
         """How far a shown value may be from the one in the layers."""
-        if not (self.codes != NOT_KNOWN).any():
+        if not self.is_known:
             return f"{self.label}: no value"
         if self.scale == "log":
             return f"{self.label} ±{100 * math.expm1(self.step / 2):.2g} %"
@@ -98,11 +98,16 @@ class ByteGrid:
             return f"{self.label} at most ±{self.step * most:.1g}{unit}"
         return f"{self.label} ±{self.step / 2:.2g}{unit}"
 
-    def span(self) -> tuple[float, float, float]:
-        """Return the least value of the scale, that in its middle, and the largest."""
+    @property
+    def is_known(self) -> bool:
+        """Whether it has a value anywhere."""
+        return bool((self.codes != NOT_KNOWN).any())
+
+    def words(self) -> list[str]:
+        """Return the least value of the scale, that in its middle, and the largest, with their unit."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        least, middle, most = (float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends)
-        return least, middle, most
+        values = [float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends]
+        return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
 
     def values(self) -> NDArray[np.float64]:
         """Return what the page shows, NaN where unknown."""

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from route_records import MadeUpMap
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import check_headline, open_map, write_check, write_reports
 from bumpymap.layers.check.offset import LogAxis, MapOffset
-from bumpymap.layers.report.drives import along_chart, drive_chart
+from bumpymap.layers.report.charts import along_chart, drive_chart
 
 
 def on_site(result, site):
@@ -48,7 +49,7 @@ def drawn(site, checked, tmp_path_factory):
 def test_the_page_says_what_the_check_says(drawn, checked, read_page):
     page, (_, result) = read_page(drawn), checked
     outline = Outline(page.text)
-    assert check_headline(result).replace("'", "&#x27;") in page.text
+    assert check_headline(result) in unescape(page.text)
     rows = outline.tables["Map against drives"]
     assert rows[1][:2] == ["all", "49"]
     assert "onerror=alert(1)&gt;" in page.text
@@ -126,7 +127,7 @@ def test_the_page_of_a_check_holds_map_figures_and_drives(checked, read_page):
     outline = Outline(page.text)
     (about,) = page.data["maps"]
     assert len(about["stretches"]) == 50
-    assert check_headline(result).replace("'", "&#x27;") in page.text
+    assert check_headline(result) in unescape(page.text)
     rows = outline.tables["Map against drives"]
     classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
     assert [row[0] for row in rows[1:]] == ["all", *classes]
@@ -150,7 +151,7 @@ def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
     assert "Map against drives" not in Outline(page.text).tables
     assert "Spearman" not in page.text
     assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
-    assert "<li>drive 1: no standstill</li><li>drive 1: too fast</li>" in page.text
+    assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
     assert "<li>drive 2: times are Unix seconds</li>" in page.text
 
 
@@ -167,7 +168,7 @@ MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text
 
 def test_a_mark_lies_at_what_map_and_drive_say():
     result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
-    chart, along = drive_chart(result, ""), along_chart(result, "")
+    chart, along = ("".join(draw(result, "").elements) for draw in (drive_chart, along_chart))
     (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
     ticks = np.array(re.findall(TICK, chart), float)
     scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
@@ -186,8 +187,7 @@ def test_odd_findings_are_drawn_too(case):
     if case == "nothing measured":
         result = replace(result, stretches=replace(result.stretches, measured=np.full(8, np.nan)), agreement=None)
     for chart in (drive_chart(result, "a"), along_chart(result, "b")):
-        assert "nan" not in chart
-        assert not chart or Outline(chart).ids
+        assert chart is None or "nan" not in "".join(chart.elements)
 
 
 def test_a_logarithmic_axis_holds_its_values_and_round_numbers():

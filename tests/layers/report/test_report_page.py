@@ -5,6 +5,7 @@ import json
 import re
 import shutil
 from base64 import b64decode
+from html import unescape
 
 import numpy as np
 import pyarrow as pa
@@ -20,8 +21,8 @@ import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_report, write_reports
 from bumpymap.layers.manifest import describe_file
-from bumpymap.layers.report.markup import area, number, share
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot
+from bumpymap.layers.report.words import area, number, share
 
 
 def raster(folder, name, band=1):
@@ -234,9 +235,9 @@ def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, rea
     }
     twin = copy_folder(site, tmp_path / "twin", settings=settings)
     write_reports([twin])
-    text = read_page(twin / "report.html").text
-    assert "bumpymap map &#x27;a b.laz&#x27; c.laz d.laz --out LAYERS --ground csf --vehicle rover.toml" in text
-    assert "--crs &#x27;WGS 84 / UTM zone 14N&#x27;" in text
+    text = unescape(read_page(twin / "report.html").text)
+    assert "bumpymap map 'a b.laz' c.laz d.laz --out LAYERS --ground csf --vehicle rover.toml" in text
+    assert "--crs 'WGS 84 / UTM zone 14N'" in text
     assert "key=1" not in text
     assert "/home" not in text
     assert str(tmp_path) not in text
@@ -247,6 +248,22 @@ def test_a_record_of_little_is_enough(tmp_path):
         tmp_path / "bare", make_field(6, 5), vehicle=None, calibration=None, model=None, settings=None
     )
     assert "The vehicle can cross" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("speeds", "told"),
+    [
+        ({}, "driven in simulation at 1.00 m/s."),
+        ({"drives_mps": 1.0}, "driven in simulation at 1.00 m/s."),
+        (
+            {"speed_mps": 2.0, "drives_mps": 1.0},
+            "driven in simulation at 1.00 m/s; the ride costs of this map are for 2.00 m/s.",
+        ),
+    ],
+)
+def test_a_map_at_another_speed_says_at_which_it_was_driven(site, tmp_path, read_page, speeds, told):
+    twin = copy_folder(site, tmp_path / "twin", vehicle=VEHICLE | speeds)
+    assert told in " ".join(read_page(write_reports([twin])).text.split())
 
 
 def test_two_maps_are_compared(site, tmp_path, read_page):
