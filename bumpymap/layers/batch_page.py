@@ -23,6 +23,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.map_files import RemoteFolder, open_raster
+from bumpymap.layers.route.drawing import bar_length
 
 __all__ = ["SurveyRow", "SurveyStatus", "SurveyView", "index_page", "read_thumbnail"]
 
@@ -74,7 +75,6 @@ _LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
 _DEGREE_M = 111_320.0
 _LEAST_M = 100.0
 _SMALLEST_PX = 7.0
-_SCALES = (1, 2, 5)
 
 
 def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
@@ -95,9 +95,7 @@ def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
         grown = [max(side, _SMALLEST_PX) for side in size]
         x, y = _EDGE + (left - west) * east_m * scale, _EDGE + (north - top) * _DEGREE_M * scale
         boxes.append((row, (x - (grown[0] - size[0]) / 2, y - (grown[1] - size[1]) / 2, *grown)))
-    most = _WIDTH / 4 / scale
-    power = 10 ** math.floor(math.log10(most))
-    bar_m = max(step * power for step in _SCALES if step * power <= most)
+    bar_m = bar_length(_WIDTH / 4 / scale)
     return {
         "boxes": boxes,
         "bounds": (west, east, south, north),
@@ -114,11 +112,8 @@ def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
     left, bottom, right, top = row.min_x, row.min_y, row.max_x, row.max_y
     if row.crs is None or left is None or bottom is None or right is None or top is None:
         return None
-    transformer = _to_degrees(row.crs)
-    if transformer is None:
-        return None
     try:
-        west, south, east, north = transformer.transform_bounds(left, bottom, right, top)
+        west, south, east, north = _to_degrees(row.crs).transform_bounds(left, bottom, right, top)
     except ProjError:
         return None
     if not all(map(math.isfinite, (west, south, east, north))) or west > east:
@@ -127,11 +122,8 @@ def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
 
 
 @cache
-def _to_degrees(crs: str) -> Transformer | None:
-    try:
-        return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
-    except ProjError:
-        return None
+def _to_degrees(crs: str) -> Transformer:
+    return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
 
 
 _SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))

@@ -268,7 +268,7 @@ def _still(kinds: NDArray[np.uint8]) -> str:
     picture = colours[shown]
     hatch = (shown == NOT_COMPARED) & ((np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1)
     picture[hatch] = (110, 110, 110)
-    return jpeg(picture, 150_000)[0]
+    return jpeg(picture, 150_000)
 
 
 _RAMP = (

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CheckResult, count_text
 from bumpymap.layers.check.offset import LogAxis, MapOffset
-from bumpymap.layers.colours import OFF_COLOURS, class_limits
-from bumpymap.layers.report.site import Site
+from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.report.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.layers.report.words import share, shares, whole
+from bumpymap.layers.route.drawing import tick_step
 
 __all__ = ["Chart", "along_chart", "c_r_chart", "drive_chart", "slope_chart"]
 
@@ -45,6 +45,8 @@ class Chart:
     """Head of the first column of ``rows``."""
     rows: Sequence[tuple[str, ...]] = ()
     """Table of its numbers."""
+    is_narrow: bool = False
+    """Whether it must not grow as wide as the page."""
     elements: list[str] = field(default_factory=list)
 
     @property
@@ -99,31 +101,39 @@ class Chart:
         ]
 
 
-def c_r_chart(site: Site, at: int) -> Chart:
-    """Return the histogram of the ride cost of a map: bins of equal width on a logarithmic axis."""
-    bins = site.tiles.c_r_bins
+def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Chart:
+    """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
+
+    Parameters
+    ----------
+    bins : int64 (n,)
+        Tiles in each bin of ``C_R_EDGES``.
+    limits : sequence of float
+        Limits of the classes, rad/m.
+    key : str
+        Makes ids on the page differ.
+    """
     used = np.flatnonzero(bins)
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
     # the first and the last bin have no length of their own on the axis
     edges = np.log10([C_R_EDGES[1] * 10 ** (-1 / 8), *C_R_EDGES[1:-1], C_R_EDGES[-2] * 10 ** (1 / 8)])
     ticks = [(math.log10(value), f"{value:g}") for value in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)]
-    marks = [(math.log10(limit), f"{limit:g}") for limit in class_limits(site.record) or () if limit > 0]
+    marks = [(math.log10(limit), f"{limit:g}") for limit in limits if limit > 0]
     names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
     names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
     note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
-    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", f"ride-{at}")
+    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", f"ride-{key}")
     return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
 
 
-def slope_chart(site: Site, at: int) -> Chart:
-    """Return the histogram of the slope of a map."""
-    bins, limit = site.tiles.slope_bins, site.record["cost"]["slope_limit_deg"]
+def slope_chart(bins: NDArray[np.int64], limit: float, key: str) -> Chart:
+    """Return the histogram of the slope; ``limit`` is the steepest that the vehicle may drive, degrees."""
     used = np.flatnonzero(bins)
     last = max(int(used[-1]) + 1 if len(used) else 1, 4)
     ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
     names = [f"{low:g} to {high:g}" for low, high in pairwise(SLOPE_EDGES[: last + 1])]
     note = f"Red line: steepest slope for the vehicle, {limit:g} degrees."
-    about = ("Slope of the tiles", note, "slope, degrees", f"slope-{at}")
+    about = ("Slope of the tiles", note, "slope, degrees", f"slope-{key}")
     return _histogram(about, bins[:last], SLOPE_EDGES[: last + 1], names, ticks, [(limit, f"{limit:g}°")])
 
 
@@ -191,7 +201,7 @@ def drive_chart(result: CheckResult, key: str) -> Chart | None:
         "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
         f"measurement. Thick line: both agree; thin lines: a factor of {_FACTOR:g}. Brown lines: limits of the classes."
     )
-    chart = Chart(title, f"chart-{key}", 560, 440, _SIDES, axis.part, axis.part, caption, note)
+    chart = Chart(title, f"chart-{key}", 560, 440, _SIDES, axis.part, axis.part, caption, note, is_narrow=True)
     left, right, top, foot = chart.frame
     limits = () if result.ground is None else result.ground.class_limits
     lines = [(value, _LINES) for value in axis.ticks]
@@ -268,6 +278,5 @@ def along_chart(result: CheckResult, key: str) -> Chart | None:
 
 def _round_steps(end: float, most: int) -> list[float]:
     """Return 0 and the multiples of 1, 2 or 5 times a power of ten up to ``end``, at most ``most`` of them."""
-    power = 10.0 ** math.floor(math.log10(end / most))
-    step = next(power * part for part in (1, 2, 5, 10) if power * part * most >= end)
+    step = tick_step(end, most)
     return [round(step * number, 12) for number in range(int(end / step + 1e-9) + 1)]

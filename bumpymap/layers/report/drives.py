@@ -19,6 +19,7 @@ from bumpymap.core import (
 from bumpymap.layers.check.offset import MapOffset
 from bumpymap.layers.check.record import read_check
 from bumpymap.layers.check.words import (
+    check_headline,
     drive_notes,
     metres,
     percent,
@@ -26,9 +27,10 @@ from bumpymap.layers.check.words import (
     warnings_of,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
+from bumpymap.layers.report.charts import Chart, along_chart, drive_chart
 from bumpymap.layers.report.words import DASH, number
 
-__all__ = ["DrawnCheck", "drive_tables", "read_drawn_check"]
+__all__ = ["DrawnCheck", "read_drawn_check"]
 
 _REMEDY = "Check this map, with `bumpymap check`, and give the folder as `check`"
 
@@ -40,6 +42,30 @@ class DrawnCheck:
     result: CheckResult
     is_of_this_run: bool
     """False where the layers were written again since."""
+
+    @property
+    def headline(self) -> str:
+        """The result in two or three sentences."""
+        return check_headline(self.result)
+
+    def charts(self, key: str) -> list[Chart]:
+        """Return the charts of what the drives measured; ``key`` makes ids on the page differ."""
+        found = drive_chart(self.result, f"drives-{key}"), along_chart(self.result, key)
+        return [chart for chart in found if chart is not None]
+
+    def tables(self) -> dict[str, list[Any]]:
+        """Return the rows of the tables about drives, by what they hold, with their warnings and notes as texts."""
+        result = self.result
+        entries = [("all", result.agreement)] if result.agreement is not None else []
+        entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
+        return {
+            "warnings": warnings_of(result),
+            "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
+            "worst": _worst(result),
+            "drives": _sensors(result.drives),
+            "notes": drive_notes(result),
+            "left_out": [(reason, metres(length)) for reason, length in sorted_reasons(result)],
+        }
 
     def places(self) -> list[dict[str, Any]]:
         """Return each stretch with a position as the script of the page needs it."""
@@ -98,38 +124,16 @@ def read_drawn_check(check: Path, record: Mapping[str, Any], layers: Path) -> Dr
 
 
 def _differences(result: CheckResult, found: Mapping[str, Any], record: Mapping[str, Any]) -> list[str]:
-    calibration = record.get("calibration")
-    own = calibration.get("id") if isinstance(calibration, Mapping) else calibration
+    own = (record.get("calibration") or {}).get("id")
     pairs: list[tuple[str, Any, Any]] = [("the calibration", result.ground and result.ground.calibration_id, own)]
     if "grid" in found:  # positions are known
-        pairs.append(("the CRS", _crs(found), _crs(record)))
+        there, here = (crs and (crs.get("code") or crs["wkt"]) for crs in (found.get("crs"), record.get("crs")))
+        pairs.append(("the CRS", there, here))
         pairs.append(("the size of tiles", found["grid"]["tile_size_m"], record["grid"]["tile_size_m"]))
     return [f"{what} is {there or 'none'} there, {here or 'none'} here" for what, there, here in pairs if there != here]
 
 
-def _crs(record: Mapping[str, Any]) -> Any:
-    crs = record.get("crs")
-    return None if crs is None else crs.get("code") or crs["wkt"]
-
-
 _WORST = 10
-_NO_CLASS_NAME = "off the map"
-
-
-def drive_tables(result: CheckResult) -> dict[str, list[Any]]:
-    """Return the rows of the tables about drives, by what they hold, with their warnings and notes as texts."""
-    agreement = []
-    if result.agreement is not None:
-        by_class = [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
-        agreement = [_agreement(*pair) for pair in [("all", result.agreement), *by_class] if pair[1].stretches]
-    return {
-        "warnings": warnings_of(result),
-        "agreement": agreement,
-        "worst": _worst(result),
-        "drives": _sensors(result.drives),
-        "notes": drive_notes(result),
-        "left_out": [(reason, metres(length)) for reason, length in sorted_reasons(result)],
-    }
 
 
 def _agreement(name: str, found: MapAgreement) -> tuple[str, ...]:
@@ -149,7 +153,7 @@ def _worst(result: CheckResult) -> list[tuple[str, ...]]:
     """Return the stretches that are farthest off, of those whose difference errors do not explain; at most 10."""
     stretches, offset = result.stretches, MapOffset.of(result.stretches)
     order = np.argsort(-np.nan_to_num(offset.beyond, posinf=np.inf), kind="stable")
-    classes = dict(enumerate(CLASS_NAMES)) | {NO_CLASS: _NO_CLASS_NAME}
+    classes = dict(enumerate(CLASS_NAMES)) | {NO_CLASS: "off the map"}
     return [
         (
             result.drives[stretches.drive[at]].name,

@@ -7,14 +7,10 @@ from os.path import lexists
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-import numpy as np
-
 from bumpymap.core import (
     BARRED_TEXT,
     CLASS_NAMES,
-    NO_CLASS,
     OBJECT_NAMES,
-    OBSTACLE,
     REASON_TEXT,
     BadInputError,
     Barred,
@@ -25,14 +21,13 @@ from bumpymap.core import (
     utf8_path,
 )
 from bumpymap.layers.check.vectors import CheckGround
-from bumpymap.layers.check.words import check_headline, names_of
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS, class_ranges
+from bumpymap.layers.check.words import names_of
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS
 from bumpymap.layers.manifest import MANIFEST_NAME, read_manifest
 from bumpymap.layers.map_files import require_map_written, require_written
 from bumpymap.layers.products import REPORT_NAME, SHEET_TABLE_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.layers.report.charts import along_chart, c_r_chart, drive_chart, slope_chart
-from bumpymap.layers.report.drives import DrawnCheck, drive_tables, read_drawn_check
+from bumpymap.layers.report.drives import DrawnCheck, read_drawn_check
 from bumpymap.layers.report.page import write_page
 from bumpymap.layers.report.site import DrawnWay, Site, read_ways
 from bumpymap.layers.report.tiles import UNKNOWN_FROM
@@ -204,18 +199,15 @@ def write_maps(sites: Sequence[Site], path: Path) -> None:
         SHEET_TABLE_NAME=SHEET_TABLE_NAME,
         MOST_SHEETS=_MOST_SHEETS,
         bar_rows=_bar_rows,
-        c_r_chart=c_r_chart,
         class_rows=_class_rows,
         command_of=command_of,
         compared=_compared,
         crossed=_crossed,
         file_rows=_file_rows,
-        line_steps=_line_steps,
         real=real,
         reason_rows=_reason_rows,
         settings_of=settings_of,
         sheet_rows=_sheet_rows,
-        slope_chart=slope_chart,
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings_of=_warnings_of,
         way_rows=_way_rows,
@@ -229,13 +221,6 @@ def _of_maps(sites: Sequence[Site]) -> dict[str, Any]:
     return {
         "maps": sites,
         "together": together,
-        "along_chart": along_chart,
-        "check_headline": check_headline,
-        "class_ranges": class_ranges,
-        "drive_chart": drive_chart,
-        "drive_tables": drive_tables,
-        "layers_of": _layers_of,
-        "overlays_of": _overlays_of,
         "ramp_colours": _RAMP,
         "data": {"maps": [site.map_record() for site in sites], "together": together, "codes": _CODES},
     }
@@ -250,12 +235,10 @@ def _same_place(sites: Sequence[Site]) -> bool:
     """Return whether maps overlap in one CRS, so that they can move together."""
     if len(sites) < 2 or len({site.crs_name for site in sites}) > 1:
         return False
-    boxes = [
-        (spot.west, spot.north - spot.rows * spot.tile_size, spot.west + spot.cols * spot.tile_size, spot.north)
-        for spot in (site.tiles.spot for site in sites)
-    ]
-    (west, south, east, north), (left, low, right, high) = boxes
-    return west < right and left < east and south < high and low < north
+    one, other = (site.tiles.spot for site in sites)
+    across = one.west < other.west + other.cols * other.tile_size and other.west < one.west + one.cols * one.tile_size
+    down = one.north > other.north - other.rows * other.tile_size and other.north > one.north - one.rows * one.tile_size
+    return across and down
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
@@ -274,8 +257,6 @@ _CODES = {
     "ramp": _RAMP,
 }
 """Names and colours of the codes in the grids."""
-_DENSE = 0.1
-"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 
 
 def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path) -> None:
@@ -319,24 +300,6 @@ def _driven_sites(check: DrawnCheck, ground: CheckGround) -> Iterator[Site]:
             yield site
 
 
-def _layers_of(site: Site) -> list[tuple[str, str]]:
-    """Return keys and names of the colourings of a map: those of which something is known."""
-    named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in site.grids if grid.is_known}
-    values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
-    return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
-
-
-def _overlays_of(site: Site) -> list[tuple[str, str, bool]]:
-    """Return keys and names of what is drawn over the colours, and whether it is at first."""
-    overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
-    if site.objects_known:
-        dense = float(np.mean(site.objects[site.objects != NO_CLASS] == OBSTACLE))
-        overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
-    overlays += [("ways", "Way", True)] if site.ways else []
-    overlays += [("stretches", "Real drives", True)] if site.check is not None else []
-    return overlays
-
-
 def _crossed(site: Site) -> dict[str, str]:
     """Return the shares of the headline, empty where there is no such ground."""
     summary = site.summary
@@ -377,7 +340,7 @@ def _sheet_rows(site: Site) -> list[Row]:
 
 def _class_rows(site: Site) -> list[Row]:
     """Return limits, tiles, area, share, median ride cost and slope of the classes."""
-    summary, ranges = site.summary, class_ranges(site.record) or (DASH,) * len(CLASS_NAMES)
+    summary, ranges = site.summary, site.class_ranges or (DASH,) * len(CLASS_NAMES)
     names = (*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known")
     counted = _counted(site, [*summary.by_class, summary.unknown], (len(CLASS_NAMES),))
     columns = (names, counted, (*ranges, DASH), summary.median_c_r, summary.median_slope)
@@ -438,13 +401,6 @@ def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> 
     return [(part, area(tiles * site.tile_area), whole(tiles)) for part, tiles in told]
 
 
-def _shares(names: Sequence[str], counts: list[int], tiles: int) -> list[str]:
-    """Return the shares of parts of a map's tiles; those told elsewhere too, and the rest, are rounded alone."""
-    alone = {place for place, name in enumerate(names) if name in _ALONE} | {len(counts)}
-    rest = tiles - sum(counts)
-    return shares([*counts, rest], alone if rest else alone - {len(counts)})[: len(counts)]
-
-
 def _compared(sites: Sequence[Site]) -> list[tuple[str, str, list[Row]]]:
     """Return the tables of two maps: caption, head, and areas and shares of each with the difference of the shares."""
     summaries = [site.summary for site in sites]
@@ -463,7 +419,11 @@ def _compared(sites: Sequence[Site]) -> list[tuple[str, str, list[Row]]]:
 
 def _compared_rows(names: Sequence[str], counts: list[list[int]], sites: Sequence[Site]) -> list[Row]:
     first, second = sites
-    told = [_shares(names, one, site.summary.tiles) for one, site in zip(counts, sites, strict=True)]
+    told = []
+    for site, parts in zip(sites, counts, strict=True):  # those told elsewhere too, and the rest, are rounded alone
+        rest = site.summary.tiles - sum(parts)
+        alone = {place for place, name in enumerate(names) if name in _ALONE} | ({len(parts)} if rest else set())
+        told.append(shares([*parts, rest], alone)[: len(parts)])
     rows = []
     for name, one, two, *texts in zip(names, *counts, *told, strict=True):
         points = 100 * (two / max(second.summary.tiles, 1) - one / max(first.summary.tiles, 1))
@@ -518,11 +478,6 @@ def _file_rows(record: Mapping[str, Any]) -> list[Row]:
             )
         )
     return rows
-
-
-def _line_steps(lines: Mapping[str, Any]) -> list[float]:
-    """Return the largest step between the heights of each pair of flight lines that overlap, m."""
-    return [abs(float(pair.get("largest") or 0.0)) for pair in lines.get("pairs") or ()]
 
 
 def _warnings_of(record: Mapping[str, Any]) -> list[str]:

@@ -138,32 +138,20 @@ def _printable(value: Any) -> Any:
     return value if text == value else text
 
 
-def _digest(text: str) -> str:
-    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
-
-
-def _hex(colour: tuple[int, ...]) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*colour[:3])
-
-
-def _shown(text: str) -> str:
-    """Return text that shows what it holds: control characters and bytes that are not UTF-8 as escapes."""
-    return escape_controls(" ".join(text.split()))
-
-
 _FILTERS: dict[str, Callable[..., str]] = {
     "address": lambda text: quote(os.fsencode(text)),
     "area": area,
     "base64": lambda data: base64.b64encode(data).decode(),
     "base_name": base_name,
     "degrees": degrees,
-    "digest": _digest,
-    "hex": _hex,
+    "digest": lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode(),
+    "hex": lambda colour: "#{:02x}{:02x}{:02x}".format(*colour[:3]),
     "metres": metres,
     "number": number,
     "percent": percent,
     "share": share,
-    "shown": _shown,
+    # text that shows what it holds: control characters and bytes that are not UTF-8 as escapes
+    "shown": lambda text: escape_controls(" ".join(text.split())),
     "signed": signed,
     "whole": whole,
 }

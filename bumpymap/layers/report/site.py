@@ -19,8 +19,9 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, parse_json, read_regular, stated_crs
-from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT
+from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT, class_limits, class_ranges
 from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.report.charts import Chart, c_r_chart, slope_chart
 from bumpymap.layers.report.drives import DrawnCheck
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
 from bumpymap.layers.report.words import survey_name
@@ -195,8 +196,8 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
-def jpeg(picture: NDArray[np.uint8], most: int) -> tuple[str, tuple[int, int]]:
-    """Return a picture as a data URI of at most ``most`` characters, and its width and height.
+def jpeg(picture: NDArray[np.uint8], most: int) -> str:
+    """Return a picture as a data URI of at most ``most`` characters.
 
     It is stored more coarsely, then halved in size, until it fits.
     """
@@ -207,7 +208,7 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> tuple[str, tuple[int, int]]:
             image.save(buffer, "JPEG", quality=quality)
             text = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
             if len(text) <= most or max(image.size) <= 64:
-                return text, image.size
+                return text
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
 
 
@@ -287,6 +288,8 @@ _RELIEF_SIDE = 1_000
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
 _STILL_SIDE = 700
+_DENSE = 0.1
+"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _LINES = 6
 """Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
@@ -370,7 +373,7 @@ class Site:
                 break
             step *= 2
         light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
-        relief, _ = jpeg(light, int(0.2 * budget))
+        relief = jpeg(light, int(0.2 * budget))
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
@@ -428,6 +431,34 @@ class Site:
     def objects_known(self) -> bool:
         """Whether anything is known to be free of objects or to hold one."""
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
+
+    @property
+    def class_ranges(self) -> tuple[str, ...]:
+        """What is in each class, in words; empty if the ride cost does not decide."""
+        return class_ranges(self.record)
+
+    @property
+    def layers(self) -> list[tuple[str, str]]:
+        """Keys and names of the colourings of the map: those of which something is known."""
+        named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
+        values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
+        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
+
+    @property
+    def overlays(self) -> list[tuple[str, str, bool]]:
+        """Keys and names of what is drawn over the colours, and whether it is at first."""
+        overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
+        if self.objects_known:
+            dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
+            overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
+        overlays += [("ways", "Way", True)] if self.ways else []
+        return [*overlays, ("stretches", "Real drives", True)] if self.check is not None else overlays
+
+    def charts(self) -> tuple[Chart, Chart]:
+        """Return the histograms of the ride cost and of the slope."""
+        key = str("AB".find(self.letter or "A"))
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or (), key)
+        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"], key)
 
     @property
     def rounding(self) -> str:
@@ -496,4 +527,4 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
     lines = (down - right) % 6 < 2
     bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
-    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)[0]
+    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)
