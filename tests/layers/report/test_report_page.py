@@ -21,7 +21,7 @@ import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_report, write_reports
 from bumpymap.layers.manifest import describe_file
-from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot
+from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
 from bumpymap.layers.report.words import area, number, share
 
 
@@ -92,12 +92,11 @@ def test_obstacles_of_the_page_are_those_of_the_raster(site, read_page):
     assert (found == OBSTACLE).any()
 
 
-def test_the_page_made_again_has_the_same_bytes(site, tmp_path):
-    twin = shutil.copytree(site, tmp_path / "elsewhere")
-    before = (twin / "report.html").read_bytes()
+def test_the_page_made_again_has_the_same_bytes_whatever_the_folder_is_called(site, tmp_path):
+    twin = shutil.copytree(site, tmp_path / "caf\udce9")
     (twin / "report.html").unlink()
     assert bumpymap.open(twin).report() == twin / "report.html"
-    assert (twin / "report.html").read_bytes() == before
+    assert (twin / "report.html").read_bytes() == (site / "report.html").read_bytes()
 
 
 @pytest.mark.parametrize("step", [2, 7])
@@ -288,11 +287,6 @@ def test_two_maps_are_compared(site, tmp_path, read_page):
     write_reports([site, other], tmp_path / "two.html", overwrite=True)
 
 
-def test_a_folder_whose_name_is_not_text(site, tmp_path):
-    odd = shutil.copytree(site, tmp_path / "caf\udce9")
-    assert write_reports([odd]).read_bytes() == (site / "report.html").read_bytes()
-
-
 def test_a_link_is_replaced_and_its_target_stays(site, tmp_path):
     twin = shutil.copytree(site, tmp_path / "twin")
     target = tmp_path / "precious.html"
@@ -392,21 +386,6 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     assert ["mean C_r", "0.123 rad/m"] in table
     assert ["length", "1,234 m"] in table
     assert ["chance to arrive", "over 99\xa0%"] in table
-
-
-def test_rounding_of_a_grid():
-    rng = np.random.default_rng(2)
-    values = rng.gamma(2.0, 0.1, (30, 40)).astype(np.float32)
-    values[rng.random(values.shape) < 0.3] = np.nan
-    for scale in ("linear", "log"):
-        grid = ByteGrid.of(("a", "a", "m", 2), values, scale)
-        shown = grid.values()
-        assert (np.isnan(shown) == np.isnan(values)).all()
-        off = np.abs(np.log(shown / values)) if scale == "log" else np.abs(shown - values)
-        assert np.nanmax(off) <= grid.step / 2 * (1 + 1e-5) + 1e-7
-    nothing = ByteGrid.of(("a", "a", "", 2), np.full((2, 2), np.nan, np.float32))
-    assert np.isnan(nothing.values()).all()
-    assert ByteGrid.of(("a", "a", "", 2), np.full((2, 2), 3, np.float32)).values().tolist() == [[3, 3], [3, 3]]
 
 
 def test_shares_never_round_to_nothing_or_all():
