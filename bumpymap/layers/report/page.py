@@ -23,10 +23,9 @@ from bumpymap.core import (
     escape_controls,
 )
 from bumpymap.layers.check.offset import OFF_KINDS
-from bumpymap.layers.check.words import metres, percent
 from bumpymap.layers.colours import BARRED_COLOURS, CHANGE_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, OFF_COLOURS
 from bumpymap.layers.products import REPORT_NAME
-from bumpymap.layers.report.words import DASH, area, base_name, degrees, number, share, signed, whole
+from bumpymap.layers.report.words import DASH, area, base_name, degrees, number, share, whole
 
 if TYPE_CHECKING:
     import jinja2
@@ -99,7 +98,7 @@ def _asset(name: str) -> str:
 
 @cache
 def _engine() -> "jinja2.Environment":
-    """Return the engine. It is imported here: most of what imports this package writes no page."""
+    """Return the engine; it is imported here alone, since most that imports this package writes no page."""
     import jinja2
 
     class _Compiled(jinja2.FileSystemBytecodeCache):
@@ -146,13 +145,10 @@ _FILTERS: dict[str, Callable[..., str]] = {
     "degrees": degrees,
     "digest": lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode(),
     "hex": lambda colour: "#{:02x}{:02x}{:02x}".format(*colour[:3]),
-    "metres": metres,
     "number": number,
-    "percent": percent,
     "share": share,
     # text that shows what it holds: control characters and bytes that are not UTF-8 as escapes
     "shown": lambda text: escape_controls(" ".join(text.split())),
-    "signed": signed,
     "whole": whole,
 }
 _NAMES = {
