@@ -22,6 +22,7 @@ ROOMS = {
             *(
                 "PIL",
                 "geopandas",
+                "jinja2",
                 "laspy",
                 "lazrs",
                 "numpy",
@@ -58,6 +59,7 @@ ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
     "blake3": {"bumpymap/core/run_spec.py"},
+    "jinja2": {"bumpymap/layers/report/page.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "open3d": {"bumpymap/lab/worlds/scans/lidar.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},
