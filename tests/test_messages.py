@@ -300,6 +300,9 @@ def test_no_message_that_a_python_caller_can_see_names_an_option():
             continue
         tree = ast.parse(file.read_text(encoding="utf-8"))
         documented = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for call in ast.walk(tree):  # the help of options
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "Setting":
+                documented |= {id(part) for part in ast.walk(call)}
         for node in ast.walk(tree):
             if isinstance(node, ast.JoinedStr):
                 text = "".join(part.value if isinstance(part, ast.Constant) else "{}" for part in node.values)
@@ -327,6 +330,9 @@ def test_every_setting_in_backquotes_is_one():
             continue
         tree = ast.parse(file.read_text(encoding="utf-8"))
         documented = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+        for call in ast.walk(tree):  # the help of options
+            if isinstance(call, ast.Call) and ast.unparse(call.func) == "Setting":
+                documented |= {id(part) for part in ast.walk(call)}
         for node in ast.walk(tree):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documented:
                 named = re.findall(r"`([a-z_]+)(?:=[^`]*)?`", node.value)

@@ -28,7 +28,7 @@ WindowM = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class ReadingSettings:
-    """What decides how the C_r of a drive is measured."""
+    """Settings by which the C_r of a drive is measured."""
 
     band_hz: BandHz = 10.0
     """Rates are low-passed at this frequency, Hz."""

@@ -76,6 +76,33 @@ CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a ra
 
 
 @dataclass(frozen=True, slots=True)
+class NumberRange:
+    """The numbers that a setting can be, given in the ``Annotated`` type of its field."""
+
+    low: float
+    high: float = math.inf
+    unit: str = ""
+    whole: bool = False
+    """True: only whole numbers are allowed."""
+
+    @property
+    def allowed(self) -> str:
+        """Description of the allowed numbers; continues *it must be*."""
+        kind = "a whole number" if self.whole else "a number"
+        if self.high == math.inf:
+            return f"{kind}, at least {self.low:g}"
+        return f"{kind} from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def fault(self, value: Any) -> str:
+        """Return what is wrong with a value; empty if nothing is."""
+        is_number = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
+        return "" if is_number and self.low <= value <= self.high else f"it must be {self.allowed}"
+
+
+_SPEED = NumberRange(0.01, 100.0, "m/s")
+
+
+@dataclass(frozen=True, slots=True)
 class FeatureSettings:
     """How tiles are measured, and when a heightmap cannot be rated.
 
@@ -96,7 +123,7 @@ class FeatureSettings:
     stray_points: Annotated[int, Setting(low=0)] = 3
     """Number of stray points searched for above, and below, the others."""
     stray_share: Annotated[float, Setting(low=0.0, high=1.0)] = 0.01
-    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
+    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be separated from noise."""
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -249,14 +276,14 @@ class PolarSettings:
     """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
     ground. The margin allows for frames whose origin is at the robot's base."""
     ground_only: bool = True
-    """Whether ground is found in each sector, and only ground points are measured; False: all points are, as in the
+    """True: ground is found in each sector, and only ground points are measured; False: all points are, as in the
     paper."""
     belly_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 0.25
     """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
     height_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 1.38
     """Height of the vehicle: what is higher above the ground is overhead."""
     anchored: bool = True
-    """Whether the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
+    """True: the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
 
     def __post_init__(self) -> None:
         check_settings(self)

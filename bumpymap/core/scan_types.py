@@ -282,7 +282,7 @@ class SectorStack:
 
 @dataclass(frozen=True, slots=True)
 class SectorRide:
-    """What a vehicle feels on the ground of sectors, as in a survey's map; unknown where points are too few."""
+    """The ride of a vehicle on the ground of sectors, as in a survey's map; unknown where points are too few."""
 
     c_r: NDArray[np.float32]
     """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""

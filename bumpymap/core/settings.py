@@ -448,7 +448,7 @@ class _Parser:
         found = self._converted(value, _plain_type(kind), name)
         if len(self.faults) > before:
             return found
-        if rule is not None and value == UNFILLED:
+        if rule is not None and isinstance(value, str) and value == UNFILLED:
             self.faults.append(f"{name} is not filled in: {rule.allowed}")
         elif found is _WRONG_TYPE:
             self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")

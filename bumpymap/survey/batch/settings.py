@@ -65,7 +65,7 @@ class BatchConfig:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     """The same, of a settings file; the CSV overrides them."""
     survey_per: Annotated[SurveyPer, Setting("What in the folder SOURCE is one survey")] = "file"
-    """Whether each file of the source folder is a survey, or each folder in it."""
+    """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
     jobs: Annotated[int, Setting("Number of surveys mapped at a time", "N", 1)] = 1
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class BatchConfig:
 
     @property
     def overwrite(self) -> bool:
-        """Whether layers that were made from other inputs or settings are replaced."""
+        """True: layers that were made from other inputs or settings are replaced."""
         return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
