@@ -223,7 +223,11 @@ def write_cog(
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
         counts = np.zeros(256, np.int64)
-        if _in_blocks(placement, spec) <= SMALL and not sparse:
+        block = max(spec.block, SCRATCH_BLOCK)
+        across, down = (
+            -(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows)
+        )
+        if across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL and not sparse:
             with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 for _, canvas in _write_scratch(scratch.name, placement, spec, paint, side):
                     _count(canvas, spec, counts)  # no checksum: memory loses nothing
@@ -253,13 +257,6 @@ def write_cog(
         for band in spec.bands:
             if band.categories:
                 write_value_table(temporary, band.categories, spec.colours, counts)
-
-
-def _in_blocks(placement: Placement, spec: RasterSpec) -> int:
-    """Return the bytes of a raster in whole blocks, as GDAL keeps it: a raster of 15 lines takes those of 512."""
-    block = max(spec.block, SCRATCH_BLOCK)
-    across, down = (-(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows))
-    return across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize
 
 
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:

@@ -138,7 +138,7 @@ class RouteMap:
         """
         barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
         values = {band: np.full(barred.shape, np.nan, np.float32) for band in bands}
-        overlapping = self._overlapping(window)
+        overlapping = any(common_window(window, shared) is not None for shared in self._shared)
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is None:
@@ -270,10 +270,6 @@ class RouteMap:
                 f"the CRS of the map, {describe_crs(crs)}, has no known relation to longitude and latitude. Give "
                 "points in the survey's own coordinates (crs:X,Y)"
             ) from error
-
-    def _overlapping(self, window: TileWindow) -> bool:
-        """Return whether two sheets share a tile of the window."""
-        return any(common_window(window, shared) is not None for shared in self._shared)
 
     @cached_property
     def _shared(self) -> list[TileWindow]:

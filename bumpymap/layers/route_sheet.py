@@ -71,7 +71,16 @@ class RouteSheet:
         manifest = read_manifest(folder)
         try:
             require_written(folder, manifest, _RASTERS, most=_CHECKED_BYTES)
-            parts = (_grid(manifest), _georeference(manifest), _rule(manifest), _vehicle(folder, manifest))
+            crs, unit = manifest["crs"], manifest["metres_per_unit"]
+            known = None if crs is None else stated_crs(crs["wkt"])
+            cost = manifest["cost"]
+            names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+            parts = (
+                _grid(manifest),
+                Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
+                CostRule(*(float(cost[name]) for name in names)),
+                _vehicle(folder, manifest),
+            )
         except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
             raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
         grid, georeference, rule, vehicle = parts
@@ -232,18 +241,6 @@ def _window_of(path: Path, grid: Grid, georeference: Georeference) -> TileWindow
 
 def _grid(manifest: Mapping[str, Any]) -> Grid:
     return Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
-
-
-def _georeference(manifest: Mapping[str, Any]) -> Georeference:
-    crs, unit = manifest["crs"], manifest["metres_per_unit"]
-    known = None if crs is None else stated_crs(crs["wkt"])
-    return Georeference(known, float(unit["horizontal"]), float(unit["vertical"]))
-
-
-def _rule(manifest: Mapping[str, Any]) -> CostRule:
-    cost = manifest["cost"]
-    names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-    return CostRule(*(float(cost[name]) for name in names))
 
 
 def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:

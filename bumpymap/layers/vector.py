@@ -352,7 +352,11 @@ def flatgeobuf_writer(
             def add(regions: Regions) -> None:
                 nonlocal count
                 count += len(regions.tiles)
-                stream.write_batch(_batch(regions, schema))
+                columns: dict[str, Any] = _columns(regions)
+                columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
+                stream.write_batch(
+                    pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
+                )
 
             yield add
         _convert(waiting, count, temporary, placement, about or {})
@@ -361,12 +365,6 @@ def flatgeobuf_writer(
 def _schema() -> pa.Schema:
     kinds = ((name, _KINDS.get(name, pa.float64())) for name in _PROPERTIES)
     return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
-
-
-def _batch(regions: Regions, schema: pa.Schema) -> pa.RecordBatch:
-    columns: dict[str, Any] = _columns(regions)
-    columns[_GEOMETRY] = shapely.to_wkb(outlines_in_crs(regions), byte_order=1)
-    return pa.record_batch([pa.array(columns[field.name], field.type) for field in schema], schema=schema)
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement, about: Mapping[str, str]) -> None:

@@ -57,27 +57,18 @@ def measure_thin(
         pairs,
         kernels.pair_scratch(_MOST_POINTS, settings.stray_points),
     )
-    pairs[_has_real_holes(patches) | _is_refused(patches, settings), _SEEN] = 0.0
+    at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
+    clustered = patches.coverage < HOLE_SHARE * at_random
+    raised = settings.min_points > FeatureSettings().min_points
+    pairs[
+        np.asarray((patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered)
+        | np.asarray(raised & (patches.count < settings.min_points)),
+        _SEEN,
+    ] = 0.0
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
         relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)
     return ThinPatches(pairs, relief_map)
-
-
-def _has_real_holes(patches: PatchStack) -> NDArray[np.bool_]:
-    """Return in which tiles there is no ground to see, such as a pond: many points, and yet too many holes.
-
-    Points at random leave a pixel of m empty with probability ``exp(-n / m)``.
-    """
-    at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
-    clustered = patches.coverage < HOLE_SHARE * at_random
-    return np.asarray((patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered)
-
-
-def _is_refused(patches: PatchStack, settings: FeatureSettings) -> NDArray[np.bool_]:
-    """Return which tiles hold too few points by a limit that was raised: it holds for thin tiles too."""
-    raised = settings.min_points > FeatureSettings().min_points
-    return np.asarray(raised & (patches.count < settings.min_points))
 
 
 def _take(tiles: kernels.PointsByTile, wanted: NDArray[np.bool_]) -> kernels.PointsByTile:

@@ -292,11 +292,13 @@ def rate_as_paper(
     edges = with_floor(np.array([0.0, *calibration.class_limits, np.inf]), calibration.map_floor)
     p_fail = np.where(patches.slope > calibration.vehicle["slope_limit_deg"], 1.0, np.nan)
     high = np.where(class_id == len(edges) - 2, np.nan, edges[class_id + 1])
+    out = np.full(len(measured), NO_CLASS, np.uint8)
+    out[measured] = class_id[measured]
     return CostMap(
         georeference=georeference,
         patches=replace(patches, reason=np.where(measured, Reason.OK, patches.reason).astype(np.uint8)),
         textures=textures,
-        class_id=_spread_class(measured, class_id[measured]),
+        class_id=out,
         c_r=_spread(measured, with_floor(np.array(calibration.class_c_r), calibration.map_floor)[class_id[measured]]),
         c_r_low=_spread(measured, edges[class_id[measured]]),
         c_r_high=_spread(measured, high[measured]),
@@ -329,11 +331,4 @@ def _spread(known: NDArray[np.bool_], values: NDArray[np.float64]) -> NDArray[np
     """Put values of the known tiles into an array over all tiles; NaN elsewhere."""
     out = np.full(len(known), np.nan, np.float32)
     out[known] = values
-    return out
-
-
-def _spread_class(known: NDArray[np.bool_], class_id: NDArray[np.integer]) -> NDArray[np.uint8]:
-    """Put classes of the known tiles into an array over all tiles; ``NO_CLASS`` elsewhere."""
-    out = np.full(len(known), NO_CLASS, np.uint8)
-    out[known] = class_id
     return out

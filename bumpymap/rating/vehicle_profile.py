@@ -190,7 +190,10 @@ class Vehicle:
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
-            faults = _contradictions(profile)
+            found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
+            found += [_height(profile), _width(profile)]
+            found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
+            faults = [fault for fault in found if fault]
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}")
         return profile
 
@@ -235,14 +238,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     return list(value) if isinstance(value, tuple) else value
-
-
-def _contradictions(profile: Vehicle) -> list[str]:
-    """Return messages about values that contradict each other, in a profile whose values are each valid."""
-    found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
-    found += [_height(profile), _width(profile)]
-    found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
-    return [fault for fault in found if fault]
 
 
 def _wheels(profile: Vehicle) -> str:

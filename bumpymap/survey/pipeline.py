@@ -83,7 +83,10 @@ def write_layers(
 
     def manifest_of(window: TileWindow) -> dict[str, Any]:
         # Only the files that matter: there may be thousands of files and hundreds of sheets.
-        near = table.tiles.grid.window_bounds(_with_ring(window))
+        ring = BLOCK_TILES
+        near = table.tiles.grid.window_bounds(
+            TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+        )
         return {**manifest, "inputs": [file for file in manifest["inputs"] if _meets(extents[str(file["path"])], near)]}
 
     compared = json.dumps({name: run_spec[name] for name in _COMPARED}, sort_keys=True)
@@ -91,12 +94,6 @@ def write_layers(
     run = SheetRun(inputs.sheets, key, config.resume, manifest_of)
     files, summary = write_sheets(table, config.out, run, local=config.local, manifest=manifest, progress=progress)
     return tuple(files), summary, len(inputs.sheets.places(table.tiles))
-
-
-def _with_ring(window: TileWindow) -> TileWindow:
-    """Add a block on each side: tiles depend on their neighbours, and points may lie a little outside of extents."""
-    ring = BLOCK_TILES
-    return TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
 
 
 def _meets(extent: Bounds | None, box: Bounds) -> bool:
@@ -149,10 +146,11 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
     work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground)
+    advice = ADVICE.replace("to the same command", "in the place of `overwrite=True`") if config.overwrite else ADVICE
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,
-        Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=_advice(config)) as space,
+        Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=advice) as space,
     ):
         aligned = AlignedInputs.of(config, inputs, progress, clock)
         executor = _executor(config, work, space, budget, progress, workers, aligned.options)
@@ -207,11 +205,6 @@ def _check_out(config: MapConfig) -> bool:
     # their places and clearing up, they are its own.
     check_folder(config.out, overwrite=config.overwrite or unfinished, resume=config.resume)
     return False
-
-
-def _advice(config: MapConfig) -> str:
-    """Say how to resume the run if it is interrupted."""
-    return ADVICE.replace("to the same command", "in the place of `overwrite=True`") if config.overwrite else ADVICE
 
 
 def _executor(

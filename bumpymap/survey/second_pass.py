@@ -365,12 +365,11 @@ class NeighbourRating:
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
-            | {name: self._felt(window.inner(name), own["c_r"]) for name in self._motion}
+            | {
+                name: motion_felt(self.calibration, self.speeds, window.inner(name), own["c_r"])
+                for name in self._motion
+            }
         )
-
-    def _felt(self, factors: NDArray[np.float32], c_r: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return what is felt at other speeds, (16, 16, 3 k), from the factors on C_r; NaN in unknown tiles."""
-        return motion_felt(self.calibration, self.speeds, factors, c_r)
 
     def _known(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.bool_]:
         """Return which tiles have a class, or will have one."""

@@ -375,7 +375,8 @@ class TileBuckets:
             rows = pack.rows(key)
             for start in range(0, rows, most or max(rows, 1)):
                 read = pack.read(key, names, start, None if most is None else start + most)
-                yield PointPart(read, _scaling_of(pack))
+                numbers = pack.meta["scaling"]
+                yield PointPart(read, None if numbers is None else Scaling.of(numbers))
 
     def _oldest(self) -> list[WaitingChunk]:
         """Choose the oldest chunks, about half of the limit: all of a number, of one grid, and final or not, each."""
@@ -405,8 +406,3 @@ def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], me
             rows = sum(len(part.columns["tile"]) for part in parts)
             writer.add(key, rows, {c.name: [part.columns[c.name] for part in parts] for c in columns})
     return Pack(path)
-
-
-def _scaling_of(pack: Pack) -> Scaling | None:
-    numbers = pack.meta["scaling"]
-    return None if numbers is None else Scaling.of(numbers)

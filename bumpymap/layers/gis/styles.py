@@ -245,15 +245,6 @@ def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> 
     return _by_kind(kind, [(value, label) for value, label, _, _ in looks], symbols, blend)
 
 
-def points_by_kind(kind: str, looks: Sequence[tuple[str, str, Colour]], large: str) -> list[ET.Element]:
-    """Return what stands for points in a style file: value, label and colour for each value of ``kind``.
-
-    Points of which the expression ``large`` is true are larger.
-    """
-    symbols = [_disc(number, colour, large) for number, (_, _, colour) in enumerate(looks)]
-    return _by_kind(kind, [(value, label) for value, label, _ in looks], symbols, NORMAL)
-
-
 def _by_kind(
     kind: str, entries: Sequence[tuple[str, str]], symbols: Sequence[ET.Element], blend: int
 ) -> list[ET.Element]:
@@ -358,7 +349,8 @@ def write_check_style(path: Path, *, areas: bool) -> None:
     if areas:
         root.extend(areas_by_kind("off", [(*look, "solid") for look in looks]))
     else:
-        root.extend(points_by_kind("off", looks, '"explained" = false'))
+        symbols = [_disc(number, colour, '"explained" = false') for number, (_, _, colour) in enumerate(looks)]
+        root.extend(_by_kind("off", [(value, label) for value, label, _ in looks], symbols, NORMAL))
     write_qgis(root, path)
 
 
@@ -511,7 +503,8 @@ def layer_style(
         the C_r at another of its speeds, such as ``0.5`` [m/s].
     """
     if layer == "speeds.tif":
-        return _at_speed(facts, part).elements(blend)
+        names = [band.name for band in speed_bands(facts.speeds)]
+        return _roughness(facts, 1 + names.index(f"c_r_{part}") if part else 1).elements(blend)
     if part:
         return _PARTS[part].elements(blend)
     if layer in _AREAS:
@@ -528,12 +521,6 @@ def _class(facts: StyleFacts) -> RasterStyle:
 def _roughness(facts: StyleFacts, band: int = _C_R_BAND) -> RasterStyle:
     stops = zip(facts.scale.anchors, facts.ride_labels, strict=True)
     return ramp(band, [(value, label, CLASS_COLOURS[number]) for number, (value, label) in enumerate(stops)])
-
-
-def _at_speed(facts: StyleFacts, speed: str) -> RasterStyle:
-    """Return the style of the C_r in speeds.tif at a speed; without one at the first, in the colours of the map's."""
-    names = [band.name for band in speed_bands(facts.speeds)]
-    return _roughness(facts, 1 + names.index(f"c_r_{speed}") if speed else 1)
 
 
 def _cost() -> RasterStyle:

@@ -353,7 +353,11 @@ def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int]
     _frame(pen, ground, "height [m]", 4)
     _curve(pen, ground, profile.distance, profile.z)
     nearest = _nearest(profile.distance, ride.distances)
-    _fill_interval(pen, ride, profile.c_r_low[nearest], profile.c_r_high[nearest])
+    upper, lower = (ride.rows(side[nearest]) - ride.top for side in (profile.c_r_high, profile.c_r_low))
+    line = np.arange(ride.height)[:, None] + 0.5
+    canvas: Pixels = np.full((ride.height, ride.width, 3), 255, np.uint8)
+    canvas[(line >= upper[None, :]) & (line <= lower[None, :])] = INTERVAL
+    pen.paste(ride.left, ride.top, canvas)
     _frame(pen, ride, "ride cost [rad/m]", 3)
     _curve(pen, ride, ride.distances, profile.c_r[nearest])
     _distances(pen, ride)
@@ -394,15 +398,6 @@ def _fill_ground(pen: Pen, axes: _Axes, profile: RouteProfile, scale: RideScale)
     canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)
     under = np.arange(axes.height)[:, None] + 0.5 >= row[None, :]  # False where the height is unknown
     canvas[under] = np.broadcast_to(colour.astype(np.uint8), canvas.shape)[under]
-    pen.paste(axes.left, axes.top, canvas)
-
-
-def _fill_interval(pen: Pen, axes: _Axes, low: NDArray[np.float64], high: NDArray[np.float64]) -> None:
-    """Fill what lies between two curves, (width,) each."""
-    upper, lower = axes.rows(high) - axes.top, axes.rows(low) - axes.top
-    line = np.arange(axes.height)[:, None] + 0.5
-    canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)
-    canvas[(line >= upper[None, :]) & (line <= lower[None, :])] = INTERVAL
     pen.paste(axes.left, axes.top, canvas)
 
 

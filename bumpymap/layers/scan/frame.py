@@ -122,12 +122,14 @@ def paint(scan: Scan, classed: ClassedSectors, range_m: float = 40.0) -> Image.I
         RGB, ``SIDE`` pixels high; the scene is square, with the legend to its right. Forward (x) is up, left (y) is
         left; the sensor is at the centre of the scene.
     """
-    step = _ring_step(range_m)
+    step = max((step for step in _STEPS_M if step * _FEWEST_RINGS <= range_m), default=range_m)
     picture: Picture = np.empty((SIDE, SIDE + _PANEL, 3), np.uint8)
     picture[:, SIDE:] = _PAPER
     _paint_sectors(picture[:, :SIDE], classed, range_m)
     _paint_points(picture, scan, point_styles(classed), range_m)
-    _paint_rings(picture, range_m, step)
+    row, column, strength = _ring_lines(range_m, step)
+    under = picture[row, column]
+    picture[row, column] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
     image = Image.fromarray(picture)
     draw = ImageDraw.Draw(image)
     _draw_distances(draw, range_m, step)
@@ -211,17 +213,6 @@ def _paint_points(picture: Picture, scan: Scan, styles: NDArray[np.uint8], range
         for down, right in np.ndindex(wide, wide):
             rows, columns = np.minimum(row[chosen] + down, SIDE - 1), np.minimum(column[chosen] + right, SIDE - 1)
             picture[rows, columns] = SCAN_COLOURS[style]
-
-
-def _ring_step(range_m: float) -> float:
-    """Return the distance between range rings, m, so that at least three fit."""
-    return max((step for step in _STEPS_M if step * _FEWEST_RINGS <= range_m), default=range_m)
-
-
-def _paint_rings(picture: Picture, range_m: float, step: float) -> None:
-    row, column, strength = _ring_lines(range_m, step)
-    under = picture[row, column]
-    picture[row, column] = (under + strength[:, None] * (np.array(_RING) - under)).astype(np.uint8)
 
 
 @lru_cache(maxsize=2)

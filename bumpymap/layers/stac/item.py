@@ -278,13 +278,13 @@ def write_document(document: Mapping[str, Any], path: Path) -> None:
         The file cannot be written.
     """
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    text = re.sub(r"\[\n\s*([-+.\de]+(?:,\n\s*[-+.\de]+)*)\n\s*\]", lambda found: _one_line(found[1]), text)
+    text = re.sub(
+        r"\[\n\s*([-+.\de]+(?:,\n\s*[-+.\de]+)*)\n\s*\]",
+        lambda found: f"[{', '.join(found[1].replace(',', ' ').split())}]",
+        text,
+    )
     with atomic(path) as temporary:
         temporary.write_text(f"{text}\n", encoding="utf-8")
-
-
-def _one_line(numbers: str) -> str:
-    return f"[{', '.join(numbers.replace(',', ' ').split())}]"
 
 
 _ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
@@ -379,7 +379,11 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     name = valid_text(_survey_name(record))
     grid = describe_grid(folder / _TILES)
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
-    place = _placement(record, grid, crs)
+    unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
+    (rows, cols), (_, _, west, _, _, north, *_) = grid["proj:shape"], grid["proj:transform"]
+    window = TileWindow(round(west * unit / tile), round(north * unit / tile) - rows, cols, rows)
+    georeference = Georeference(crs, unit, record["metres_per_unit"]["vertical"])
+    place = Placement(georeference, Grid(tile, record["grid"]["pixels"]), window)
     item = {
         "type": "Feature",
         "stac_version": STAC_VERSION,
@@ -461,15 +465,6 @@ def _survey(record: Mapping[str, Any]) -> Mapping[str, Any]:
 def _calibration(record: Mapping[str, Any]) -> Mapping[str, Any]:
     calibration = record.get("calibration")
     return calibration if isinstance(calibration, Mapping) else {"id": calibration}
-
-
-def _placement(record: Mapping[str, Any], grid: Mapping[str, Any], crs: CRS | None) -> Placement:
-    """Return the raster of the tiles, from its shape and transform."""
-    unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
-    (rows, cols), (west, north) = grid["proj:shape"], (grid["proj:transform"][2], grid["proj:transform"][5])
-    window = TileWindow(round(west * unit / tile), round(north * unit / tile) - rows, cols, rows)
-    georeference = Georeference(crs, unit, record["metres_per_unit"]["vertical"])
-    return Placement(georeference, Grid(tile, record["grid"]["pixels"]), window)
 
 
 def _footprint(place: Placement) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction
 from bumpymap.rating.ride.rate import interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, fail_terms, log_points, ride_terms, spread_terms
-from bumpymap.rating.ride.thin_noise import PooledNoise, pool_noise, pull_to_neighbours
+from bumpymap.rating.ride.thin_noise import pool_noise, pull_to_neighbours
 from bumpymap.rating.vehicle_body import less_floor
 
 __all__ = ["BlockRating", "ThinSurveys", "dense_share", "fit_thin", "is_rateable", "rate_thin", "ride_weight"]
@@ -116,13 +116,6 @@ def dense_share(coverage: NDArray[np.floating]) -> Floats:
     return np.clip((np.nan_to_num(coverage.astype(np.float64)) - _ALL_THIN) / (DENSE_COVERAGE - _ALL_THIN), 0.0, 1.0)
 
 
-def _block_noise(columns: Floats) -> PooledNoise:
-    """Pool the noise of all tiles that the ring and the block have."""
-    names = ("squares_1", "pairs_1", "spread")
-    squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
-    return pool_noise(squares, pairs, spread**2)
-
-
 def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """Return which tiles can be rated from their points: 15 at least, that span the tile.
 
@@ -145,7 +138,9 @@ def _reasons(columns: NDArray[np.float32], reason: NDArray[np.uint8], weight: Fl
 
 def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> Prediction:
     """Predict the wanted tiles, NaN for others; what the error of the pooled noise changes widens the interval."""
-    noise = _block_noise(columns)
+    names = ("squares_1", "pairs_1", "spread")
+    squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
+    noise = pool_noise(squares, pairs, spread**2)
     usable = wanted.ravel() & np.isfinite(columns).all(axis=1)
     number = int(usable.sum())
     values = np.repeat([noise.low, noise.middle, noise.high], number)

@@ -336,16 +336,17 @@ class _Workers:
                 self._idle.append(child)
             except (ChildDiedError, ChildError) as error:
                 child.close()
-                end = _lost(task, f"its process {error}", perf_counter() - begun)
+                message = (
+                    f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start continues "
+                    "this survey"
+                )
+                survey = " ".join(map(str, task.config.surveys))
+                end = TaskEnd(
+                    SurveyRow(task.name, "failed", message, seconds=round(perf_counter() - begun, 3), survey=survey), ()
+                )
             yield end
 
     def close(self) -> None:
         """End all processes."""
         for child in (*self.busy, *self._idle):
             child.close()
-
-
-def _lost(task: MapTask, why: str, seconds: float) -> TaskEnd:
-    message = f"{why}. If memory ran out, give fewer `jobs` or less `memory`; the next start continues this survey"
-    survey = " ".join(map(str, task.config.surveys))
-    return TaskEnd(SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=survey), ())

@@ -28,12 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
 
 
-def working_folder(url: str, scratch: Path | None) -> Path:
-    """Return the folder for the layers of a URL until they are uploaded: the same for every start of a batch."""
-    digest = hashlib.sha256(url.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:16]
-    return Path(scratch or tempfile.gettempdir()) / f"bumpymap-batch-{digest}"
-
-
 SurveyPer: TypeAlias = Literal["file", "folder"]
 OWN_SETTINGS = (
     "surveys",
@@ -92,7 +86,8 @@ class BatchConfig:
         if isinstance(self.out, Path):
             return self.out
         scratch = self.given.get("scratch", self.defaults.get("scratch"))
-        return working_folder(self.out, scratch)
+        digest = hashlib.sha256(self.out.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:16]
+        return Path(scratch or tempfile.gettempdir()) / f"bumpymap-batch-{digest}"
 
     @property
     def overwrite(self) -> bool:

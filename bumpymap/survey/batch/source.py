@@ -325,7 +325,8 @@ def list_surveys(
         rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
     places = [place if isinstance(place, str) else _absolute(place) for place, _, _ in rows]
-    _refuse_repeated(places, source)
+    repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
+    refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)
     names = name_surveys(places, [name for _, name, _ in rows], root)
     found = [
         ListedSurvey(name, place, own, renamed=given is None and name != usual_name(place))
@@ -390,8 +391,3 @@ def _folders(source: Path) -> list[Path | str]:
 def _absolute(path: Path) -> Path:
     """Return the path from the root, without ``..``; links stay, since their names are those of surveys."""
     return Path(os.path.abspath(path))  # noqa: PTH100 (resolve follows links)
-
-
-def _refuse_repeated(places: Sequence[Path | str], source: Path) -> None:
-    repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
-    refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)

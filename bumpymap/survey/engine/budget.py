@@ -368,7 +368,10 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
     boxes = [info.bounds for info in infos]
     most = tiles if tiles is not None else most_tiles(boxes, points, grid)
     blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
-    waiting = sum(info.point_count * _point_bytes(info.format) for info in infos)
+    waiting = sum(
+        info.point_count * (POINT_BYTES if info.format.startswith(("LAS", "LAZ", "COPC")) else FLOAT_POINT_BYTES)
+        for info in infos
+    )
     scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
@@ -432,10 +435,6 @@ def _scratch(points: int, waiting: int, blocks: int | None, files: int, budget: 
     packs = 2 * waiting // budget.waiting_bytes + 1 + files
     entries = points if blocks is None else min(points, packs * blocks)
     return waiting + packs * (_PACK_BYTES + files * _ENTRY_BYTES) + entries * _ENTRY_BYTES
-
-
-def _point_bytes(kind: str) -> int:
-    return POINT_BYTES if kind.startswith(("LAS", "LAZ", "COPC")) else FLOAT_POINT_BYTES
 
 
 def _seconds(infos: Sequence[SurveyInfo], spilled: int, tiles: int, cores: int) -> float:

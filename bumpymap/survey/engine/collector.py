@@ -144,11 +144,15 @@ class Checkpoints:
 
     def load_results(self) -> list[ReadResult]:
         """Return what an earlier run has read; delete files that no complete record lists."""
-        early = self._complete_early()
+        early = set.intersection(*({int(path.stem[-6:]) for path in self._space.tiles(kind)} for kind in self._kinds))
         records = {path: parse_json(path.read_text("utf-8")) for path in self._space.records()}
         # Later packs leave out the points of blocks that were finished: if such tiles are lost, so are these points.
         lost = {number for record in records.values() for number in record["early"]} - early
-        whole = {path: record for path, record in records.items() if not lost and self._has_packs(record)}
+        whole = {
+            path: record
+            for path, record in records.items()
+            if not lost and all(self._points(path).exists() for path, _ in record["packs"])
+        }
         self._clear(early, whole)
         self.early = [Pack(self._space.tile_pack(self._kinds[0], number)) for number in sorted(early)]
         self._next = {self._kinds[0]: 1 + max(early, default=-1)}
@@ -157,7 +161,7 @@ class Checkpoints:
 
     def save(self, result: ReadResult) -> None:
         """Save finished tiles; record that chunks are read, unless some of their points are only in memory."""
-        early = self._number_packs(result.tiles, self._kinds)
+        early = self.number_packs(result.tiles, self._kinds)
         self.early += [Pack(self._space.tile_pack(self._kinds[0], number)) for number in early]
         if result.in_memory is not None:
             return
@@ -177,11 +181,7 @@ class Checkpoints:
             }
         )
 
-    def save_tiles(self, kind: str, packs: Sequence[Path]) -> None:
-        """Save packs of finished tiles."""
-        self._number_packs([packs], [kind])
-
-    def _number_packs(self, packs: Sequence[Sequence[Path]], kinds: Sequence[str]) -> list[int]:
+    def number_packs(self, packs: Sequence[Sequence[Path]], kinds: Sequence[str]) -> list[int]:
         """Move packs, as many of each kind, to their numbered names; return the numbers."""
         if kinds[0] not in self._next:
             taken = (int(path.stem[-6:]) for path in self._space.tiles(kinds[0]))
@@ -193,10 +193,6 @@ class Checkpoints:
             number += 1
         self._next[kinds[0]] = number
         return list(range(first, number))
-
-    def _complete_early(self) -> set[int]:
-        """Return the numbers of early packs that exist for every kind: a run may have been killed between two kinds."""
-        return set.intersection(*({int(path.stem[-6:]) for path in self._space.tiles(kind)} for kind in self._kinds))
 
     def _clear(self, early: set[int], records: Mapping[Path, Mapping[str, Any]]) -> None:
         """Delete early tiles, records and folders of points that are not part of a checkpoint."""
@@ -214,9 +210,6 @@ class Checkpoints:
         with atomic(self._space.record(self._next_record)) as temporary:
             temporary.write_text(json.dumps(record), encoding="utf-8")
         self._next_record += 1
-
-    def _has_packs(self, record: Mapping[str, Any]) -> bool:
-        return all(self._points(path).exists() for path, _ in record["packs"])
 
     def _points(self, path: str) -> Path:
         return self._space.points_folder / path
@@ -335,7 +328,7 @@ class ResultCollector:
 
     def add_tiles(self, kind: str, tiles: FinishedTiles) -> None:
         """Save finished tiles."""
-        self._checkpoints.save_tiles(kind, tiles.packs)
+        self._checkpoints.number_packs([tiles.packs], [kind])
 
     def _note_results(self, result: ReadResult) -> None:
         for file, first, stop in result.spans:
