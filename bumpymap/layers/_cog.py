@@ -35,8 +35,10 @@ from rasterio.windows import Window
 from bumpymap.core import atomic
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
 from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, open_raster
+from bumpytiles import BLOCK_TILES
 
 __all__ = [
+    "TILE_WINDOW",
     "BandSpec",
     "RasterSpec",
     "checksum",
@@ -44,6 +46,7 @@ __all__ = [
     "require_disk_space",
     "require_intact",
     "sum_counts",
+    "write_array",
     "write_cog",
     "write_value_table",
 ]
@@ -257,6 +260,20 @@ def write_cog(
         for band in spec.bands:
             if band.categories:
                 write_value_table(temporary, band.categories, spec.colours, counts)
+
+
+TILE_WINDOW = 16 * BLOCK_TILES
+"""Side of a window of a raster with one pixel a tile, tiles: whole blocks, so that none is read twice."""
+
+
+def write_array(path: Path, placement: Placement, spec: RasterSpec, layers: NDArray[np.generic]) -> None:
+    """Write a COG with one pixel a tile from an array (bands, rows, cols), north row first; see `write_cog`."""
+
+    def paint(window: RasterWindow) -> NDArray[np.generic]:
+        rows = slice(window.line, window.line + window.tiles.rows)
+        return layers[:, rows, window.column : window.column + window.tiles.cols]
+
+    write_cog(path, placement, spec, paint, TILE_WINDOW)
 
 
 def _count(pixels: NDArray[np.generic], spec: RasterSpec, counts: NDArray[np.int64]) -> None:

@@ -1,9 +1,8 @@
 """The layers of two surveys where both have tiles, and what has changed between them: change.tif and its views."""
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from os.path import lexists
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,32 +16,24 @@ from bumpymap.core import (
     NO_TILE,
     BadInputError,
     Georeference,
-    UsageError,
-    atomic,
-    locked,
-    remove_empty_on_error,
-    write_together,
 )
-from bumpymap.layers._cog import write_cog
+from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.gis.styles import write_change_style
 from bumpymap.layers.manifest import (
-    MANIFEST_NAME,
-    describe_file,
     place_entries,
     plain_manifest,
     software_versions,
-    write_manifest,
 )
 from bumpymap.layers.map_files import require_written
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow, check_extent
-from bumpymap.layers.products import REPORT_NAME, check_folder, refuse_present, require_folder
+from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
+from bumpymap.layers.products import REPORT_NAME, check_own_folder, write_own_folder
 from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.route_map import RouteMap, open_map
 from bumpymap.layers.route_overlap import SheetChoice, window_slices
 from bumpymap.layers.route_sheet import common_window
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
-from bumpytiles import BLOCK_TILES, Grid, TileWindow
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     import geopandas
@@ -162,11 +153,9 @@ CHANGE_MANIFEST_NAME = "change.json"
 CHANGE_NAMES = ("change.tif", "change.geojson", CHANGE_MANIFEST_NAME)
 CHANGE_VIEW_NAMES = ("change.qml", REPORT_NAME)
 """Files to look at the others with: a style, a page. GIS programs rewrite them, so they have no checksum."""
+_NAMES = (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)
 _FORMAT = "bumpymap-change"
 _VERSION = 1
-_BLOCK = 128
-_WINDOW = 16 * BLOCK_TILES
-"""Side of a window, tiles."""
 _CHANGED = "0 not changed, 1 ground changed but not the ride, 2 ride rougher, 3 ride smoother, 4 unknown in one survey"
 _BANDS = (
     BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
@@ -216,10 +205,7 @@ def check_change_out(out: Path, *, overwrite: bool) -> None:
     OutputError
         There are files that must not be replaced, or ``out`` is a file.
     """
-    require_folder(out)
-    if lexists(out / MANIFEST_NAME):
-        raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
-    refuse_present(out, (*CHANGE_NAMES, *CHANGE_VIEW_NAMES), overwrite=overwrite)
+    check_own_folder(out, _NAMES, overwrite=overwrite)
 
 
 def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
@@ -245,19 +231,24 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
     BadInputError
         The window is too large for a raster.
     """
-    with remove_empty_on_error(out), locked(out):
-        check_folder(out, overwrite=True)
-        check_change_out(out, overwrite=overwrite)
-        with write_together(out, CHANGE_MANIFEST_NAME) as staged:
-            _write_raster(field, staged / CHANGE_NAMES[0])
-            _write_regions(field, staged / CHANGE_NAMES[1])
-            files = [describe_file(staged / name) | {"path": name} for name in CHANGE_NAMES[:2]]
-            head = {"format": _FORMAT, "version": _VERSION, "versions": software_versions()}
-            record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
-            write_change_style(staged / CHANGE_VIEW_NAMES[0], 1 + [band.name for band in _BANDS].index("changed"))
-            _write_page(staged, record)
-            write_manifest(record, staged / CHANGE_MANIFEST_NAME)
-    return [out / name for name in (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)]
+    from bumpymap.layers.report.change_page import write_change_report  # Pillow takes some 10 ms to import
+
+    def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        head = {"format": _FORMAT, "version": _VERSION, "versions": software_versions()}
+        record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
+        write_change_report(staged, plain_manifest(record), staged / REPORT_NAME)
+        return record
+
+    check_change_out(out, overwrite=overwrite)
+    band = 1 + [band.name for band in _BANDS].index("changed")
+    writers: dict[str, Callable[[Path], None]] = {
+        "change.tif": partial(_write_raster, field),
+        "change.geojson": partial(_write_regions, field),
+        CHANGE_VIEW_NAMES[0]: partial(write_change_style, band=band),
+    }
+    views = CHANGE_VIEW_NAMES
+    write_own_folder(out, _NAMES, CHANGE_MANIFEST_NAME, writers, describe, views=views, overwrite=overwrite)
+    return [out / name for name in _NAMES]
 
 
 def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
@@ -277,30 +268,15 @@ def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDa
     return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 
 
-def _write_page(folder: Path, record: Mapping[str, Any]) -> None:
-    from bumpymap.layers.report.change_page import write_change_report  # Pillow takes some 10 ms to import
-
-    write_change_report(folder, plain_manifest(record), folder / REPORT_NAME)
-
-
 def _write_raster(field: ChangeField, path: Path) -> None:
     layers = np.stack([getattr(field, band.name) for band in _BANDS]).astype(np.float32, copy=False)
     spec = RasterSpec(
         bands=_BANDS,
-        dtype="float32",
-        nodata=float("nan"),
-        pixels=1,
         crs=field.placement.horizontal_crs,
         overviews="NEAREST",
-        block=_BLOCK,
         tags={"title": "change between two surveys", "changed": _CHANGED},
     )
-
-    def paint(window: RasterWindow) -> NDArray[np.generic]:
-        rows = slice(window.line, window.line + window.tiles.rows)
-        return layers[:, rows, window.column : window.column + window.tiles.cols]
-
-    write_cog(path, field.placement, spec, paint, _WINDOW)
+    write_array(path, field.placement, spec, layers)
 
 
 def _write_regions(field: ChangeField, path: Path) -> None:
@@ -312,12 +288,5 @@ def _write_regions(field: ChangeField, path: Path) -> None:
         numbers = range(1, len(field.regions) + 1)
         polygons = place.polygons(trace_labels(field.area, field.window, slice(0, field.window.rows), numbers))
         box.add(polygons)
-        features = [
-            {"type": "Feature", "id": number, "properties": dict(about), "geometry": shapely.geometry.mapping(polygon)}
-            for number, (about, polygon) in enumerate(zip(field.regions, polygons, strict=True), start=1)
-        ]
-    extent = {"bbox": place.bounds(box)} if features else {}
-    collection = {"type": "FeatureCollection", "name": "change", **place.members, **extent, "features": features}
-    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    with atomic(path) as temporary:
-        temporary.write_text(f"{text}\n", encoding="utf-8")
+        features = [feature(*each) for each in zip(field.regions, polygons, numbers, strict=True)]
+    write_features(path, "change", place, features, box)

@@ -2,17 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
     CheckResult,
-    locked,
-    remove_empty_on_error,
-    remove_path,
-    write_together,
-    writing_to,
 )
 from bumpymap.layers.check.record import (
     CHECK_FORMAT,
@@ -35,15 +29,13 @@ from bumpymap.layers.manifest import (
     describe_file,
     place_entries,
     software_versions,
-    write_manifest,
 )
-from bumpymap.layers.products import check_folder, refuse_present
+from bumpymap.layers.products import write_own_folder
 from bumpymap.layers.report.map_page import write_check_page
 
 __all__ = ["write_check"]
 
 _VERSION = 1
-Writer = Callable[[Path], None]
 
 
 def write_check(
@@ -87,34 +79,19 @@ def write_check(
     """
     check_check_out(out, overwrite=overwrite)
     places = None if ground is None else CheckPlaces.of(result.stretches, result.tiles, ground)
-    writers = _writers(result, ground, places)
-    with remove_empty_on_error(out), locked(out):
-        check_folder(out, overwrite=True)
-        refuse_present(out, (*CHECK_NAMES, *CHECK_VIEW_NAMES), overwrite=overwrite)
-        with write_together(out, CHECK_MANIFEST_NAME) as staged:
-            for name, write in writers.items():
-                write(staged / name)
-            files = [describe_file(staged / name) | {"path": name} for name in writers if name in CHECK_NAMES]
-            record = {
-                "format": CHECK_FORMAT,
-                "version": _VERSION,
-                **(manifest or {}),
-                "versions": software_versions(),
-                **_describe_ground(ground, places),
-                "files": files,
-                **check_entries(result),
-            }
-            write_manifest(record, staged / CHECK_MANIFEST_NAME)
-        with writing_to(out):
-            for name in (*CHECK_NAMES, *CHECK_VIEW_NAMES):
-                if name != CHECK_MANIFEST_NAME and name not in writers and lexists(out / name):
-                    remove_path(out / name)
-    return [out / name for name in (*writers, CHECK_MANIFEST_NAME)]
 
+    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            "format": CHECK_FORMAT,
+            "version": _VERSION,
+            **(manifest or {}),
+            "versions": software_versions(),
+            **_describe_ground(ground, places),
+            "files": files,
+            **check_entries(result),
+        }
 
-def _writers(result: CheckResult, ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Writer]:
-    """Return how each file is written, by name."""
-    writers: dict[str, Writer] = {
+    writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if places is not None else None),
         "stretches.csv": partial(write_stretch_table, result, places),
     }
@@ -124,7 +101,9 @@ def _writers(result: CheckResult, ground: CheckGround | None, places: CheckPlace
         if result.tiles is not None and len(result.tiles.col):
             writers["check_tiles.geojson"] = partial(write_driven_tiles, result.tiles, places)
             writers["check_tiles.qml"] = partial(write_check_style, areas=True)
-    return writers
+    views = [name for name in CHECK_VIEW_NAMES if name in writers]
+    names = (*CHECK_NAMES, *CHECK_VIEW_NAMES)
+    return write_own_folder(out, names, CHECK_MANIFEST_NAME, writers, describe, views=views, overwrite=overwrite)
 
 
 def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from bumpymap.core import (
     Reason,
     speed_bands,
 )
-from bumpymap.layers._cog import write_cog
+from bumpymap.layers._cog import TILE_WINDOW, write_cog
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS, UNKNOWN_OBJECT
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
@@ -99,11 +99,8 @@ def write_relief(
     """
     spec = RasterSpec(
         bands=[BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
-        dtype="float32",
-        nodata=float("nan"),
         pixels=_PIXELS,
         crs=Placement.of(table).height_crs,
-        overviews="AVERAGE",
         block=HEIGHT_BLOCK,
         tags=layer_tags(table, "relief for looking at: holes are filled; measure on heightmap.tif", about),
     )
@@ -229,9 +226,6 @@ def layer_tags(table: CostTable, title: str, about: dict[str, str] | None) -> di
     return own | (about or {})
 
 
-_BLOCK = 128
-TILE_WINDOW = 16 * BLOCK_TILES
-"""Side of a window, tiles: whole blocks, so that none is read twice."""
 _Values = Callable[[dict[str, NDArray[Any]]], Iterable[NDArray[Any]]]
 
 
@@ -269,12 +263,7 @@ def write_bands(
     place = Placement.of(table)
     spec = RasterSpec(
         bands=list(bands),
-        dtype="float32",
-        nodata=float("nan"),
-        pixels=1,
         crs=place.horizontal_crs,
-        overviews="AVERAGE",
-        block=_BLOCK,
         tags=tags,
     )
     write_cog(path, place, spec, _painter(table, spec, names, values), TILE_WINDOW)
@@ -294,10 +283,8 @@ def write_codes(
         bands=[band],
         dtype="uint8",
         nodata=NO_CLASS,
-        pixels=1,
         crs=place.horizontal_crs,
         overviews="MODE",
-        block=_BLOCK,
         colours=dict(colours),
         tags=tags,
         counts_nodata=True,
@@ -409,11 +396,8 @@ def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None =
     pixels = place.grid.pixels
     spec = RasterSpec(
         bands=[BandSpec("height", "m", "mean height of the points in the pixel")],
-        dtype="float32",
-        nodata=float("nan"),
         pixels=pixels,
         crs=place.height_crs,
-        overviews="AVERAGE",
         block=HEIGHT_BLOCK,
         tags=layer_tags(table, "height map", about),
         # On 56 million pixels, level 6 took twice the time of level 1 and saved 4 % of the bytes.

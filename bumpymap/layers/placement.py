@@ -1,5 +1,6 @@
 """Extent of a map: the raster that its tiles span, all about it but its pixels, windows, conversion to CRS units."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -168,14 +169,14 @@ class RasterSpec:
     """Everything about a raster but its pixels."""
 
     bands: Sequence[BandSpec]
-    dtype: str
-    nodata: float
-    pixels: int
-    """Pixels along the side of a tile."""
     crs: CRS | None
-    overviews: str
+    dtype: str = "float32"
+    nodata: float = math.nan
+    pixels: int = 1
+    """Pixels along the side of a tile."""
+    overviews: str = "AVERAGE"
     """Resampling method of the overviews, as GDAL names it."""
-    block: int
+    block: int = 128
     """Side of an internal block of the file, pixels."""
     colours: dict[int, tuple[int, int, int, int]] = field(default_factory=dict)
     """Colours of the values of band 1 that pixels can have, nodata included."""

@@ -4,13 +4,23 @@ Nothing here needs GDAL or Arrow, whose import takes a fifth of a second: a run 
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from os.path import lexists
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
-from bumpymap.core import STAGED, OutputError, remove_path
-from bumpymap.layers.manifest import MANIFEST_NAME
+from bumpymap.core import (
+    STAGED,
+    OutputError,
+    UsageError,
+    locked,
+    remove_empty_on_error,
+    remove_path,
+    write_together,
+    writing_to,
+)
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
 
 __all__ = [
     "CATALOG_NAME",
@@ -28,10 +38,12 @@ __all__ = [
     "VIEW_NAMES",
     "VIRTUAL_NAMES",
     "check_folder",
+    "check_own_folder",
     "refuse_blocked",
     "refuse_present",
     "require_folder",
     "sheets_in",
+    "write_own_folder",
 ]
 
 
@@ -57,6 +69,22 @@ def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool) -> No
             f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
             "them"
         )
+
+
+def check_own_folder(out: Path, names: Sequence[str], *, overwrite: bool) -> None:
+    """Check, before anything is computed, that files can be written to a folder of their own. Writes nothing.
+
+    Raises
+    ------
+    UsageError
+        ``out`` holds the layers of a survey.
+    OutputError
+        There are files that must not be replaced, or ``out`` is a file.
+    """
+    require_folder(out)
+    if lexists(out / MANIFEST_NAME):
+        raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
+    refuse_present(out, names, overwrite=overwrite)
 
 
 ITEM_NAME = "item.json"
@@ -170,3 +198,57 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
             f"{folder} already holds {', '.join(present)}{unfinished}. Choose another `out`, "
             "or pass `overwrite=True` to replace them"
         )
+
+
+def write_own_folder(
+    out: Path,
+    names: Sequence[str],
+    manifest: str,
+    writers: Mapping[str, Callable[[Path], None]],
+    describe: Callable[[Path, list[dict[str, Any]]], Mapping[str, Any]],
+    *,
+    views: Collection[str] = (),
+    overwrite: bool,
+) -> list[Path]:
+    """Write files to a folder, which is created if it is missing: all of them, or none.
+
+    Parameters
+    ----------
+    out : Path
+    names : sequence of str
+        Every file that a run may leave there. Those of an earlier run that are not written are removed.
+    manifest : str
+        The one among them that is written last: a folder that has it is complete.
+    writers : mapping
+        How each is written, by name.
+    describe : callable
+        Returns the content of the manifest, given the folder with the new files, and their sizes and checksums.
+    views : collection of str
+        Files among them that the manifest does not list.
+    overwrite : bool
+        Allow files of an earlier run to be replaced.
+
+    Returns
+    -------
+    list of Path
+        What was written, the manifest last.
+
+    Raises
+    ------
+    OutputError
+        There are files that must not be replaced, or one cannot be written.
+    """
+    written = (*writers, manifest)
+    with remove_empty_on_error(out), locked(out):
+        check_folder(out, overwrite=True)
+        refuse_present(out, names, overwrite=overwrite)
+        with write_together(out, manifest) as staged:
+            for name, write in writers.items():
+                write(staged / name)
+            files = [describe_file(staged / name) | {"path": name} for name in writers if name not in views]
+            write_manifest(describe(staged, files), staged / manifest)
+        with writing_to(out):
+            for name in names:
+                if name not in {*written, *views} and lexists(out / name):
+                    remove_path(out / name)
+    return [out / name for name in written]

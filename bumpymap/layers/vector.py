@@ -5,7 +5,7 @@ Both take some thousand regions at a time, so that memory does not grow with the
 
 import json
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from io import BytesIO
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import shapely
+import shapely.geometry
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
@@ -27,11 +28,13 @@ from bumpymap.layers.regions import Regions
 __all__ = [
     "BoundingBox",
     "GeoJsonCoordinates",
+    "feature",
     "flatgeobuf_writer",
     "geojson_writer",
     "outlines_in_crs",
     "polygons_in_wgs84",
     "wgs84_transformer",
+    "write_features",
 ]
 
 _TRIES = 33
@@ -115,6 +118,11 @@ class BoundingBox:
 
     def __init__(self) -> None:
         self._boxes = np.empty((0, 4))
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing was added."""
+        return not len(self._boxes)
 
     def add(self, outlines: NDArray[np.object_]) -> None:
         """Include outlines; those with x > 0 (east of Greenwich) are kept apart from the others."""
@@ -250,6 +258,50 @@ class GeoJsonCoordinates:
     def bounds(self, box: BoundingBox) -> list[float]:
         """Return west, south, east, north of a box in these coordinates."""
         return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
+
+
+def feature(properties: Mapping[str, Any], geometry: Any, number: int | None = None) -> dict[str, Any]:
+    """Return a GeoJSON feature: ``geometry`` is a shapely geometry, a GeoJSON object or None; ``number`` is its id."""
+    plain = shapely.geometry.mapping(geometry) if isinstance(geometry, shapely.Geometry) else geometry
+    head = {"type": "Feature"} if number is None else {"type": "Feature", "id": number}
+    return head | {"properties": properties, "geometry": plain}
+
+
+def write_features(
+    path: Path,
+    name: str,
+    place: GeoJsonCoordinates,
+    features: Sequence[Mapping[str, Any]],
+    box: BoundingBox,
+    about: Mapping[str, Any] | None = None,
+) -> None:
+    """Write a GeoJSON file: RFC 7946 in WGS 84, or the survey's own coordinates, which its members declare.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which appears only when it is complete.
+    name : str
+        Of the collection, which GIS programs show.
+    place : GeoJsonCoordinates
+        Coordinates of the features.
+    features : sequence of mappings
+        From `feature`.
+    box : BoundingBox
+        Around all of them; empty if none has a geometry.
+    about : mapping, optional
+        Further members of the collection.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
+    collection = {**head, **({} if box.is_empty else {"bbox": place.bounds(box)}), "features": features}
+    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    with atomic(path) as temporary:
+        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
 
 
 @contextmanager

@@ -29,7 +29,7 @@ try:
 except RuntimeError:
     pass
 place = Placement(Georeference(None), Grid(), TileWindow(0, 0, 100, 100))
-sheet = _cog.RasterSpec([_cog.BandSpec("height")], "float32", float("nan"), 15, None, "AVERAGE", 512)
+sheet = _cog.RasterSpec([_cog.BandSpec("height")], None, pixels=15, block=512)
 paint = lambda window: np.full((1, window.tiles.rows * 15, window.tiles.cols * 15), 7, np.float32)
 _cog.write_cog(Path(sys.argv[1]), place, sheet, paint, 100)
 """

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
-from os.path import lexists
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,8 +22,8 @@ from bumpymap.core import (
     parse_json,
     read_regular,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, plain_manifest
-from bumpymap.layers.products import refuse_present, require_folder
+from bumpymap.layers.manifest import plain_manifest
+from bumpymap.layers.products import check_own_folder
 from bumpymap.layers.route.picture import OTHER_FILES
 
 __all__ = [
@@ -63,10 +62,7 @@ def check_check_out(out: Path, *, overwrite: bool) -> None:
     """
     if out.suffix.lower() in OTHER_FILES and not out.is_dir():
         raise UsageError(f"{out} is named like a {out.suffix.lower()} file, but a check is a folder. Give one as `out`")
-    require_folder(out)
-    if lexists(out / MANIFEST_NAME):
-        raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
-    refuse_present(out, (*CHECK_NAMES, *CHECK_VIEW_NAMES), overwrite=overwrite)
+    check_own_folder(out, (*CHECK_NAMES, *CHECK_VIEW_NAMES), overwrite=overwrite)
 
 
 CHECK_FORMAT = "bumpymap-check"

@@ -1,6 +1,5 @@
 """Write check.geojson, a point for each stretch, check_tiles.geojson, a square for each tile, and stretches.csv."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,13 +17,12 @@ from bumpymap.core import (
     DrivenStretches,
     DrivenTiles,
     Georeference,
-    atomic,
     write_csv,
 )
 from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.route.lines import MapSource, RouteCoordinates
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -155,10 +153,8 @@ def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> Non
     """
     properties = stretch_properties(result)
     shown = np.flatnonzero(places.is_known)
-    geometries = shapely.points(places.in_file()[shown])
-    pairs = zip(shown.tolist(), geometries, strict=True)
-    features = [_feature(at + 1, _row(properties, at), point) for at, point in pairs]
-    _write(path, "check", places, features, geometries)
+    points = zip(shown.tolist(), shapely.points(places.in_file()[shown]), strict=True)
+    _write(path, "check", places, properties, dict(points))
 
 
 def write_driven_tiles(tiles: DrivenTiles, places: CheckPlaces, path: Path) -> None:
@@ -171,8 +167,7 @@ def write_driven_tiles(tiles: DrivenTiles, places: CheckPlaces, path: Path) -> N
         **_class("class", tiles.class_id),
     }
     squares = places.files.polygons(shapely.box(tiles.col, tiles.row, tiles.col + 1, tiles.row + 1))
-    features = [_feature(at + 1, _row(properties, at), square) for at, square in enumerate(squares)]
-    _write(path, "check_tiles", places, features, squares)
+    _write(path, "check_tiles", places, properties, dict(enumerate(squares)))
 
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
@@ -187,10 +182,6 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
         **_class("class", stretches.class_id),
         **_class("measured_class", stretches.measured_class),
     }
-
-
-def _row(properties: Mapping[str, Sequence[Any]], at: int) -> dict[str, Any]:
-    return {name: values[at] for name, values in properties.items()}
 
 
 def _numbers(record: DrivenStretches | DrivenTiles, names: Sequence[str]) -> dict[str, list[float | None]]:
@@ -215,24 +206,12 @@ def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:
     return {name: plain, f"{name}_name": [None if code is None else CLASS_NAMES[code] for code in plain]}
 
 
-def _feature(number: int, properties: Mapping[str, Any], geometry: shapely.Geometry) -> dict[str, Any]:
-    return {
-        "type": "Feature",
-        "id": number,
-        "properties": properties,
-        "geometry": shapely.geometry.mapping(geometry),
-    }
-
-
 def _write(
-    path: Path, name: str, places: CheckPlaces, features: Sequence[Mapping[str, Any]], geometries: NDArray[np.object_]
+    path: Path, name: str, places: CheckPlaces, properties: Mapping[str, Sequence[Any]], shown: Mapping[int, Any]
 ) -> None:
-    extent = {}
-    if features:
-        box = BoundingBox()
-        box.add(geometries)
-        extent = {"bbox": places.files.bounds(box)}
-    collection = {"type": "FeatureCollection", "name": name, **places.files.members, **extent, "features": features}
-    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    with atomic(path) as temporary:
-        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
+    """Write one feature for each row that is shown, by its position: its number from 1, properties and geometry."""
+    rows = {at: {key: values[at] for key, values in properties.items()} for at in shown}
+    features = [feature(rows[at], geometry, at + 1) for at, geometry in shown.items()]
+    box = BoundingBox()
+    box.add(np.array(list(shown.values()), dtype=object))
+    write_features(path, name, places.files, features, box)

@@ -302,11 +302,8 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
     place = Placement(site.georeference, site.grid, area.window)
     spec = RasterSpec(
         bands=[BandSpec("cost", text="factor on distance where the middle of the vehicle can be")],
-        dtype="float32",
-        nodata=float("nan"),
         pixels=pixels,
         crs=place.horizontal_crs,
-        overviews="AVERAGE",
         block=_BLOCK,
         tags={"title": "cost of driving over each pixel", "vehicle": site.vehicle.name},
         level=1,

@@ -4,21 +4,15 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
     Route,
     UsageError,
-    locked,
-    remove_empty_on_error,
-    remove_path,
-    write_together,
-    writing_to,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions, write_manifest
-from bumpymap.layers.products import check_folder, refuse_present
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, software_versions
+from bumpymap.layers.products import write_own_folder
 from bumpymap.layers.route.lines import (
     MapSource,
     RouteCoordinates,
@@ -141,13 +135,10 @@ def write_reach_files(
     if reach.back is not None:
         writers["reach_back.tif"] = partial(write_reach_back, reach, about=about)
     if levels is not None:
-        writers["isochrones.geojson"] = partial(_write_levels, reach, levels, about)
+        write = partial(write_isochrones, reach, levels.values, by=levels.by, about=about)
+        writers["isochrones.geojson"] = write
     own = {**manifest, **_describe_layers(source)}
     return _write(_RouteOutput(writers, REACH_KINDS, own), out, overwrite=overwrite)
-
-
-def _write_levels(reach: ReachField, levels: ReachLevels, about: Mapping[str, Any], path: Path) -> None:
-    write_isochrones(reach, levels.values, path, by=levels.by, about=about)
 
 
 def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
@@ -156,41 +147,19 @@ def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
     for note in output.notes:
         _log.warning(note)
     if is_one_file(out, output.kinds):
-        return [_write_one(output, out)]
-    with remove_empty_on_error(out), locked(out):
-        check_folder(out, overwrite=True)
-        refuse_present(out, ROUTE_NAMES, overwrite=overwrite)
-        with write_together(out, ROUTE_MANIFEST_NAME) as staged:
-            for name, write in output.writers.items():
-                write(staged / name)
-            files = [describe_file(staged / name) | {"path": name} for name in output.writers]
-            write_manifest(_complete(output, files), staged / ROUTE_MANIFEST_NAME)
-        with writing_to(out):
-            for name in ROUTE_NAMES:
-                if name != ROUTE_MANIFEST_NAME and name not in output.writers and lexists(out / name):
-                    remove_path(out / name)
-    return [out / name for name in ROUTE_NAMES if name in output.writers or name == ROUTE_MANIFEST_NAME]
+        name = output.kinds[out.suffix.lower()]
+        if name not in output.writers:
+            raise UsageError(
+                f"{out} would hold {name}, which needs levels. Give the levels of the isochrones too, or a folder"
+            )
+        output.writers[name](out)
+        return [out]
 
+    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        head = {"format": ROUTE_MANIFEST_FORMAT, "version": _VERSION, **output.manifest}
+        return head | {"versions": software_versions(), "notes": output.notes, "files": files}
 
-def _write_one(output: _RouteOutput, out: Path) -> Path:
-    name = output.kinds[out.suffix.lower()]
-    if name not in output.writers:
-        raise UsageError(
-            f"{out} would hold {name}, which needs levels. Give the levels of the isochrones too, or a folder"
-        )
-    output.writers[name](out)
-    return out
-
-
-def _complete(output: _RouteOutput, files: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    return {
-        "format": ROUTE_MANIFEST_FORMAT,
-        "version": _VERSION,
-        **output.manifest,
-        "versions": software_versions(),
-        "notes": output.notes,
-        "files": list(files),
-    }
+    return write_own_folder(out, ROUTE_NAMES, ROUTE_MANIFEST_NAME, output.writers, describe, overwrite=overwrite)
 
 
 def _describe_layers(source: MapSource) -> dict[str, Any]:

@@ -5,7 +5,6 @@ in the order of the schema (http://www.topografix.com/GPX/1/1/gpx.xsd). No time 
 same bytes.
 """
 
-import json
 import math
 import re
 from collections.abc import Iterator, Sequence
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Georeference, Route, TileField, atomic, write_csv
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 __all__ = [
@@ -229,17 +228,7 @@ def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
     place = RouteCoordinates.of(routes)
     box = BoundingBox()
     lines = [_line(route, place, box) for route in routes]
-    features = [*lines, *_stops(routes, place, box)]
-    collection = {
-        "type": "FeatureCollection",
-        "name": "route",
-        **place.files.members,
-        "bbox": place.files.bounds(box),
-        "features": features,
-    }
-    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    with atomic(path) as temporary:
-        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
+    write_features(path, "route", place.files, [*lines, *_stops(routes, place, box)], box)
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -260,7 +249,7 @@ def _line(route: Route, place: RouteCoordinates, box: BoundingBox) -> dict[str, 
     geometry: dict[str, Any] = {"type": "LineString", "coordinates": parts[0].tolist()}
     if len(parts) > 1:
         geometry = {"type": "MultiLineString", "coordinates": [part.tolist() for part in parts]}
-    return {"type": "Feature", "properties": route_properties(route), "geometry": geometry}
+    return feature(route_properties(route), geometry)
 
 
 def _stops(routes: Sequence[Route], place: RouteCoordinates, box: BoundingBox) -> Iterator[dict[str, Any]]:
@@ -273,8 +262,7 @@ def _stops(routes: Sequence[Route], place: RouteCoordinates, box: BoundingBox) -
             key = (role, position[0], position[1])
             if key not in written:
                 written.add(key)
-                point = {"type": "Point", "coordinates": position}
-                yield {"type": "Feature", "properties": {"role": role, "name": name}, "geometry": point}
+                yield feature({"role": role, "name": name}, {"type": "Point", "coordinates": position})
 
 
 def _objects(geometries: list[Any]) -> NDArray[np.object_]:

@@ -1,7 +1,7 @@
 """Write what can be reached: reach.tif, reach_back.tif with the last move of each way, isochrones.geojson."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,21 +11,18 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, atomic
-from bumpymap.layers._cog import write_cog
-from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow, check_extent
+from bumpymap.core import BadInputError, Georeference
+from bumpymap.layers._cog import write_array
+from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import label, trace_labels
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
-from bumpytiles import BLOCK_TILES, Grid, TileWindow
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpytiles import Grid, TileWindow
 
 __all__ = ["NO_MOVE", "ReachField", "reach_polygons", "write_isochrones", "write_reach", "write_reach_back"]
 
 BETWEEN_OBSTACLES, TO_START, NO_MOVE = 253, 254, 255
 """Values of ``ReachField.back``: the way leads between obstacles, without moves; straight to the start, from tiles that
 see it; where no way leads."""
-_BLOCK = 128
-_WINDOW = 16 * BLOCK_TILES
-"""Side of a window, tiles."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,15 +83,10 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
         layers.append(reach.minutes)
     spec = RasterSpec(
         bands=bands,
-        dtype="float32",
-        nodata=float("nan"),
-        pixels=1,
         crs=reach.placement.horizontal_crs,
-        overviews="AVERAGE",
-        block=_BLOCK,
         tags={"title": "cost of the cheapest way to each tile"} | dict(about or {}),
     )
-    _write(path, reach, spec, np.stack(layers).astype(np.float32, copy=False))
+    write_array(path, reach.placement, spec, np.stack(layers).astype(np.float32, copy=False))
 
 
 def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
@@ -119,23 +111,11 @@ def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | N
         ],
         dtype="uint8",
         nodata=NO_MOVE,
-        pixels=1,
         crs=reach.placement.horizontal_crs,
         overviews="NEAREST",
-        block=_BLOCK,
         tags=own | dict(about or {}),
     )
-    _write(path, reach, spec, reach.back[None])
-
-
-def _write(path: Path, reach: ReachField, spec: RasterSpec, layers: NDArray[np.generic]) -> None:
-    """Write a COG of the array (bands, rows, cols), window by window as `write_cog` asks."""
-
-    def paint(window: RasterWindow) -> NDArray[np.generic]:
-        rows = slice(window.line, window.line + window.tiles.rows)
-        return layers[:, rows, window.column : window.column + window.tiles.cols]
-
-    write_cog(path, reach.placement, spec, paint, _WINDOW)
+    write_array(path, reach.placement, spec, reach.back[None])
 
 
 _UNITS = {"cost": "m", "minutes": "min"}
@@ -177,39 +157,17 @@ def write_isochrones(
         raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of {_UNITS[by]}, at least one")
     place = GeoJsonCoordinates.of(reach.placement, local=True)
     box = BoundingBox()
-    features = list(_features(reach, values, wanted, place, box, by))
-    found = any(feature["geometry"] for feature in features)
-    collection = {
-        "type": "FeatureCollection",
-        "name": "isochrones",
-        **place.members,
-        **(about or {}),
-        **({"bbox": place.bounds(box)} if found else {}),
-        "features": features,
-    }
-    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    with atomic(path) as temporary:
-        temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
-
-
-def _features(
-    reach: ReachField,
-    values: NDArray[np.float32],
-    levels: Sequence[float],
-    place: GeoJsonCoordinates,
-    box: BoundingBox,
-    by: str,
-) -> Iterator[dict[str, Any]]:
-    for level in levels:
+    features = []
+    for level in wanted:
         inside = values <= level  # NaN is never inside
         geometry = None
         if inside.any():
             polygons = place.polygons(reach_polygons(reach, inside))
             box.add(polygons)
-            geometry = shapely.geometry.mapping(shapely.multipolygons(shapely.get_parts(polygons)))
-        tiles = int(inside.sum())
-        properties = {"within": level, "of": by, "unit": _UNITS[by], "area_m2": tiles * reach.grid.tile_size**2}
-        yield {"type": "Feature", "properties": properties, "geometry": geometry}
+            geometry = shapely.multipolygons(shapely.get_parts(polygons))
+        area = int(inside.sum()) * reach.grid.tile_size**2
+        features.append(feature({"within": level, "of": by, "unit": _UNITS[by], "area_m2": area}, geometry))
+    write_features(path, "isochrones", place, features, box, about)
 
 
 def reach_polygons(reach: ReachField, inside: NDArray[np.bool_]) -> NDArray[np.object_]:

@@ -337,8 +337,8 @@ class _Workers:
             except (ChildDiedError, ChildError) as error:
                 child.close()
                 message = (
-                    f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start continues "
-                    "this survey"
+                    f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
+                    "continues this survey"
                 )
                 survey = " ".join(map(str, task.config.surveys))
                 end = TaskEnd(
