@@ -29,7 +29,7 @@ from bumpymap.scan import ScanConfig
 from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig
 from bumpymap.survey.api import MapSettings
-from bumpymap.survey.batch import BatchSettings
+from bumpymap.survey.batch.run import BatchSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

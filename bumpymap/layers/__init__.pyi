@@ -5,7 +5,6 @@ from .batch_page import (
     SurveyRow as SurveyRow,
     SurveyStatus as SurveyStatus,
     SurveyView as SurveyView,
-    index_page as index_page,
     read_thumbnail as read_thumbnail,
 )
 from .batch_summary import (
@@ -16,9 +15,6 @@ from .batch_summary import (
     write_batch_summary as write_batch_summary,
 )
 from .change import (
-    CHANGE_MANIFEST_NAME as CHANGE_MANIFEST_NAME,
-    CHANGE_NAMES as CHANGE_NAMES,
-    CHANGE_VIEW_NAMES as CHANGE_VIEW_NAMES,
     ChangeField as ChangeField,
     SurveyPair as SurveyPair,
     SurveyTiles as SurveyTiles,
@@ -28,29 +24,14 @@ from .change import (
     write_change as write_change,
 )
 from .check.record import (
-    CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
-    CHECK_NAMES as CHECK_NAMES,
-    CHECK_VIEW_NAMES as CHECK_VIEW_NAMES,
     check_check_out as check_check_out,
-    read_check as read_check,
 )
-from .check.vectors import CheckGround as CheckGround
 from .check.words import (
     check_headline as check_headline,
-    check_verdict as check_verdict,
     columns_words as columns_words,
-    level_words as level_words,
     warnings_of as warnings_of,
 )
 from .check_files import write_check as write_check
-from .colours import (
-    BARRED_COLOURS as BARRED_COLOURS,
-    CHANGE_COLOURS as CHANGE_COLOURS,
-    CLASS_COLOURS as CLASS_COLOURS,
-    OBJECT_COLOURS as OBJECT_COLOURS,
-    OFF_COLOURS as OFF_COLOURS,
-    REASON_COLOURS as REASON_COLOURS,
-)
 from .export.settings import (
     ExportFormat as ExportFormat,
     ExportSettings as ExportSettings,
@@ -64,28 +45,9 @@ from .folder import (
     refuse_replacing as refuse_replacing,
     verified_record as verified_record,
     write_products as write_products,
-    write_tiles as write_tiles,
-)
-from .geotiff import (
-    write_barred as write_barred,
-    write_classes as write_classes,
-    write_cost as write_cost,
-    write_heightmap as write_heightmap,
-    write_obstacles as write_obstacles,
-    write_passage as write_passage,
-    write_reasons as write_reasons,
-    write_relief as write_relief,
-    write_roughness as write_roughness,
-)
-from .gis.project import (
-    write_project as write_project,
-)
-from .gis.styles import (
-    write_styles as write_styles,
 )
 from .manifest import (
     MANIFEST_NAME as MANIFEST_NAME,
-    complete_manifest as complete_manifest,
     describe_file as describe_file,
     describe_input as describe_input,
     software_versions as software_versions,
@@ -99,26 +61,20 @@ from .opened import (
     temporary_folder as temporary_folder,
 )
 from .placement import (
-    MAX_PIXELS as MAX_PIXELS,
     MAX_TILES as MAX_TILES,
-    Placement as Placement,
     check_extent as check_extent,
     fits_one_map as fits_one_map,
 )
 from .products import (
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
-    PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,
-    VIEW_NAMES as VIEW_NAMES,
     check_folder as check_folder,
 )
 from .regions import (
-    dissolve as dissolve,
     label as label,
 )
 from .report.map_page import (
-    write_report as write_report,
     write_reports as write_reports,
 )
 from .report.page import compile_pages as compile_pages
@@ -129,34 +85,20 @@ from .route.folder import (
     write_routes as write_routes,
 )
 from .route.lines import (
-    PROFILE_COLUMNS as PROFILE_COLUMNS,
-    MapSource as MapSource,
     route_properties as route_properties,
-    write_gpx as write_gpx,
-    write_profile as write_profile,
-    write_route_geojson as write_route_geojson,
 )
 from .route.picture import (
-    ROUTE_MANIFEST_NAME as ROUTE_MANIFEST_NAME,
-    ROUTE_NAMES as ROUTE_NAMES,
     check_reach_out as check_reach_out,
     check_route_out as check_route_out,
-    paint_route as paint_route,
-    write_route_picture as write_route_picture,
 )
 from .route.planned import (
     PlannedRoute as PlannedRoute,
     reach_dataset as reach_dataset,
 )
 from .route.reach import (
-    NO_MOVE as NO_MOVE,
     ReachField as ReachField,
-    write_isochrones as write_isochrones,
-    write_reach as write_reach,
-    write_reach_back as write_reach_back,
 )
 from .route_inputs import (
-    FilePoint as FilePoint,
     read_areas as read_areas,
     read_points as read_points,
     tiles_in as tiles_in,
@@ -170,8 +112,6 @@ from .scan.folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
     FRAME_FOLDER as FRAME_FOLDER,
     MAP_FOLDER as MAP_FOLDER,
-    SCAN_CLASS_NAMES as SCAN_CLASS_NAMES,
-    SCAN_COLOURS as SCAN_COLOURS,
     SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
     Frame as Frame,
@@ -210,9 +150,7 @@ from .scan.table import (
     sector_rows as sector_rows,
 )
 from .sheets.folders import (
-    in_sheets as in_sheets,
     remove_sheets as remove_sheets,
-    sheet_folders as sheet_folders,
 )
 from .sheets.write import (
     SheetLayout as SheetLayout,
@@ -224,14 +162,7 @@ from .sheets.write import (
 )
 from .stac.item import (
     write_catalog as write_catalog,
-    write_item as write_item,
 )
 from .summary import (
     MapSummary as MapSummary,
-    summarise as summarise,
-)
-from .vector import (
-    GeoJsonCoordinates as GeoJsonCoordinates,
-    flatgeobuf_writer as flatgeobuf_writer,
-    geojson_writer as geojson_writer,
 )

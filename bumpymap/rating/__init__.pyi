@@ -22,14 +22,12 @@ from .ride.correction import (
     Correction as Correction,
     DrivenPatches as DrivenPatches,
     NoisyPatches as NoisyPatches,
-    Prediction as Prediction,
     fit_correction as fit_correction,
     subtract_noise as subtract_noise,
 )
 from .ride.motion_operator import (
     MotionOperator as MotionOperator,
     Motions as Motions,
-    Rides as Rides,
     felt_response as felt_response,
     move_over as move_over,
     roll_over as roll_over,
@@ -48,7 +46,6 @@ from .ride.speed import (
     at_speed as at_speed,
     motion_felt as motion_felt,
     motion_terms as motion_terms,
-    plain_factors as plain_factors,
     plain_terms as plain_terms,
     require_speeds as require_speeds,
 )
@@ -68,7 +65,6 @@ from .ride.thin_rate import (
     rate_thin as rate_thin,
 )
 from .steps import (
-    STEP_COLUMNS as STEP_COLUMNS,
     TileSteps as TileSteps,
     apply_steps as apply_steps,
     crossing_fails as crossing_fails,
@@ -84,12 +80,8 @@ from .textures import (
     normalise as normalise,
     remove_plane as remove_plane,
 )
-from .vehicle_body import (
-    less_floor as less_floor,
-)
 from .vehicle_profile import (
     Vehicle as Vehicle,
-    calibration_beside as calibration_beside,
     find_calibration as find_calibration,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,

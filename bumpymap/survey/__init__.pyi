@@ -20,11 +20,7 @@ from .batch.run import (
 )
 from .batch.settings import (
     BatchConfig as BatchConfig,
-    SurveyPer as SurveyPer,
     read_batch_settings as read_batch_settings,
-)
-from .engine.block_work import (
-    BlockWork as BlockWork,
 )
 from .engine.budget import (
     Budget as Budget,

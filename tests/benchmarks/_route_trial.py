@@ -22,7 +22,8 @@ from bumpymap.core import BadInputError, Barred, Progress, Steps, TileField, Usa
 from bumpymap.lab.evaluate.survey_trial import TrialOptions, uniform_by_key
 from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.jobs import JobJournal, Key, drive_jobs
-from bumpymap.rating import Calibration, RideModel, Vehicle, less_floor, roll_over
+from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
+from bumpymap.rating.vehicle_body import less_floor
 from bumpymap.route import CostSettings, Planner
 from bumpymap.route.ground import CostGround
 from bumpytiles import TileWindow

@@ -25,7 +25,7 @@ from typing import Any
 import laspy
 from surveys import Survey, make
 
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES
 
 BUMPYMAP = str(Path(sys.executable).with_name("bumpymap"))
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"

@@ -13,7 +13,7 @@ from survey_pairs import COLS, ROWS, RUT, survey
 from bumpymap.change import DiffConfig, find_changes
 from bumpymap.change.pipeline import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
-from bumpymap.layers import CHANGE_NAMES, CHANGE_VIEW_NAMES
+from bumpymap.layers.change import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid
 
 
@@ -242,9 +242,9 @@ def test_nothing_is_left_of_a_run_that_fails(may, june, tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("no space left")
 
-    for name in ("write_manifest", "_write_page"):
+    for name in ("products.write_manifest", "report.change_page.write_change_report"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"bumpymap.layers.change.{name}", fail)
+            patch.setattr(f"bumpymap.layers.{name}", fail)
             with pytest.raises(OSError, match="no space"):
                 compare(may, june, out=tmp_path / "out")
         assert not (tmp_path / "out").exists()

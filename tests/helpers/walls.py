@@ -7,7 +7,8 @@ import numpy as np
 
 from bumpymap.core import FeatureSettings, Georeference, TextureMap
 from bumpymap.patches import join_stacks, measure
-from bumpymap.rating import STEP_COLUMNS, apply_steps, find_steps
+from bumpymap.rating import apply_steps, find_steps
+from bumpymap.rating.steps import STEP_COLUMNS
 from bumpytiles import Grid, TileBuckets
 
 PIXELS, TILE_SIZE = 15, 3.0

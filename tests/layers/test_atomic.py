@@ -7,17 +7,10 @@ import pytest
 from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
-from bumpymap.layers import (
-    GeoJsonCoordinates,
-    dissolve,
-    flatgeobuf_writer,
-    geojson_writer,
-    write_classes,
-    write_heightmap,
-    write_relief,
-    write_roughness,
-    write_tiles,
-)
+from bumpymap.layers.folder import write_tiles
+from bumpymap.layers.geotiff import write_classes, write_heightmap, write_relief, write_roughness
+from bumpymap.layers.regions import dissolve
+from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
 
 def regions_of(cost_map):

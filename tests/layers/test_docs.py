@@ -6,14 +6,10 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.types import BANDS, BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import (
-    CLASS_COLOURS,
-    MAX_PIXELS,
-    MAX_TILES,
-    PRODUCT_NAMES,
-    VIEW_NAMES,
-    write_products,
-)
+from bumpymap.layers import MAX_TILES, write_products
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.layers.placement import MAX_PIXELS
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 

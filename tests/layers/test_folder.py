@@ -13,8 +13,8 @@ from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
-from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, check_folder, software_versions, write_products
-from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers import check_folder, software_versions, write_products
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpytiles import Grid
 
 SIDES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)

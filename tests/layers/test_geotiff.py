@@ -26,12 +26,10 @@ from bumpymap.core.types import (
     ObjectStack,
     Reason,
 )
-from bumpymap.layers import (
-    BARRED_COLOURS,
-    CLASS_COLOURS,
-    OBJECT_COLOURS,
-    REASON_COLOURS,
-    _cog,
+from bumpymap.layers import _cog
+from bumpymap.layers._cog import checksum, require_disk_space, require_intact, write_value_table
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
+from bumpymap.layers.geotiff import (
     write_barred,
     write_classes,
     write_cost,
@@ -41,7 +39,6 @@ from bumpymap.layers import (
     write_relief,
     write_roughness,
 )
-from bumpymap.layers._cog import checksum, require_disk_space, require_intact, write_value_table
 from bumpytiles import Grid
 
 WRITERS = {

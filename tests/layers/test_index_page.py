@@ -16,7 +16,9 @@ from rasterio.enums import Resampling
 from rasterio.transform import from_origin
 
 from bumpymap.core import NO_CLASS, BadInputError, Barred
-from bumpymap.layers import CLASS_COLOURS, SurveyRow, SurveyView, index_page, read_thumbnail
+from bumpymap.layers import SurveyRow, SurveyView, read_thumbnail
+from bumpymap.layers.batch_page import index_page
+from bumpymap.layers.colours import CLASS_COLOURS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(2)>"

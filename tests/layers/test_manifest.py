@@ -8,14 +8,9 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable, Georeference
-from bumpymap.layers import (
-    complete_manifest,
-    describe_file,
-    describe_input,
-    software_versions,
-    summarise,
-    write_manifest,
-)
+from bumpymap.layers import describe_file, describe_input, software_versions, write_manifest
+from bumpymap.layers.manifest import complete_manifest
+from bumpymap.layers.summary import summarise
 
 
 @dataclass(frozen=True)

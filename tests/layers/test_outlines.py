@@ -11,9 +11,10 @@ from pyproj import CRS, Transformer
 
 import bumpymap
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import GeoJsonCoordinates, Placement, dissolve, label
-from bumpymap.layers.regions import shared_corners, trace_labels
-from bumpymap.layers.vector import polygons_in_wgs84, wgs84_transformer
+from bumpymap.layers import label
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.regions import dissolve, shared_corners, trace_labels
+from bumpymap.layers.vector import GeoJsonCoordinates, polygons_in_wgs84, wgs84_transformer
 from bumpytiles import Grid, TileWindow
 
 US_FOOT = 1200 / 3937

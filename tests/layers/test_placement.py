@@ -4,8 +4,8 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import MAX_TILES, Placement, check_extent
-from bumpymap.layers.placement import RasterWindow
+from bumpymap.layers import MAX_TILES, check_extent
+from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import Grid, TileWindow
 
 

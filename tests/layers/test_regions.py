@@ -9,7 +9,8 @@ from hypothesis.extra.numpy import arrays
 from scipy import ndimage
 
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import dissolve, label
+from bumpymap.layers import label
+from bumpymap.layers.regions import dissolve
 
 
 def regions_of(cost_map):

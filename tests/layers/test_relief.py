@@ -9,7 +9,8 @@ from cost_maps import make_field, make_map, part_of
 from rio_cogeo import cog_validate
 
 from bumpymap.core.types import CostTable
-from bumpymap.layers import geotiff, write_relief
+from bumpymap.layers import geotiff
+from bumpymap.layers.geotiff import write_relief
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 TEXT = "holes are filled; measure on heightmap.tif"

@@ -7,7 +7,8 @@ from pyproj import Transformer
 from route_maps import UTM
 
 from bumpymap.core import BadInputError
-from bumpymap.layers import FilePoint, read_points
+from bumpymap.layers import read_points
+from bumpymap.layers.route_inputs import FilePoint
 
 PLACES = [(-99.19, 19.318), (-99.1885, 19.3191), (-99.1881, 19.3178)]
 

@@ -7,7 +7,7 @@ from rasterio.windows import Window
 from rio_cogeo import cog_validate
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, CostTable
-from bumpymap.layers import write_heightmap, write_obstacles
+from bumpymap.layers.geotiff import write_heightmap, write_obstacles
 from bumpytiles import TileTable
 
 SHAPE = (403, 503)

@@ -10,7 +10,8 @@ from pyproj.exceptions import ProjError
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import GeoJsonCoordinates, dissolve, flatgeobuf_writer, geojson_writer
+from bumpymap.layers.regions import dissolve
+from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 
 US_FOOT = 1200 / 3937
 SITES = {

@@ -11,8 +11,9 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.lab.simulate.ride_fit import survey_terrains
 from bumpymap.lab.worlds.terrains import ScanEffects, make_terrain
 from bumpymap.patches.features import measure
-from bumpymap.rating import STEP_COLUMNS, RideModel, apply_steps, find_calibration, load_profile, rate, rate_as_paper
+from bumpymap.rating import RideModel, apply_steps, find_calibration, load_profile, rate, rate_as_paper
 from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.steps import STEP_COLUMNS
 from bumpymap.rating.vehicle_body import floor_of, less_floor, with_floor
 
 SHIPPED = Calibration.shipped("warthog")

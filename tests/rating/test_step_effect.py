@@ -5,7 +5,8 @@ import pytest
 from walls import Wall, crossed, rated, surveyed
 
 from bumpymap.core import BadInputError
-from bumpymap.rating import STEP_COLUMNS, Calibration, RideModel, apply_steps, crossing_fails, edge_usable
+from bumpymap.rating import Calibration, RideModel, apply_steps, crossing_fails, edge_usable
+from bumpymap.rating.steps import STEP_COLUMNS
 
 SHIPPED = Calibration.shipped("warthog")
 BARE = replace(SHIPPED, steps=None)

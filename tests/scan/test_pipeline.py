@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from bumpymap.core import FrameSource, PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.run_folder import locked
-from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
-from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers import name_frames, write_frame
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.scan.frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey.engine.collector import Checkpoints
 
 pytestmark = pytest.mark.slow

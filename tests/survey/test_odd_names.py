@@ -14,8 +14,7 @@ import pytest
 import rasterio
 from pyproj import CRS
 
-from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 

@@ -16,8 +16,7 @@ from pyproj import CRS
 
 from bumpymap.cli import main
 from bumpymap.core.run_folder import locked
-from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 

@@ -12,8 +12,7 @@ from hypothesis import given, settings, strategies as st
 from pyproj import CRS
 
 from bumpymap.cli import main
-from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.products import NAMED_RASTERS
+from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.survey import Budget
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 from small_surveys import write_survey
 
 from bumpymap.cli import main
-from bumpymap.layers import VIEW_NAMES
+from bumpymap.layers.products import VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 

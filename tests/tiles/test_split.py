@@ -1,8 +1,9 @@
 import numpy as np
 from hypothesis import given, settings, strategies as st
 
-from bumpytiles import Grid, ScaledPoints, Scaling, TileBuckets, coordinate, group_scaled_points
+from bumpytiles import Grid, ScaledPoints, Scaling, TileBuckets, group_scaled_points
 from bumpytiles._sort_kernels import sort_tiles
+from bumpytiles.scaling import coordinate
 
 GRID = Grid(tile_size=3.0)
 

@@ -49,7 +49,6 @@ from .scaling import (
     DECIMALS as DECIMALS,
     ScaledPoints as ScaledPoints,
     Scaling as Scaling,
-    coordinate as coordinate,
     coordinates as coordinates,
 )
 from .tile_table import (

@@ -1,5 +1,1 @@
 """Find the ground points of a survey without ground classification."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,9 +7,7 @@ from .block_work import (
 from .budget import (
     ADVICE as ADVICE,
     Budget as Budget,
-    Estimate as Estimate,
     Workspace as Workspace,
-    estimate as estimate,
     with_memory as with_memory,
 )
 from .cluster import (

@@ -10,8 +10,9 @@ from bumpymap.lab.evaluate import survey_trial
 from bumpymap.lab.evaluate.rated_survey import Subject, Verdict
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
-from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
+from bumpymap.rating import DrivenPatches, NoisyPatches, fit_correction
 from bumpymap.rating.calibration import Calibration
+from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.textures import TextureModel
 from bumpymap.rating.vehicle_profile import load_profile
 

@@ -11,16 +11,15 @@ from hypothesis import given, settings, strategies as st
 from route_records import MadeUpMap
 
 from bumpymap.core import BadInputError, CheckedDrive, OutputError, UsageError
-from bumpymap.layers import (
+from bumpymap.layers import check_check_out, check_files, write_check
+from bumpymap.layers.check.record import (
     CHECK_MANIFEST_NAME,
     CHECK_NAMES,
     CHECK_VIEW_NAMES,
-    check_check_out,
-    check_files,
+    check_entries,
     read_check,
-    write_check,
+    result_of,
 )
-from bumpymap.layers.check.record import check_entries, result_of
 
 ALL = sorted((*CHECK_NAMES, *CHECK_VIEW_NAMES))
 WITHOUT_MAP = ["check.html", "check.json", "stretches.csv"]

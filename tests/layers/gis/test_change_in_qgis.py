@@ -11,7 +11,7 @@ from survey_pairs import survey
 
 import bumpymap
 from bumpymap.core import CHANGE_KINDS
-from bumpymap.layers import CHANGE_COLOURS
+from bumpymap.layers.colours import CHANGE_COLOURS
 
 SCRIPT = Path(__file__).with_name("load_in_qgis.py")
 HEX = ["#{:02x}{:02x}{:02x}".format(*CHANGE_COLOURS[code]) for code in range(len(CHANGE_KINDS))]

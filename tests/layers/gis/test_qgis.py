@@ -8,15 +8,9 @@ import geopandas
 import pytest
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
-from bumpymap.layers import (
-    BARRED_COLOURS,
-    CLASS_COLOURS,
-    PRODUCT_NAMES,
-    SheetLayout,
-    SheetRun,
-    write_products,
-    write_sheets,
-)
+from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.qgis

@@ -196,7 +196,7 @@ _ON_SCREEN = """at => {
 def test_in_a_browser_marks_have_their_colour_and_words_and_axe_finds_nothing(browser, drawn, checked, width):
     from axe_playwright_python.sync_playwright import Axe
 
-    from bumpymap.layers import OFF_COLOURS
+    from bumpymap.layers.colours import OFF_COLOURS
 
     page = browser.new_page(viewport={"width": width, "height": 900})
     complaints, requests = [], []

@@ -4,7 +4,8 @@ import sys
 
 import pytest
 
-from bumpymap.layers import SurveyRow, index_page
+from bumpymap.layers import SurveyRow
+from bumpymap.layers.batch_page import index_page
 from bumpymap.layers.report import page
 
 HOSTILE = "<b>'&\udce9"

@@ -11,8 +11,7 @@ from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
-from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
-from bumpymap.layers.colours import RideScale, nice_limit
+from bumpymap.layers.colours import CLASS_COLOURS, RideScale, nice_limit
 from bumpymap.layers.geotiff import box_sum
 from bumpymap.layers.route import drawing
 from bumpymap.layers.route.drawing import (
@@ -28,6 +27,7 @@ from bumpymap.layers.route.drawing import (
     tick_step,
     ticks,
 )
+from bumpymap.layers.route.picture import paint_route, write_route_picture
 from bumpytiles import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

@@ -7,8 +7,7 @@ import pytest
 import rasterio
 
 from bumpymap.core import PolarSettings, Scan, sector_bounds
-from bumpymap.layers import SCAN_COLOURS
-from bumpymap.layers.scan.folder import SECTOR_STATES, point_styles, sector_states
+from bumpymap.layers.scan.folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.layers.scan.frame import SIDE, paint as paint_image, write_picture
 from bumpymap.scan import classify_filter, polar_sectors
 

@@ -17,20 +17,12 @@ from sheet_maps import SMALL, write_in_sheets as write
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
-from bumpymap.layers import (
-    PRODUCT_NAMES,
-    VIEW_NAMES,
-    SheetLayout,
-    read_thumbnail,
-    remove_sheets,
-    sheet_folders,
-    write_catalog,
-    write_products,
-    write_reports,
-)
+from bumpymap.layers import SheetLayout, read_thumbnail, remove_sheets, write_catalog, write_products, write_reports
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.report import site as pages
 from bumpymap.layers.report.map_page import write_maps
 from bumpymap.layers.report.site import Site
+from bumpymap.layers.sheets.folders import sheet_folders
 from bumpymap.layers.sheets.write import write_virtual
 from bumpytiles import BLOCK_TILES
 

@@ -14,7 +14,10 @@ from pyproj import CRS, Transformer
 from stac_check import faults
 
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import CLASS_COLOURS, PRODUCT_NAMES, write_item, write_products
+from bumpymap.layers import write_products
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.layers.stac.item import write_item
 
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]}
 RUN = {

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from bumpymap.core.errors import BadInputError, BumpymapError
-from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, Rides, fit_correction
+from bumpymap.rating import Correction, DrivenPatches, NoisyPatches, fit_correction
 from bumpymap.rating.ride.correction import NORMAL_TAIL, calibrate_spread, student_factor, subtract_noise
+from bumpymap.rating.ride.motion_operator import Rides
 
 COUNT = 400
 

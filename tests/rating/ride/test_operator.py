@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.ndimage import grey_dilation, map_coordinates
 
-from bumpymap.rating import RideOperator, Rides, roll_over
+from bumpymap.rating import RideOperator, roll_over
+from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.ride.operator import chassis_response, cosines, interpolation
 from bumpymap.rating.vehicle_profile import load_profile
 

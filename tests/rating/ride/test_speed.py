@@ -8,17 +8,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.rating import (
-    Calibration,
-    MotionModel,
-    RideOperator,
-    at_speed,
-    motion_felt,
-    plain_factors,
-    require_speeds,
-    roll_over,
-)
-from bumpymap.rating.ride.speed import SpeedRating, plain_speed_factor
+from bumpymap.rating import Calibration, MotionModel, RideOperator, at_speed, motion_felt, require_speeds, roll_over
+from bumpymap.rating.ride.speed import SpeedRating, plain_factors, plain_speed_factor
 from bumpymap.rating.steps import StepEffect, apply_steps
 
 WARTHOG = Calibration.shipped("warthog")

@@ -7,9 +7,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from bumpymap.rating import Calibration, Correction, Rides
+from bumpymap.rating import Calibration, Correction
 from bumpymap.rating.calibration import shipped_calibrations
 from bumpymap.rating.drive_update import LogMove, moved_calibration
+from bumpymap.rating.ride.motion_operator import Rides
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
 
 NAMES = shipped_calibrations()

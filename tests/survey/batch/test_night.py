@@ -19,7 +19,7 @@ import bumpymap
 from bumpymap.cli import main
 from bumpymap.core import OutputError, locked
 from bumpymap.core.config import MapConfig
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey import BatchConfig, map_surveys, run_batch
 
 pytestmark = pytest.mark.slow

@@ -23,9 +23,9 @@ from bumpymap.cli import main
 from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child, SharedMemory
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.readers import ReadOptions, decoder, identity, open_survey
-from bumpymap.survey import BlockWork
+from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
     FileSource,

@@ -15,7 +15,7 @@ from bumpymap.core import CHECKSUM_METHOD, hash_file
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
-from bumpymap.layers import PRODUCT_NAMES
+from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.collector import Checkpoints

@@ -10,8 +10,7 @@ from hypothesis import given, settings, strategies as st
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
-from bumpymap.survey import BlockWork
-from bumpymap.survey.engine.block_work import TileSink
+from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.plan import cut_ranges, single_task
 from bumpymap.survey.engine.reading import OpenRange, RangeReader
 from bumpytiles import Bounds, Column, Grid, MemoryLimits, Pack, TileBuckets

@@ -11,7 +11,7 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
-from bumpymap.survey import BlockWork
+from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.plan import cut_ranges, single_task
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, refuse_no_points
 from bumpytiles import Grid, TileBuckets
