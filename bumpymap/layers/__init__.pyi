@@ -1,17 +1,15 @@
 from ._imports import (
     import_without_pandas as import_without_pandas,
 )
-from .batch_page import (
-    SurveyRow as SurveyRow,
-    SurveyStatus as SurveyStatus,
-    SurveyView as SurveyView,
-    read_thumbnail as read_thumbnail,
-)
 from .batch_summary import (
     BATCH_LOG as BATCH_LOG,
     BATCH_NAMES as BATCH_NAMES,
+    SurveyRow as SurveyRow,
+    SurveyStatus as SurveyStatus,
+    SurveyView as SurveyView,
     check_batch_out as check_batch_out,
     map_facts as map_facts,
+    read_thumbnail as read_thumbnail,
     write_batch_summary as write_batch_summary,
 )
 from .change import (

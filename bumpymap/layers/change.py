@@ -29,9 +29,8 @@ from bumpymap.layers.map_files import require_written
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.products import REPORT_NAME, check_own_folder, write_own_folder
 from bumpymap.layers.regions import trace_labels
-from bumpymap.layers.route_map import RouteMap, open_map
-from bumpymap.layers.route_overlap import SheetChoice, window_slices
-from bumpymap.layers.route_sheet import common_window
+from bumpymap.layers.route_map import RouteMap, map_differences, open_map
+from bumpymap.layers.route_sheet import SheetChoice, common_window, window_slices
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -101,7 +100,9 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
         are ground; or they have no place in common, or more than one map may span.
     """
     first, second = open_map([before]), open_map([after])
-    _require_alike(first, second)
+    (one, *_), (other, *_) = first.sheets, second.sheets
+    if found := map_differences(one, other, ground=True):  # they would not be differences between the surveys
+        raise BadInputError(f"{one.folder} and {other.folder} cannot be compared: {found}. {_MUST_AGREE}")
     for sheet in (*first.sheets, *second.sheets):
         require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
     window = common_window(first.window, second.window)
@@ -111,18 +112,6 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
         )
     check_extent(first.grid, window, "Compare one sheet of both at a time, by its folder in OUT/sheets. ")
     return SurveyPair(first, second, window)
-
-
-def _require_alike(first: RouteMap, second: RouteMap) -> None:
-    """Raise BadInputError if differences between the layers would not be differences between the surveys."""
-    (one, *_), (other, *_) = first.sheets, second.sheets
-    own = one.identity | {"ground points only": one.manifest.get("ground_only")}
-    theirs = other.identity | {"ground points only": other.manifest.get("ground_only")}
-    found = [f"{name} is {own[name]} and {theirs[name]}" for name in own if own[name] != theirs[name]]
-    if not found and first.georeference.crs != second.georeference.crs:
-        found = ["the definition of the CRS differs"]
-    if found:
-        raise BadInputError(f"{one.folder} and {other.folder} cannot be compared: {'; '.join(found)}. {_MUST_AGREE}")
 
 
 def _read(site: RouteMap, window: TileWindow) -> SurveyTiles:

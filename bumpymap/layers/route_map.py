@@ -1,7 +1,7 @@
 """The layers of one run, or of several that are sheets of one map, read by window for routes."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,12 +23,11 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
-from bumpymap.layers.route_overlap import SheetChoice, window_slices, worse_objects
-from bumpymap.layers.route_sheet import RouteSheet, common_window
+from bumpymap.layers.route_sheet import RouteSheet, SheetChoice, common_window, window_slices, worse_objects
 from bumpymap.layers.sheets.folders import sheet_folders
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["RouteMap", "open_map", "read_relief"]
+__all__ = ["RouteMap", "map_differences", "open_map", "read_relief"]
 
 
 def read_relief(sheets: Sequence[RouteSheet], window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -169,13 +168,23 @@ class RouteMap:
 
         Of two sheets the higher value counts.
         """
+        return self._merged("heightmap.tif", window, np.float32(np.nan), np.fmax)
+
+    def _merged(
+        self,
+        raster: str,
+        window: TileWindow,
+        nothing: np.generic,
+        merge: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
+    ) -> NDArray[Any]:
+        """Read pixels of a window, (rows * pixels, cols * pixels); ``merge`` says which of two sheets counts."""
         pixels = self.grid.pixels
-        out = np.full((window.rows * pixels, window.cols * pixels), np.nan, np.float32)
+        out = np.full((window.rows * pixels, window.cols * pixels), nothing)
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is not None:
                 place = window_slices(window, part, pixels)
-                out[place] = np.fmax(out[place], sheet.read("heightmap.tif", part)[0])
+                out[place] = merge(out[place], sheet.read(raster, part)[0])
         return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -188,31 +197,15 @@ class RouteMap:
         0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points. Of two sheets, an obstacle counts
         first, then canopy, free, unknown.
         """
-        pixels = self.grid.pixels
-        out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is not None:
-                place = window_slices(window, part, pixels)
-                out[place] = worse_objects(out[place], sheet.read("obstacle.tif", part)[0])
-        return out
+        return self._merged("obstacle.tif", window, np.uint8(NO_TILE), worse_objects)
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
 
         Where sheets overlap, what is closed in one of those that know the pixel is closed.
         """
-        pixels = self.grid.pixels
-        out = np.full((window.rows * pixels, window.cols * pixels), NO_TILE, np.uint8)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is not None:
-                place = window_slices(window, part, pixels)
-                found = sheet.read("passage.tif", part)[0]
-                known = out[place]
-                out[place] = np.where(
-                    known == NO_TILE, found, np.where(found == NO_TILE, known, np.minimum(known, found))
-                )
+        # NO_TILE is the largest code, so the smaller of two is the known one, or the closed one of two that are known.
+        out = self._merged("passage.tif", window, np.uint8(NO_TILE), np.minimum)
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
@@ -306,7 +299,11 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     opened = {path.resolve(): RouteSheet.open(path) for path in paths}
     first, *others = sheets = tuple(opened.values())
     for other in others:
-        _require_same(first, other)
+        if found := map_differences(first, other):
+            raise BadInputError(
+                f"{first.folder} and {other.folder} are not sheets of one map: {found}. "
+                "Give folders that were mapped with the same vehicle and settings, or one folder only"
+            )
     windows = [sheet.window for sheet in sheets]
     west, south = min(window.col for window in windows), min(window.row for window in windows)
     east = max(window.col + window.cols for window in windows)
@@ -314,14 +311,13 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     return RouteMap(sheets, TileWindow(west, south, east - west, north - south))
 
 
-def _require_same(first: RouteSheet, second: RouteSheet) -> None:
-    """Raise BadInputError if two folders are not sheets of one map."""
-    own, other = first.identity, second.identity
+def map_differences(first: RouteSheet, second: RouteSheet, *, ground: bool = False) -> str:
+    """Return how the settings and places of two runs differ, and with ``ground`` which points they took; or nothing."""
+    own, other = (
+        sheet.identity | ({"ground points only": sheet.manifest.get("ground_only")} if ground else {})
+        for sheet in (first, second)
+    )
     found = [f"{name} is {own[name]} and {other[name]}" for name in own if own[name] != other[name]]
     if not found and first.georeference.crs != second.georeference.crs:
         found = ["the definition of the CRS differs"]
-    if found:
-        raise BadInputError(
-            f"{first.folder} and {second.folder} are not sheets of one map: {'; '.join(found)}. "
-            "Give folders that were mapped with the same vehicle and settings, or one folder only"
-        )
+    return "; ".join(found)

@@ -53,15 +53,13 @@ from .ride.thin import (
     THIN_COLUMNS as THIN_COLUMNS,
     thin_columns as thin_columns,
 )
-from .ride.thin_noise import (
-    pool_noise as pool_noise,
-)
 from .ride.thin_rate import (
     BlockRating as BlockRating,
     ThinSurveys as ThinSurveys,
     dense_share as dense_share,
     fit_thin as fit_thin,
     is_rateable as is_rateable,
+    pool_noise as pool_noise,
     rate_thin as rate_thin,
 )
 from .steps import (

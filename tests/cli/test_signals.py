@@ -27,14 +27,14 @@ def heard():
 WITH_TILES = """
 import os, signal, sys
 from bumpymap.cli import main
-from bumpymap.survey.engine import run
+from bumpymap.survey.engine import plan
 
 if {after_tiles}:
-    add_tiles = run.ResultCollector.add_tiles
+    add_tiles = plan.ResultCollector.add_tiles
     def ending(*arguments):
         add_tiles(*arguments)
         os.kill(os.getpid(), signal.{name})
-    run.ResultCollector.add_tiles = ending
+    plan.ResultCollector.add_tiles = ending
 else:
     def ending(*_, **__):
         os.kill(os.getpid(), signal.{name})

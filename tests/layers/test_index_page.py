@@ -17,7 +17,7 @@ from rasterio.transform import from_origin
 
 from bumpymap.core import NO_CLASS, BadInputError, Barred
 from bumpymap.layers import SurveyRow, SurveyView, read_thumbnail
-from bumpymap.layers.batch_page import index_page
+from bumpymap.layers.batch_summary import index_page
 from bumpymap.layers.colours import CLASS_COLOURS
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")

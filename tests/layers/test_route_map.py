@@ -10,7 +10,7 @@ from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
-from bumpymap.layers.route_overlap import SheetChoice
+from bumpymap.layers.route_sheet import SheetChoice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")

@@ -7,8 +7,15 @@ import pytest
 
 from bumpymap.readers import LineSums
 from bumpymap.readers._kernels import LinedPoints
-from bumpymap.survey.flight_lines import FlightLines, compare_lines, describe_lines, describe_pairs
-from bumpymap.survey.line_heights import LineCells, left_after, steps_between_lines
+from bumpymap.survey.flight_lines import (
+    FlightLines,
+    LineCells,
+    compare_lines,
+    describe_lines,
+    describe_pairs,
+    left_after,
+    steps_between_lines,
+)
 
 WIDTH = 60.0
 CORNER = np.array([500_010.0, 4_000_000.0])

@@ -14,7 +14,7 @@ from .cluster import (
     ClusterExecutor as ClusterExecutor,
     connect as connect,
 )
-from .run import (
+from .plan import (
     Executor as Executor,
     run_engine as run_engine,
 )

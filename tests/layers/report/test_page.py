@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from bumpymap.layers import SurveyRow
-from bumpymap.layers.batch_page import index_page
+from bumpymap.layers.batch_summary import index_page
 from bumpymap.layers.report import page
 
 HOSTILE = "<b>'&\udce9"

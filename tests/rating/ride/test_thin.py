@@ -13,7 +13,7 @@ from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
-from bumpymap.rating.ride.thin_noise import pool_noise, pull_to_neighbours
+from bumpymap.rating.ride.thin_rate import pool_noise, pull_to_neighbours
 
 CALIBRATION = Calibration.shipped("warthog")
 RIDE = RideModel(CALIBRATION)
