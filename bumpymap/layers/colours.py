@@ -106,8 +106,6 @@ OFF_COLOURS: dict[int, tuple[int, int, int, int]] = {
 }
 """Red, green, blue, alpha of how far a map is off a drive: purple where it reads too low, green where too high; neither
 is a colour of a class, and colour-blind readers tell them apart."""
-
-
 OR_FAILS = ", or too steep, or drives fail"
 """Follows the limit of class 3: what else puts ground there."""
 

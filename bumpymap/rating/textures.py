@@ -304,8 +304,6 @@ _FORMS: "dict[str, Callable[[int, np.random.Generator, int], _Floats]]" = {
     "noise_sin": _noise_sin,
     "high_noise": _high_noise,
 }
-
-
 FLAT_RELIEF = 1e-3
 """A patch with at most this relief, m, is ``flat`` with probability 1: scaled up, it would show the rounding of the
 survey's coordinates instead of ground."""

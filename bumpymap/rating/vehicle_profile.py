@@ -41,8 +41,6 @@ _LIGHTEST, _HEAVIEST = 5.0, 3000.0
 _GYRATION = {"chassis": (0.03, 0.6), "rocker": (0.003, 0.6)}
 """Bounds of the radius of gyration, sqrt(moment / mass), over the vehicle's size. Even two masses at the ends of a body
 stay below 0.6; included vehicles have 0.15 to 0.36 (chassis) and 0.02 to 0.21 (rocker)."""
-
-
 _Moments = tuple[float, float, float]
 """Roll (about the forward axis), pitch (left axis), yaw (upward axis)."""
 

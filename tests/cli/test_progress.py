@@ -264,7 +264,7 @@ ENDED = """
 import os, signal, sys
 from bumpymap.cli import main
 from bumpymap.survey.engine import plan
-run._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
+plan._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
 main()
 """
 

@@ -149,22 +149,12 @@ def _empty_points(points: int) -> MarkedPoints:
 
 _MOST_BORDERS = 1 << 16
 """Columns or rows of tiles in a chunk whose borders are looked up."""
-
-
 _FAR = 1 << 33
 """Beyond all integers."""
-
-
 _MARKS = (Column("tile", "|u1"), Column("flag", "|u1"))
-
-
 _AXES = ("easting", "northing", "upward")
-
-
 POINT_COLUMNS = (*(Column(axis, "<f8") for axis in _AXES), *_MARKS)
 """A waiting point with its coordinates in metres: 26 bytes."""
-
-
 SCALED_COLUMNS = (*(Column(axis, "<i4") for axis in _AXES), *_MARKS)
 """The same with integers of the grid of its file: 14 bytes."""
 

@@ -65,12 +65,8 @@ __all__ = [
 
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
-
-
 DEAREST = 98
 """Value of the dearest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
-
-
 SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
 
@@ -167,11 +163,7 @@ def lay_objects(
 
 
 COST_NAME = "cost.tif"
-
-
 _BLOCK = 512
-
-
 _WINDOW_TILES = 64
 
 
@@ -316,8 +308,6 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
 
 FRAME = "map"
 """Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
-
-
 _STRIP_CELLS = 4_000_000
 """Cells that are read at once: few strips, so that few blocks of a raster are decoded twice."""
 
@@ -376,8 +366,6 @@ def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWind
 
 DATUM_NAME = "datum.json"
 """The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
-
-
 EXPORT_FILES: dict[str, tuple[str, ...]] = {
     "nav2": (
         "map.yaml",

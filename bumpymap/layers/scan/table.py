@@ -94,8 +94,6 @@ COLUMNS: tuple[tuple[str, pa.DataType, str, str], ...] = (
     ("label", pa.int16(), "", "most frequent label of the points; null where the frame has none"),
 )
 """Name, type, unit and description of each column."""
-
-
 RIDE_COLUMNS = ("c_r", "c_r_low", "c_r_high", "ride_class")
 """Columns of the ride of a vehicle; null without one."""
 

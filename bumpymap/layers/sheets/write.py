@@ -329,8 +329,6 @@ def require_whole(folder: Path, record: dict[str, Any]) -> None:
 
 
 _log = logging.getLogger(__name__)
-
-
 _BOUNDS = ("min_x", "min_y", "max_x", "max_y")
 
 

@@ -42,52 +42,26 @@ Floats = NDArray[np.float64]
 
 
 _Table = tuple[tuple[float, ...], ...]
-
-
 MAX_FAILED_SHARE = 0.25
 """Largest share of failed drives at which the C_r of a patch is used: with more, only survivors would count."""
-
-
 _MIN_PATCHES = 20
-
-
 _RIDGE = 1e-3
-
-
 _FAIL_RIDGE = 0.3
-
-
 _HUBER = 2.5
 """Standard deviations beyond which residuals get less weight (Huber)."""
-
-
 _EXCESS = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4, 0.7, 1.1, 1.6, 2.3)
-
-
 _PIXEL_POINTS = (0.7, 1.0, 2.0, 4.0, 12.0, 40.0)
-
-
 _MIN_EXCESS = 0.003
 """Excess below this is treated as equal to it."""
-
-
 _MIN_NOISY = 120
 """Fewest patches that a quantile of the noise tables is computed from."""
-
-
 _NOISY_SHARE = 80
 """Otherwise one of so many."""
-
-
 _STRONG_EXCESS, _STRONG_TAIL = (0.1, 0.4), 0.05
 """From the first excess to the second, the probability below the low end of the interval falls from ``TAIL`` to that.
 Strong noise hides how smooth the smoothest ground is: with a tenth below, four in ten of the smooth tiles would be."""
-
-
 _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
-
-
 _MODEL_ERROR = 0.10
 """Standard deviation of ln C_r between simulations of one vehicle: root mean square over 140 pairs of means that
 tests/benchmarks/second_simulator.py measured, with four kinds of wheels and tyres. A simulation of another author
@@ -419,28 +393,16 @@ def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
 
 TAIL = 0.1
 """Probability below c_r_low and above c_r_high."""
-
-
 NORMAL_TAIL = 1.2815515655446004
 """Absolute value of the standard normal quantile at ``TAIL``."""
-
-
 _MIN_C_R = 1e-5
 """Smallest geometric C_r, rad/m; values below it are rounding errors."""
-
-
 _MIN_NOISE_SHARE = 0.1
 """Smallest geometric C_r as a share of the C_r that the noise alone would cause."""
-
-
 _MIN_HEIGHT = 1e-4
 """Smallest height range and height difference, m; less makes no difference."""
-
-
 _MOST_REACH = 3.0
 """Reach of the ground towards the belly beyond which more makes no difference."""
-
-
 _C_R_TERMS, _FAIL_TERMS = (6, 9), (8, 10)
 """Numbers of coefficients: those of older calibrations, which lack the last terms, and of present ones."""
 
