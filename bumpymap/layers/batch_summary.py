@@ -449,15 +449,11 @@ def _write_parquet(rows: Sequence[SurveyRow], path: Path) -> None:
         )
         for column in fields(SurveyRow)
     ]
-    values = [[_valid(getattr(row, column.name)) for row in rows] for column in columns]
+    # Text shows what it holds, as in summary.csv: here it may be a formula.
+    cells = [[_cell(getattr(row, column.name)) for row in rows] for column in columns]
+    values = [[escape_controls(cell) if isinstance(cell, str) else cell for cell in column] for column in cells]
     arrays = [pa.array(own, column.type) for own, column in zip(values, columns, strict=True)]
     pq.write_table(pa.table(arrays, schema=pa.schema(columns)), path, compression="zstd")
-
-
-def _valid(value: Any) -> Any:
-    """Return text that shows what it holds, as in summary.csv, which may be a formula here."""
-    value = _cell(value)
-    return escape_controls(value) if isinstance(value, str) else value
 
 
 def _header() -> str:

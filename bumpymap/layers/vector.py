@@ -180,14 +180,11 @@ def _cut_at_antimeridian(outlines: NDArray[np.object_], decimals: int) -> NDArra
     west_side = shapely.transform(west_side, lambda points: points.round(decimals))
     east_side = shapely.transform(east_side, lambda points: (points - [360.0, 0.0]).round(decimals))
     cut = outlines.copy()
-    cut[crossing] = [_polygons_of(pair) for pair in zip(west_side, east_side, strict=True)]
+    for place, sides in zip(np.flatnonzero(crossing), zip(west_side, east_side, strict=True), strict=True):
+        parts = shapely.get_parts(shapely.normalize(np.array(sides)))
+        # Without points and lines of outlines that only touch the antimeridian.
+        cut[place] = shapely.reverse(shapely.multipolygons(parts[shapely.area(parts) > 0]))
     return cut
-
-
-def _polygons_of(sides: tuple[shapely.Geometry, shapely.Geometry]) -> shapely.MultiPolygon:
-    """Join what lies on both sides of the antimeridian, without points and lines of outlines that only touch it."""
-    parts = shapely.get_parts(shapely.normalize(np.array(sides)))
-    return shapely.reverse(shapely.multipolygons(parts[shapely.area(parts) > 0]))
 
 
 _LOCAL = (

@@ -144,7 +144,12 @@ def take_off_standing(
     patches : PatchStack
         The same with NaN for their ``heights``.
     """
-    standing: Marks = _by_tile(find_standing(_mosaic(points, patches.heights), body, points.grid.pixel_size), points)
+    px, corner = points.grid.pixels, _corner(points)
+    block = np.full((BLOCK_TILES, BLOCK_TILES, px, px), np.nan, np.float32)
+    block[corner] = patches.heights
+    mosaic = block.swapaxes(1, 2).reshape(BLOCK_TILES * px, BLOCK_TILES * px)  # side by side, north up
+    found = find_standing(mosaic, body, points.grid.pixel_size)
+    standing: Marks = found.reshape(BLOCK_TILES, px, BLOCK_TILES, px).swapaxes(1, 2)[corner]
     tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
     asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
     tile, grid = tiles[asked], points.grid
@@ -200,18 +205,3 @@ def find_standing(
 def _corner(points: TilePoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the rows from the north and the columns of tiles in their block."""
     return BLOCK_TILES - 1 - points.row % BLOCK_TILES, points.col % BLOCK_TILES
-
-
-def _mosaic(points: TilePoints, maps: Mosaic) -> Mosaic:
-    """Lay the maps of tiles (n, pixels, pixels) side by side over their block, north up; NaN: no tile."""
-    pixels = points.grid.pixels
-    tiles = np.full((BLOCK_TILES, BLOCK_TILES, pixels, pixels), np.nan, np.float32)
-    tiles[_corner(points)] = maps
-    return np.asarray(tiles.swapaxes(1, 2).reshape(BLOCK_TILES * pixels, BLOCK_TILES * pixels))
-
-
-def _by_tile(mosaic: Marks, points: TilePoints) -> Marks:
-    """Cut a mosaic into the maps of tiles, (n, pixels, pixels)."""
-    pixels = points.grid.pixels
-    tiles = mosaic.reshape(BLOCK_TILES, pixels, BLOCK_TILES, pixels).swapaxes(1, 2)
-    return np.asarray(tiles[_corner(points)])

@@ -60,11 +60,8 @@ def measure_thin(
     at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
     clustered = patches.coverage < HOLE_SHARE * at_random
     raised = settings.min_points > FeatureSettings().min_points
-    pairs[
-        np.asarray((patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered)
-        | np.asarray(raised & (patches.count < settings.min_points)),
-        _SEEN,
-    ] = 0.0
+    real_holes = (patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered
+    pairs[real_holes | (raised & (patches.count < settings.min_points)), _SEEN] = 0.0
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
         relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)

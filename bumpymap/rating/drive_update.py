@@ -90,6 +90,10 @@ def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str,
     record : dict
         What is written to its settings as ``moved_to_drives``; plain JSON.
     """
+    if (steps := calibration.steps) is not None:
+        tile = steps["tile"]
+        log_sd = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
+        steps = steps | {"tile": tile | {"c_r": move.c_r(tile["c_r"]), "c_r_log_sd": log_sd}}
     return replace(
         calibration,
         c_r=move.c_r(calibration.c_r),
@@ -97,7 +101,7 @@ def moved_calibration(calibration: Calibration, move: LogMove, record: dict[str,
         class_c_r=_class_means(calibration, move),
         ride=None if calibration.ride is None else _moved_ride(calibration.ride, move),
         thin=None if calibration.thin is None else _moved_thin(calibration.thin, move),
-        steps=None if calibration.steps is None else _moved_steps(calibration.steps, move),
+        steps=steps,
         settings=calibration.settings | {"moved_to_drives": record},
     )
 
@@ -141,13 +145,6 @@ def _moved_thin(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
         own_spread=_short(move.sd(old.own_spread, np.exp(move.middle))),
     )
     return record | new.to_record()
-
-
-def _moved_steps(record: dict[str, Any], move: LogMove) -> dict[str, Any]:
-    tile = record["tile"]
-    moved = {"c_r": move.c_r(tile["c_r"])}
-    moved["c_r_log_sd"] = [move.sd(sd, c_r) for sd, c_r in zip(tile["c_r_log_sd"], tile["c_r"], strict=True)]
-    return record | {"tile": tile | moved}
 
 
 def _moved_terms(coefficients: tuple[float, ...], move: LogMove) -> tuple[float, ...]:

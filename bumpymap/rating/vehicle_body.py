@@ -20,6 +20,7 @@ __all__ = [
     "body_table",
     "floor_of",
     "less_floor",
+    "plain_lists",
     "profile_keys",
     "with_floor",
 ]
@@ -132,6 +133,13 @@ def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
 
 def _plain(value: float) -> str:
     return f"{value:,.0f}" if value >= 1000 else f"{value:g}"
+
+
+def plain_lists(value: Any) -> Any:
+    """Return a value with lists in the place of tuples, as JSON and TOML have them, in nested mappings too."""
+    if isinstance(value, Mapping):
+        return {key: plain_lists(item) for key, item in value.items()}
+    return [plain_lists(item) for item in value] if isinstance(value, tuple) else value
 
 
 Floats = NDArray[np.float64]

@@ -21,7 +21,16 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
-from bumpymap.rating.vehicle_body import Body, Floor, OneLine, ProfileKey, Quantity, body_table, profile_keys
+from bumpymap.rating.vehicle_body import (
+    Body,
+    Floor,
+    OneLine,
+    ProfileKey,
+    Quantity,
+    body_table,
+    plain_lists,
+    profile_keys,
+)
 
 __all__ = [
     "KEYS",
@@ -166,7 +175,8 @@ class Vehicle:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the profile as a nested dictionary, as in its TOML file."""
-        return {key: _plain(value) for key, value in asdict(self).items()}
+        plain: dict[str, Any] = plain_lists(asdict(self))
+        return plain
 
     @classmethod
     def from_dict(cls, record: dict[str, Any], origin: str) -> "Vehicle":
@@ -229,13 +239,6 @@ def shipped_profiles() -> list[str]:
     """Return the names of the included vehicle profiles."""
     folder = files("bumpymap.rating") / "data" / "vehicles"
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples into lists, as JSON and TOML have them."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 def _wheels(profile: Vehicle) -> str:

@@ -125,7 +125,11 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
     enough = enough_points(grid, settings, thin=outcome.thin)
     held = f"{outcome.points_per_tile:.0f} {outcome.measured}"
     held = held.replace("points", "point", 1) if held.startswith("1 ") else held
-    why = f"{held} per tile (median); {_needed(enough, outcome.thin, settings)}"
+    few_holes = f", and about {enough} to leave few holes" if enough > settings.min_points else ""
+    needed = f"at least {settings.min_points} are needed{few_holes}"
+    if outcome.thin:
+        needed = f"at least {enough} are needed, in most parts of the tile"
+    why = f"{held} per tile (median); {needed}"
     if outcome.measured == "points":
         if outcome.points_per_tile >= _ALMOST_ALL * enough:
             return (
@@ -142,13 +146,6 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
             f"All points (--ground all) are too few as well, {mean_points}. {_larger_tiles(outcome, grid, enough)}",
         )
     return why, _all_points(outcome, mean_points)
-
-
-def _needed(enough: int, thin: bool, settings: FeatureSettings) -> str:
-    if thin:
-        return f"at least {enough} are needed, in most parts of the tile"
-    few_holes = f", and about {enough} to leave few holes" if enough > settings.min_points else ""
-    return f"at least {settings.min_points} are needed{few_holes}"
 
 
 def _all_points(outcome: Outcome, mean_points: str) -> str:

@@ -243,6 +243,9 @@ def run_manifest(
     every = zip(inputs.readers, measured.dropped, measured.checksums, strict=True)
     read = [(reader.info, dropped, checksum) for reader, dropped, checksum in every if dropped is not None]
     calibration, skipped = models.calibration, inputs.skipped
+    # The part of the intervals that all maps with this calibration share.
+    by_ride = calibration.ride if (config.rating, config.compat) == ("ride", "none") else None
+    error = float((by_ride or {}).get("model_error", 0.0))
     return {
         "survey": survey_record(
             config.surveys,
@@ -256,7 +259,9 @@ def run_manifest(
             dict.fromkeys(map(without_keys, (*warnings, *(f"skipped {path}: {why}" for path, why in skipped.items()))))
         ),
         "skipped_inputs": [
-            {"path": recorded_place(path), **_file_version(run_spec["inputs"][path])} for path in skipped
+            # What shows a change without reading the file.
+            {"path": recorded_place(path)} | {key: known[key] for key in ("mtime_ns", "version") if key in known}
+            for path, known in ((path, run_spec["inputs"][path] or {}) for path in skipped)
         ],
         "settings": {**recorded_settings(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
         "versions": versions(config.ground),
@@ -270,7 +275,7 @@ def run_manifest(
             "preferences": calibration.preferences,
             "class_limits": calibration.map_limits,
             **({"floor_radpm": calibration.map_floor} if calibration.map_floor else {}),
-            **_model_error(config, calibration.ride),
+            **({"model_error": error} if error else {}),
         },
         "vehicle": {
             "name": calibration.vehicle["name"],
@@ -284,23 +289,12 @@ def run_manifest(
     }
 
 
-def _model_error(config: MapConfig, ride: Mapping[str, Any] | None) -> dict[str, float]:
-    """Return the part of the intervals that all maps with this calibration share; nothing if they hold none."""
-    error = float(ride.get("model_error", 0.0)) if ride and (config.rating, config.compat) == ("ride", "none") else 0.0
-    return {"model_error": error} if error else {}
-
-
 def _skipped_identity(path: Path | str) -> dict[str, Any] | None:
     """Return the identity of a skipped file; None if even that cannot be read."""
     try:
         return identity(path)
     except BadInputError:
         return None
-
-
-def _file_version(known: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Return the parts of a file's identity that show a change without reading the file."""
-    return {key: known[key] for key in ("mtime_ns", "version") if key in known} if known else {}
 
 
 def _input_record(info: SurveyInfo, dropped: dict[str, int], checksum: str | None) -> dict[str, Any]:

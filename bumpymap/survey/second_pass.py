@@ -167,6 +167,7 @@ class _Blocks:
     def __init__(self, table: TileTable, names: Sequence[str]) -> None:
         self.table = table
         self._names = ("col", "row", *names)
+        self.names_without_heights = [name for name in self._names if name != "heights"]
         self._kept: OrderedDict[BlockKey, dict[str, NDArray[Any]]] = OrderedDict()
         self._bytes = 0
         self._lock = Lock()
@@ -186,12 +187,6 @@ class _Blocks:
                 self._bytes -= _size(self._kept.popitem(last=False)[1])
         return found
 
-    def read_together(self, keys: Sequence[BlockKey]) -> dict[str, NDArray[Any]]:
-        """Read the columns of some blocks without maps of heights, joined."""
-        if len(keys) == 1:
-            return self.read(keys[0])
-        return self.table.read_blocks(keys, [name for name in self._names if name != "heights"])
-
 
 def _size(columns: Mapping[str, NDArray[Any]]) -> int:
     return sum(array.nbytes for array in columns.values())
@@ -201,27 +196,22 @@ def _rate_group(
     blocks: _Blocks, rating: NeighbourRater, keys: Sequence[BlockKey]
 ) -> list[tuple[BlockKey, dict[str, NDArray[Any]]]]:
     """Return the new columns of some blocks, in the order of their tiles."""
-    own = blocks.read_together(keys)
+    # Together, blocks are read without the maps of heights.
+    own = blocks.read(keys[0]) if len(keys) == 1 else blocks.table.read_blocks(keys, blocks.names_without_heights)
     place = {name: own[name] for name in ("col", "row")}
     if (left := rating.leaves(own)) is None:
         if len(keys) > 1:
-            return [rated for key in keys for rated in _rate_group(blocks, rating, [key])]
-        return [(keys[0], _rate_block(blocks, rating, keys[0], place))]
+            return [one for key in keys for one in _rate_group(blocks, rating, [key])]
+        rated = rating(_read_window(blocks, rating.needs, keys[0]))
+        line, column = _cells(keys[0], place)
+        new = {part.name: rated[part.name][line - RING, column - RING] for part in rating.columns}
+        return [(keys[0], new | place)]
     columns = left | place
     ends = np.cumsum([blocks.table.pack_of[key].rows(key) for key in keys]).tolist()
     return [
         (key, {name: array[start:stop] for name, array in columns.items()})
         for key, (start, stop) in zip(keys, pairwise([0, *ends]), strict=True)
     ]
-
-
-def _rate_block(
-    blocks: _Blocks, rating: NeighbourRater, key: BlockKey, own: dict[str, NDArray[Any]]
-) -> dict[str, NDArray[Any]]:
-    """Return the new columns of a block, in the order of its tiles, of which ``own`` are column and row."""
-    rated = rating(_read_window(blocks, rating.needs, key))
-    line, column = _cells(key, own)
-    return {part.name: rated[part.name][line - RING, column - RING] for part in rating.columns} | own
 
 
 def _cells(key: BlockKey, tiles: Mapping[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -359,7 +349,8 @@ class NeighbourRating:
         nothing, height = np.float32(np.nan), own["obstacle_height"]
         return (
             {name: own[name] for name in _RATED}
-            | _by_side(steps)
+            | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
+            | {"edge_step": steps.edge_step, "inner_step": steps.inner}
             | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
             | {"objects": states, "passage": areas, "obstacle": obstacle}
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
@@ -474,8 +465,3 @@ def _crossed(
     )
     alone = ~beyond.any(axis=-1, keepdims=True)
     return np.asarray((beyond & (usable | unseen)) | alone)
-
-
-def _by_side(steps: TileSteps) -> Columns:
-    by_side = {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
-    return by_side | {"edge_step": steps.edge_step, "inner_step": steps.inner}

@@ -263,8 +263,8 @@ def test_a_fault_is_an_event_with_its_traceback(capsys):
 ENDED = """
 import os, signal, sys
 from bumpymap.cli import main
-from bumpymap.survey.engine import plan
-plan._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
+from bumpymap.survey.engine import run
+run._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
 main()
 """
 

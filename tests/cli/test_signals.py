@@ -27,18 +27,18 @@ def heard():
 WITH_TILES = """
 import os, signal, sys
 from bumpymap.cli import main
-from bumpymap.survey.engine import plan
+from bumpymap.survey.engine import run
 
 if {after_tiles}:
-    add_tiles = plan.ResultCollector.add_tiles
+    add_tiles = run.ResultCollector.add_tiles
     def ending(*arguments):
         add_tiles(*arguments)
         os.kill(os.getpid(), signal.{name})
-    plan.ResultCollector.add_tiles = ending
+    run.ResultCollector.add_tiles = ending
 else:
     def ending(*_, **__):
         os.kill(os.getpid(), signal.{name})
-    plan._decide = ending
+    run._decide = ending
 sys.argv[0] = "bumpymap"
 main()
 """

@@ -455,7 +455,7 @@ def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypa
     def interrupted(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan.decide_ground", interrupted)
+    monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", interrupted)
     result = run("map", survey, "--out", tmp_path / "layers")
     assert result.exit_code == 130
     assert "Interrupted" in result.output
@@ -564,8 +564,8 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
     out, left = tmp_path / "layers", tmp_path / "left"
     place = {
-        "read": "bumpymap.survey.engine.plan.decide_ground",
-        "measure": "bumpymap.survey.engine.plan._finish",
+        "read": "bumpymap.survey.engine.run.decide_ground",
+        "measure": "bumpymap.survey.engine.run._finish",
         "write": "bumpymap.layers.write_products",
     }[where]
 

@@ -49,7 +49,6 @@ __all__ = [
     "CostScale",
     "ExportArea",
     "ExportPoint",
-    "LocalFrame",
     "check_target",
     "choose_area",
     "cost_values",
@@ -178,23 +177,13 @@ class ExportPoint:
 
 
 @dataclass(frozen=True, slots=True)
-class LocalFrame:
-    """A plane frame in metres: x to the east and y to the north of the grid, (0, 0) at the datum (REP-103)."""
-
-    datum: ExportPoint
-
-    def to_local(self, easting: Any, northing: Any) -> tuple[Any, Any]:
-        """Convert easting and northing on the grid to x and y, m; numbers or arrays."""
-        return easting - self.datum.easting, northing - self.datum.northing
-
-
-@dataclass(frozen=True, slots=True)
 class ExportArea:
-    """A window of a map, its cells and its frame."""
+    """A window of a map, its cells and its frame: x to the east and y to the north of the grid, m (REP-103)."""
 
     route_map: RouteMap
     window: TileWindow
-    frame: LocalFrame
+    datum: ExportPoint
+    """Origin of the frame."""
     split: int
     """Cells along a side of a tile: 1, or the pixels of the heightmap."""
 
@@ -212,9 +201,8 @@ class ExportArea:
     def bounds(self) -> Bounds:
         """Sides of the area in the local frame, m."""
         whole = self.route_map.grid.window_bounds(self.window)
-        west, south = self.frame.to_local(whole.west, whole.south)
-        east, north = self.frame.to_local(whole.east, whole.north)
-        return Bounds(west, south, east, north)
+        x, y = self.datum.easting, self.datum.northing
+        return Bounds(whole.west - x, whole.south - y, whole.east - x, whole.north - y)
 
     def strips(self, detail: int | None = None) -> Iterator[tuple[TileWindow, slice]]:
         """Yield windows of whole rows of tiles, north first, and their rows of cells.
@@ -234,7 +222,7 @@ class ExportArea:
         ``grid_convergence_deg`` is the angle from true north to grid north, clockwise; ``grid_scale`` is a length on
         the grid over the same length on the ellipsoid.
         """
-        datum, bounds = self.frame.datum, self.bounds
+        datum, bounds = self.datum, self.bounds
         x, y = self.route_map.to_crs(datum.easting, datum.northing)
         place: dict[str, Any] = {"longitude": None, "latitude": None, "x": x, "y": y, "crs": None}
         if self.route_map.has_crs:
@@ -251,7 +239,7 @@ class ExportArea:
     def _on_earth(self) -> dict[str, Any]:
         from pyproj import Proj
 
-        datum, crs = self.frame.datum, self.route_map.georeference.crs
+        datum, crs = self.datum, self.route_map.georeference.crs
         longitude, latitude = self.route_map.to_lonlat(datum.easting, datum.northing)
         if crs is None or not np.isfinite([longitude, latitude]).all():
             raise BadInputError(
@@ -340,7 +328,7 @@ def choose_area(
     if datum is None:
         middle = around or ExportPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
         datum = ExportPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
-    return ExportArea(route_map, window, LocalFrame(datum), split)
+    return ExportArea(route_map, window, datum, split)
 
 
 def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError
 from bumpymap.rating.ride.motion_operator import Rides
+from bumpymap.rating.vehicle_body import plain_lists
 
 __all__ = [
     "MAX_FAILED_SHARE",
@@ -169,7 +170,8 @@ class Correction:
 
     def to_record(self) -> dict[str, Any]:
         """Return the coefficients as plain numbers for JSON."""
-        return {key: _lists(value) for key, value in asdict(self).items()}
+        plain: dict[str, Any] = plain_lists(asdict(self))
+        return plain
 
     def predict(self, rides: Rides, slope_deg: Floats, noise_felt: Floats, pixel_points: Floats) -> Prediction:
         """Predict C_r and p_fail.
@@ -233,7 +235,8 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
             "more terrains"
         )
     log_g = np.log(driven.rides.pitch_change[good])
-    features = ride_features(log_g, driven.rides, driven.slope_deg) if good.all() else _features(driven, good, log_g)
+    rides = Rides(*(getattr(driven.rides, name)[good] for name in Rides.__dataclass_fields__))
+    features = ride_features(log_g, rides, driven.slope_deg[good])
     target, error = np.log(driven.c_r[good]), driven.error[good] / driven.c_r[good]
     log_range = (float(log_g.min()), float(log_g.max()))
     coefficients, spread = _fit_c_r(features, target, error, log_g, log_range)
@@ -256,11 +259,6 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
         origin=_report(predicted, target, error, driven),
         model_error=_MODEL_ERROR,
     )
-
-
-def _features(driven: DrivenPatches, good: NDArray[np.bool_], log_g: Floats) -> Floats:
-    rides = Rides(*(getattr(driven.rides, name)[good] for name in Rides.__dataclass_fields__))
-    return ride_features(log_g, rides, driven.slope_deg[good])
 
 
 def _fit_c_r(
@@ -424,10 +422,6 @@ def _weighted(features: Floats, coefficients: tuple[float, ...]) -> Floats:
 
 def _numbers(value: Any) -> Any:
     return tuple(_numbers(item) for item in value) if isinstance(value, list | tuple) else float(value)
-
-
-def _lists(value: Any) -> Any:
-    return [_lists(item) for item in value] if isinstance(value, tuple) else value
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from bumpymap.core import SPEED_BANDS, BadInputError, UsageError
 from bumpymap.rating.calibration import MAP_SPEED, Calibration, remembered
 from bumpymap.rating.ride.motion_operator import MotionOperator, Motions, move_over
-from bumpymap.rating.vehicle_body import less_floor, with_floor
+from bumpymap.rating.vehicle_body import less_floor, plain_lists, with_floor
 
 __all__ = [
     "QUANTITIES",
@@ -118,7 +118,7 @@ class MotionModel:
 
     def to_record(self) -> dict[str, Any]:
         """Return the coefficients as plain numbers for JSON."""
-        return {name: _lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
+        return {name: plain_lists(value) for name, value in asdict(self).items() if name != "speed_mps"}
 
     def log_factors(self, motions: Motions, pitch_change: Floats, speeds: tuple[float, ...]) -> Floats:
         """Return ln of each of ``QUANTITIES`` over the C_r at the profile's speed, (n, k, 3).
@@ -198,12 +198,6 @@ def plain_terms(c_r: Floats, log_speed: Floats, log_c_r_range: tuple[float, floa
 def _pair(value: Any) -> tuple[float, float]:
     low, high = value
     return float(low), float(high)
-
-
-def _lists(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _lists(item) for key, item in value.items()}
-    return [_lists(item) for item in value] if isinstance(value, tuple) else value
 
 
 _LEVEL = 5e-4

@@ -19,6 +19,7 @@ from bumpymap.core import BadInputError
 from bumpymap.rating.ride.correction import Prediction
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
+from bumpymap.rating.vehicle_body import plain_lists
 
 __all__ = ["THIN_COLUMNS", "ThinModel", "fail_terms", "log_points", "ride_terms", "spread_terms", "thin_columns"]
 
@@ -105,7 +106,8 @@ class ThinModel:
 
     def to_record(self) -> dict[str, Any]:
         """Return the coefficients as plain numbers for JSON."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        plain: dict[str, Any] = plain_lists(asdict(self))
+        return plain
 
     def require_lengths(self) -> None:
         """Raise ValueError if there are too few or too many coefficients."""
@@ -137,7 +139,8 @@ class ThinModel:
             Standard deviation of the height of a point, m.
         """
         inputs = (columns, noise, self.felt, self.relief)
-        log_c_r = ride_terms(*inputs) @ np.array(self.c_r) + _beyond(_log_relief(columns, noise), self.relief)
+        relief = _log_relief(columns, noise)
+        log_c_r = ride_terms(*inputs) @ np.array(self.c_r) + relief - np.clip(relief, *self.relief)
         sd = np.exp(spread_terms(*inputs) @ np.array(self.spread))
         logit = np.clip(fail_terms(columns, noise, self.felt) @ np.array(self.fail), -_MOST_LOGIT, _MOST_LOGIT)
         below, above = (np.hypot(self.own_spread, side * sd) for side in self.sides)

@@ -14,7 +14,7 @@ from .cluster import (
     ClusterExecutor as ClusterExecutor,
     connect as connect,
 )
-from .plan import (
+from .run import (
     Executor as Executor,
     run_engine as run_engine,
 )

@@ -98,14 +98,20 @@ class Workspace:
             advice=advice,
             keep=(_SCRATCH,),
         ) as run:
-            _drop_damaged(run.path)
+            for path in _tiles(run.path):
+                try:
+                    Pack(path)
+                except PackError:  # damaged by a power cut: its blocks are rated again
+                    path.unlink()
             waiting: Path | None = None
             try:
                 # A signal between making a folder and noting its name would leave the folder behind.
                 with shielded(), writing_to(scratch or run.path, "`out` or `scratch`"):
                     waiting = _choose_points_folder(run, out, scratch)
                 space = cls(run.path, waiting, run.run_spec)
-                space._make_folders()
+                shutil.rmtree(space.new_tiles, ignore_errors=True)  # leftovers of an earlier run
+                for folder in (space.new_tiles, space.points_folder):
+                    folder.mkdir(mode=0o700, exist_ok=True)
                 yield space
             except BaseException as end:
                 if waiting is not None and (what_to_keep(end) is not Kept.ALL or not _holds_work(run.path, out)):
@@ -113,11 +119,6 @@ class Workspace:
                 raise
             with shielded():
                 shutil.rmtree(waiting, ignore_errors=True)
-
-    def _make_folders(self) -> None:
-        shutil.rmtree(self.new_tiles, ignore_errors=True)  # leftovers of an earlier run
-        for folder in (self.new_tiles, self.points_folder):
-            folder.mkdir(mode=0o700, exist_ok=True)
 
     def tiles(self, kind: str = "*") -> list[Path]:
         """Return the packs of finished tiles of a kind (see `TileSink`), in the order of writing."""
@@ -170,15 +171,6 @@ def _holds_work(folder: Path, out: Path) -> bool:
     """Return whether there are finished tiles, or records of chunks that are read."""
     places = (folder / _POINTS, _earlier_points_folder(folder, out))
     return bool(_tiles(folder)) or any(_records(place) for place in places if place is not None)
-
-
-def _drop_damaged(folder: Path) -> None:
-    """Delete packs that a power cut has damaged; their blocks are rated again."""
-    for path in _tiles(folder):
-        try:
-            Pack(path)
-        except PackError:
-            path.unlink()
 
 
 def _choose_points_folder(run: RunFolder, out: Path, scratch: Path | None) -> Path:

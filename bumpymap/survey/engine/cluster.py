@@ -25,8 +25,9 @@ from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder,
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadPlan, ReadTask, range_points, shared_tasks
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask, range_points, shared_tasks
 from bumpymap.survey.engine.reading import OpenRange
+from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.worker import Worker, new_folder
 
 if TYPE_CHECKING:

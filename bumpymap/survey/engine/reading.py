@@ -179,7 +179,8 @@ class ChunkStream:
         """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead."""
         ahead: deque[tuple[OpenRange, Chunk, Future[Any]]] = deque()
         for source in self._ranges:
-            at_once = self._at_once(source)
+            largest = max((chunk.points for chunk in source.chunks), default=1)
+            at_once = requests_at_once(largest, self._threads) if source.reader.info.parallel else 1
             fetcher = self._fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
             for chunk in source.chunks:
                 if source.range.file in self._skipped:
@@ -188,12 +189,6 @@ class ChunkStream:
                 while len(ahead) > at_once:
                     yield ahead.popleft()
         yield from ahead
-
-    def _at_once(self, source: OpenRange) -> int:
-        """Return how many chunks of a range are fetched at a time."""
-        if not source.reader.info.parallel:
-            return 1
-        return requests_at_once(max((chunk.points for chunk in source.chunks), default=1), self._threads)
 
     def _grouped(self, source: OpenRange, chunk: Chunk, fetched: Any) -> ReadChunk:
         batch = source.reader.convert(chunk, fetched)

@@ -19,8 +19,9 @@ from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadPlan, ReadTask, single_task
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask, single_task
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
+from bumpymap.survey.engine.run import ReadPlan
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
 
 __all__ = ["LocalExecutor", "Worker", "new_folder"]

@@ -257,15 +257,15 @@ def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
 INTERRUPTED = """
 import os, signal, sys
 from pathlib import Path
-from bumpymap.survey.engine import plan
+from bumpymap.survey.engine import run
 from bumpymap.core import MapConfig
 from bumpymap.survey import map_surveys
 
-add_tiles = plan.ResultCollector.add_tiles
+add_tiles = run.ResultCollector.add_tiles
 def ending(*arguments):
     add_tiles(*arguments)
     os.kill(os.getpid(), signal.SIGKILL)
-plan.ResultCollector.add_tiles = ending
+run.ResultCollector.add_tiles = ending
 map_surveys(MapConfig((Path(sys.argv[1]),), Path(sys.argv[2]), align=sys.argv[3]))
 """
 

@@ -275,10 +275,10 @@ def killed_at(place, out, left, monkeypatch, arguments):
 @pytest.mark.parametrize(
     ("place", "finished"),
     [
-        ("plan.refuse_no_points", True),
-        ("plan.decide_ground", True),
-        ("plan.ResultCollector.add_tiles", True),
-        ("plan.MeasuredTiles.of", False),
+        ("run.refuse_no_points", True),
+        ("run.decide_ground", True),
+        ("run.ResultCollector.add_tiles", True),
+        ("run.MeasuredTiles.of", False),
     ],
 )
 def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
@@ -300,14 +300,14 @@ def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here
         monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     arguments = ("map", surveys)
     killed_at(
-        "plan.ResultCollector.add_tiles",
+        "run.ResultCollector.add_tiles",
         tmp_path / "a",
         tmp_path / "many",
         monkeypatch,
         (*arguments, "--scheduler", "here"),
     )
     assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
-    killed_at("plan.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
+    killed_at("run.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
     assert run(*arguments, "--out", tmp_path / "one", "--resume", "--scheduler", "here").exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")

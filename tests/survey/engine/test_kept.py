@@ -155,7 +155,7 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
     def fail(*_, **__):
         raise RuntimeError("a defect")
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan.decide_ground", fail)
+    monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", fail)
     run("map", surveys, "--out", out, "--memory", "128MB")
     monkeypatch.undo()
     fetched, fetch = [], LasSurvey.fetch
@@ -176,7 +176,7 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
 def test_digests_by_another_method_are_made_again(surveys, tmp_path, monkeypatch, method):
     out, wrong = tmp_path / "out", bytes(32).hex()
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.survey.engine.plan.decide_ground", lambda *_: 1 / 0)
+        patch.setattr("bumpymap.survey.engine.run.decide_ground", lambda *_: 1 / 0)
         run("map", surveys, "--out", out)
     records = list(out.glob(".bumpymap-run/**/read-*.json"))
     for path in records:
