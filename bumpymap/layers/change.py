@@ -30,7 +30,7 @@ from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_ext
 from bumpymap.layers.products import REPORT_NAME, check_own_folder, write_own_folder
 from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.route_map import RouteMap, map_differences, open_map
-from bumpymap.layers.route_sheet import SheetChoice, common_window, window_slices
+from bumpymap.layers.route_sheet import common_window, sheet_choice, window_slices
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -124,11 +124,11 @@ def _read(site: RouteMap, window: TileWindow) -> SurveyTiles:
             continue
         place = window_slices(window, part)
         found = sheet.read("barred.tif", part)[0]
-        choice = SheetChoice.of(barred[place], found)
-        barred[place] = choice.codes(barred[place], found)
-        class_id[place] = choice.codes(class_id[place], sheet.read("class.tif", part)[0])
+        choice = sheet_choice(barred[place], found)
+        barred[place] = choice(barred[place], found)
+        class_id[place] = choice(class_id[place], sheet.read("class.tif", part)[0])
         for band, new in zip(values, sheet.read("roughness.tif", part, _COMPARED_BANDS), strict=True):
-            band[place] = choice.values(band[place], new)
+            band[place] = choice(band[place], new)
     return SurveyTiles(barred, class_id, *values)
 
 

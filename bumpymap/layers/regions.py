@@ -202,19 +202,8 @@ def _follow(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Follow closed rings along the sides of tiles and stop at each corner that is marked.
 
-    Parameters
-    ----------
-    points : int64 (n, 2)
-        Column and line of the vertices of all rings.
-    sizes : int64 (m,)
-        How many are in each ring.
-    corners : bool (lines, columns)
-        Holds every point at which a ring turns.
-
-    Returns
-    -------
-    points : int64 (k, 2)
-    sizes : int64 (m,)
+    ``points`` (n, 2) are column and line of the vertices of all rings, ``sizes`` (m,) of them in each, as in what is
+    returned; ``corners`` (lines, columns) holds every point at which a ring turns.
     """
     lines, columns = corners.shape
     # The marked corners twice, line by line and column by column: those of a segment follow each other in one of both.

@@ -23,7 +23,7 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
-from bumpymap.layers.route_sheet import RouteSheet, SheetChoice, common_window, window_slices, worse_objects
+from bumpymap.layers.route_sheet import RouteSheet, common_window, sheet_choice, window_slices, worse_objects
 from bumpymap.layers.sheets.folders import sheet_folders
 from bumpytiles import Grid, TileWindow
 
@@ -145,11 +145,11 @@ class RouteMap:
             place = window_slices(window, part)
             if overlapping:
                 found = sheet.read("barred.tif", part)[0]
-                choice = SheetChoice.of(barred[place], found)
-                barred[place] = choice.codes(barred[place], found)
+                choice = sheet_choice(barred[place], found)
+                barred[place] = choice(barred[place], found)
                 read = sheet.read("roughness.tif", part, bands) if bands else []
                 for band, new in zip(bands, read, strict=True):
-                    values[band][place] = choice.values(values[band][place], new)
+                    values[band][place] = choice(values[band][place], new)
             else:
                 sheet.read_into([barred[place]], "barred.tif", part)
                 if bands:

@@ -1,7 +1,7 @@
 """One folder of layers as a route reads it: checked when it is opened, then read window by window."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -31,7 +31,7 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["RouteSheet", "SheetChoice", "common_window", "window_slices", "worse_objects"]
+__all__ = ["RouteSheet", "common_window", "sheet_choice", "window_slices", "worse_objects"]
 
 _DTYPES = {
     "barred.tif": "uint8",
@@ -274,28 +274,19 @@ _TILE_RANK[[NO_TILE, Barred.UNKNOWN, Barred.NO]] = 0, 1, 2
 """How much a tile counts, by what bars it: no tile, unknown, passable, barred."""
 
 
-@dataclass(frozen=True, slots=True)
-class SheetChoice:
-    """Which of two sheets counts, for each tile that they share."""
+def sheet_choice(
+    old: NDArray[np.uint8], new: NDArray[np.uint8]
+) -> Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]:
+    """Compare what bars the tiles that two sheets share.
 
-    newer: NDArray[np.bool_]
-    """(rows, cols) only the new one."""
-    both: NDArray[np.bool_]
-    """(rows, cols) both: the larger value."""
-
-    @classmethod
-    def of(cls, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> "SheetChoice":
-        """Compare what bars the tiles."""
-        before, now = _TILE_RANK[old], _TILE_RANK[new]
-        return cls(now > before, now == before)
-
-    def codes(self, old: NDArray[np.uint8], new: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Return the codes that count."""
-        return np.where(self.newer, new, np.where(self.both, np.maximum(old, new), old))
-
-    def values(self, old: NDArray[np.float32], new: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the values that count; NaN only if both are."""
-        return np.where(self.newer, new, np.where(self.both, np.fmax(old, new), old))
+    Returns
+    -------
+    callable
+        Returns, of the old and the new values of the tiles, those that count: the larger where both sheets count, NaN
+        only if both are.
+    """
+    before, now = _TILE_RANK[old], _TILE_RANK[new]
+    return lambda one, other: np.where(now > before, other, np.where(now == before, np.fmax(one, other), one))
 
 
 def window_slices(window: TileWindow, part: TileWindow, pixels: int = 1) -> tuple[slice, slice]:

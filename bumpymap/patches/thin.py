@@ -1,7 +1,5 @@
 """What the points of thinly surveyed tiles tell beyond their pixels; see ``docs/pages/thin-surveys.md``."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +8,7 @@ from bumpymap.patches import kernels
 from bumpymap.patches.features import points_by_tile
 from bumpytiles import TilePoints
 
-__all__ = ["ThinPatches", "measure_thin"]
+__all__ = ["measure_thin"]
 
 _SEEN = 1
 """Column of the share of a tile's nine parts that hold a point."""
@@ -21,20 +19,9 @@ _REACH_PX = (1.0, 2.0, 3.5, 5.5, 8.0)
 """Upper ends of the groups of distances, px."""
 
 
-@dataclass(frozen=True, slots=True)
-class ThinPatches:
-    """Measures of the points of n tiles."""
-
-    pairs: NDArray[np.float64]
-    """(n, 15) of `bumpymap.patches.kernels.standing.measure_pairs`; NaN where the points span no plane."""
-    relief_map: NDArray[np.float32]
-    """(n, pixels, pixels) plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for
-    tiles that are not thin."""
-
-
 def measure_thin(
     points: TilePoints, patches: PatchStack, settings: FeatureSettings, *, ground_only: bool
-) -> ThinPatches:
+) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
     """Measure the pairs of points of all tiles, and the filled heightmaps of thin ones.
 
     Parameters
@@ -45,6 +32,14 @@ def measure_thin(
         The same tiles, measured by `measure`.
     settings, ground_only
         As for `measure`.
+
+    Returns
+    -------
+    array (n, 15)
+        Of `bumpymap.patches.kernels.standing.measure_pairs`; NaN where the points span no plane.
+    array (n, pixels, pixels)
+        Plane-removed heights with all holes filled from their neighbours, however wide, m; NaN for tiles that are not
+        thin.
     """
     grid = points.grid
     tiles = points_by_tile(points, ground_only=ground_only)
@@ -65,7 +60,7 @@ def measure_thin(
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
         relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)
-    return ThinPatches(pairs, relief_map)
+    return pairs, relief_map
 
 
 def _take(tiles: kernels.PointsByTile, wanted: NDArray[np.bool_]) -> kernels.PointsByTile:

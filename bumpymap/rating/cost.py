@@ -6,7 +6,7 @@ the whole distribution, a mixture of four log-normals, so an interval and the pr
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -201,16 +201,6 @@ PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
 """The paper's table: texture -> (raw z range below [m], class)."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Ladder:
-    """The calibration as arrays over (texture, z_range), without gaps."""
-
-    log_range: NDArray[np.float64]
-    log_c_r: NDArray[np.float64]
-    log_sd: NDArray[np.float64]
-    p_fail: NDArray[np.float64]
-
-
 def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference) -> CostMap:
     """Rate tiles by texture and relief (``--rating table``).
 
@@ -232,7 +222,6 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     """
     calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
 
-    ladder = _ladder(calibration)
     tiles = len(patches.reason)
     class_id = np.full(tiles, NO_CLASS, np.uint8)
     rated = np.full((5, tiles), np.nan, np.float32)
@@ -240,7 +229,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     x = [np.ascontiguousarray(column, np.float64) for column in (patches.relief, patches.slope, patches.coverage)]
     rate_tiles(
         TilesToRate(patches.reason == Reason.OK, chance, x[0], x[1], x[2]),
-        CostTables(ladder.log_range, np.stack((ladder.log_c_r, ladder.log_sd, ladder.p_fail))),
+        _ladder(calibration),
         CostRules(
             np.array(calibration.class_limits),
             slope_limit=float(calibration.vehicle["slope_limit_deg"]),
@@ -308,17 +297,13 @@ def rate_as_paper(
     )
 
 
-def _ladder(calibration: Calibration) -> _Ladder:
+def _ladder(calibration: Calibration) -> CostTables:
     """Fill the gaps where no drive was completed from the last z range that has one; failure is certain there."""
     c_r = np.array(calibration.c_r, dtype=float)
     log_sd = np.array(calibration.c_r_log_sd, dtype=float)
     log_sd[:, 0] = np.where(np.isnan(log_sd[:, 0]), _MIN_LOG_SD, log_sd[:, 0])
-    return _Ladder(
-        log_range=np.log(np.array(calibration.z_range)),
-        log_c_r=np.log(_carry_forward(c_r)),
-        log_sd=np.maximum(_carry_forward(log_sd), _MIN_LOG_SD),
-        p_fail=np.array(calibration.p_fail, dtype=float),
-    )
+    tables = (np.log(_carry_forward(c_r)), np.maximum(_carry_forward(log_sd), _MIN_LOG_SD))
+    return CostTables(np.log(np.array(calibration.z_range)), np.stack((*tables, np.array(calibration.p_fail, float))))
 
 
 def _carry_forward(table: NDArray[np.float64]) -> NDArray[np.float64]:

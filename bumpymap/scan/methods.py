@@ -125,8 +125,8 @@ class SectorRater:
         coverage, slope = (self._lay(values, patches) for values in (patches.coverage, patches.slope))
         own = first.inner()
         if calibration.thin is not None:
-            thin = measure_thin(points, patches, settings, ground_only=False)
-            columns = thin_columns(thin.pairs, thin.relief_map, patches.count, self._ride.operator)
+            pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
+            columns = thin_columns(pairs, relief_map, patches.count, self._ride.operator)
             columns[patches.reason != Reason.OK] = np.nan
             own = rate_thin(self._lay(columns, patches), first, coverage, slope, calibration)
         if calibration.pixels >= _LEAST_STEP_PIXELS:

@@ -139,16 +139,8 @@ def steps_between_lines(cells: LineCells) -> CellSteps:
 def _fit(one: Ints, two: Ints) -> tuple[Floats, Floats, Floats, NDArray[np.bool_]]:
     """Fit a common slope and two heights to the sums of two lines, (n, 10) each.
 
-    Returns
-    -------
-    (2, n) float64
-        Middle of the points from the corner of the cell, m.
-    (n,) float64
-        Step from the first to the second, m.
-    (n,) float64
-        Its standard error, m.
-    (n,) bool
-        Whether the points determine a slope.
+    Returns the middle of the points from the corner of the cell (2, n), m; the step from the first to the second and
+    its standard error, (n,) each, m; and whether the points determine a slope, (n,).
     """
     # About the first line's height, in integers: squares of heights above sea would lose the millimetres.
     level = np.rint(one[:, 3] / one[:, 0]).astype(np.int64) if len(one) else np.zeros(0, np.int64)

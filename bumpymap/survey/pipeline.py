@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bumpymap.core import (
     CostTable,
@@ -23,7 +23,6 @@ from bumpymap.core import (
 )
 from bumpymap.layers import MapSummary, check_folder, is_complete, remove_sheets
 from bumpymap.patches import close_filter
-from bumpymap.readers import ReadOptions
 from bumpymap.survey.engine import (
     ADVICE,
     BlockWork,
@@ -50,9 +49,6 @@ from bumpymap.survey.run_record import (
 from bumpymap.survey.second_pass import NeighbourRating, SplitClosing, add_neighbours
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import BLOCK_TILES, Bounds, Grid, TileWindow
-
-if TYPE_CHECKING:
-    from bumpytiles import Workers
 
 __all__ = ["map_surveys", "recorded_result", "write_layers"]
 
@@ -153,7 +149,10 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
         Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=advice) as space,
     ):
         aligned = AlignedInputs.of(config, inputs, progress, clock)
-        executor = _executor(config, work, space, budget, progress, workers, aligned.options)
+        executor: Executor = LocalExecutor(work, space, budget, progress)
+        if workers is not None:
+            fits = partial(versions, config.ground)
+            executor = ClusterExecutor(work, space, budget, progress, workers, aligned.options, fits)
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
             tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
@@ -205,18 +204,3 @@ def _check_out(config: MapConfig) -> bool:
     # their places and clearing up, they are its own.
     check_folder(config.out, overwrite=config.overwrite or unfinished, resume=config.resume)
     return False
-
-
-def _executor(
-    config: MapConfig,
-    work: BlockWork,
-    space: Workspace,
-    budget: Budget,
-    progress: Progress,
-    workers: "Workers | None",
-    options: ReadOptions,
-) -> Executor:
-    """Return the executor on ``workers``, or in this process if there are none."""
-    if workers is None:
-        return LocalExecutor(work, space, budget, progress)
-    return ClusterExecutor(work, space, budget, progress, workers, options, partial(versions, config.ground))

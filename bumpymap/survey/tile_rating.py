@@ -145,8 +145,8 @@ class TileRating:
         """Return what the second pass needs to rate thin tiles; None if they are not rated."""
         if self.ride is None or self.models.calibration.thin is None:
             return None
-        thin = measure_thin(points, patches, self.features, ground_only=ground_only)
-        return thin_columns(thin.pairs, thin.relief_map, patches.count, self.ride.operator)
+        pairs, relief_map = measure_thin(points, patches, self.features, ground_only=ground_only)
+        return thin_columns(pairs, relief_map, patches.count, self.ride.operator)
 
 
 def _by_ride(config: MapConfig) -> bool:

@@ -2,22 +2,37 @@
 
 import laspy
 import numpy as np
+from click.testing import CliRunner
 from pyproj import CRS
+
+from bumpymap.cli import main
+
+
+def run(*arguments):
+    """Call bumpymap with words, paths and numbers."""
+    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0), scales=(0.001,) * 3, **columns):
+    """Write points to a LAS or LAZ file with a CRS (None: without one); ``columns`` have the names of laspy."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.offsets, header.scales = offset, scales
+    if crs:
+        header.add_crs(CRS.from_user_input(crs))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (np.asarray(axis, float) for axis in (x, y, z))
+    for name, values in columns.items():
+        las[name] = values
+    path.parent.mkdir(parents=True, exist_ok=True)
+    las.write(path)
+    return path
 
 
 def write_survey(path, *, epsg=32614, points=20_000, seed=0, side=20.0):
     """Nearly flat ground of some tiles; no CRS if ``epsg`` is None."""
     rng = np.random.default_rng(seed)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    if epsg is not None:
-        header.add_crs(CRS.from_epsg(epsg))
-    las = laspy.LasData(header)
-    las.x, las.y = rng.uniform(500_001, 500_001 + side, points), rng.uniform(4_000_002, 4_000_002 + side, points)
-    las.z = 100 + 0.02 * rng.standard_normal(points)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    las.write(path)
-    return path
+    x, y = rng.uniform(500_001, 500_001 + side, points), rng.uniform(4_000_002, 4_000_002 + side, points)
+    return write_las(path, x, y, 100 + 0.02 * rng.standard_normal(points), crs=epsg)
 
 
 def write_broken(path):

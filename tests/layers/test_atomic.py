@@ -3,31 +3,13 @@ import resource
 from contextlib import contextmanager
 
 import pytest
+from region_files import regions_of, write_flatgeobuf, write_geojson
 
 from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
 from bumpymap.layers.folder import write_tiles
 from bumpymap.layers.geotiff import write_classes, write_heightmap, write_relief, write_roughness
-from bumpymap.layers.regions import dissolve
-from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
-
-
-def regions_of(cost_map):
-    """Regions of a small map, which come at once."""
-    (regions,) = dissolve(CostTable.of(cost_map))
-    return regions
-
-
-def write_geojson(regions, path, *, local, about=None):
-    place = GeoJsonCoordinates.of(regions.placement, local=local)
-    with geojson_writer(path, place, about) as add:
-        add(regions)
-
-
-def write_flatgeobuf(regions, path):
-    with flatgeobuf_writer(path, regions.placement) as add:
-        add(regions)
 
 
 def names(folder):

@@ -136,11 +136,6 @@ def test_same_bytes_in_another_process(tmp_path, cost_map):
     assert first == second
 
 
-def test_folder_is_created_and_left_empty(tmp_path):
-    check_folder(tmp_path / "a" / "b", overwrite=False)
-    assert list((tmp_path / "a" / "b").iterdir()) == []
-
-
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):
     code = (
         "import os, pathlib, sys\n"

@@ -6,17 +6,12 @@ import shapely
 from coverages import check_coverage, holes_of_tiles
 from hypothesis import given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from region_files import regions_of
 from scipy import ndimage
 
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers import label
 from bumpymap.layers.regions import dissolve
-
-
-def regions_of(cost_map):
-    """Regions of a small map, which come at once."""
-    (regions,) = dissolve(CostTable.of(cost_map))
-    return regions
 
 
 def key_of(class_id, reason, passable):

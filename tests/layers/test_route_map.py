@@ -10,7 +10,7 @@ from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
-from bumpymap.layers.route_sheet import SheetChoice
+from bumpymap.layers.route_sheet import sheet_choice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -165,9 +165,9 @@ def test_what_counts_does_not_depend_on_the_order(values):
         code, band = np.full((1, 1), NO_TILE, np.uint8), np.full((1, 1), np.nan, np.float32)
         for new_code, new_value in order:
             new = np.full((1, 1), new_code, np.uint8)
-            choice = SheetChoice.of(code, new)
-            code = choice.codes(code, new)
-            band = choice.values(band, np.full((1, 1), new_value, np.float32))
+            choice = sheet_choice(code, new)
+            code = choice(code, new)
+            band = choice(band, np.full((1, 1), new_value, np.float32))
         assert code[0, 0] == expected[0]
         assert np.array_equal(band[0, 0], np.float32(expected[1][0]), equal_nan=True)
 

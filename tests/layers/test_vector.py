@@ -7,6 +7,7 @@ import shapely
 from coverages import check_coverage, holes_of_tiles
 from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
+from region_files import regions_of, write_flatgeobuf, write_geojson
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
@@ -22,23 +23,6 @@ SITES = {
     "northing_first": (Georeference(CRS.from_epsg(2193)), 530_000, 1_730_000),
     "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
 }
-
-
-def regions_of(cost_map):
-    """Regions of a small map, which come at once."""
-    (regions,) = dissolve(CostTable.of(cost_map))
-    return regions
-
-
-def write_geojson(regions, path, *, local, about=None):
-    place = GeoJsonCoordinates.of(regions.placement, local=local)
-    with geojson_writer(path, place, about) as add:
-        add(regions)
-
-
-def write_flatgeobuf(regions, path):
-    with flatgeobuf_writer(path, regions.placement) as add:
-        add(regions)
 
 
 def check_rfc7946(text):
@@ -266,13 +250,6 @@ def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
         write_geojson(regions, tmp_path / "cost.geojson", local=False)
-
-
-def test_single_tile(tmp_path, make_map):
-    cost_map = make_map([110_000], [680_000], [3], [0])
-    write_geojson(regions_of(cost_map), tmp_path / "cost.geojson", local=False)
-    (feature,) = check_rfc7946((tmp_path / "cost.geojson").read_text())["features"]
-    assert feature["properties"]["c_r"] == pytest.approx(float(cost_map.c_r[0]), abs=5e-7)
 
 
 def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkeypatch):

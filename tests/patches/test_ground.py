@@ -3,13 +3,12 @@
 import importlib.util
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from pyproj import CRS
+from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.core.config import CsfSettings, MapConfig
@@ -54,13 +53,7 @@ def blocks(points):
 
 
 def write(path, points):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = CORNER, np.full(3, 1 / 1024)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = (points + CORNER).T
-    las.write(path)
-    return path
+    return write_las(path, *(points + CORNER).T, offset=CORNER, scales=np.full(3, 1 / 1024))
 
 
 def run(*arguments):

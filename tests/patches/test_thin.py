@@ -19,6 +19,7 @@ def block_of(x, y, z, flag=None):
 
 
 def thin_of(points, *, ground_only=False):
+    """Pairs and filled heightmaps."""
     patches = measure(points, SETTINGS, ground_only=ground_only)
     return measure_thin(points, patches, SETTINGS, ground_only=ground_only)
 
@@ -46,8 +47,8 @@ def test_pairs_of_points_are_those_of_numpy():
         if own.stop - own.start < 8:
             continue
         mine = plain_pairs(points.easting[own] - 600_000, points.northing[own] - 4_000_000, points.upward[own] - 900)
-        np.testing.assert_allclose(found.pairs[tile, 2:], mine, rtol=1e-6)
-        assert found.pairs[tile, 0] == own.stop - own.start
+        np.testing.assert_allclose(found[0][tile, 2:], mine, rtol=1e-6)
+        assert found[0][tile, 0] == own.stop - own.start
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_share_that_is_seen_tells_a_hole(width, height, seen):
     rng = np.random.default_rng(4)
     x, y = 600_000 + rng.uniform(0, width, 60), 3_999_999 + rng.uniform(0, height, 60)
     points = block_of(x, y, rng.normal(0, 0.01, 60))
-    assert thin_of(points).pairs[0, 1] == pytest.approx(seen)
+    assert thin_of(points)[0][0, 1] == pytest.approx(seen)
 
 
 def test_heightmaps_of_thin_tiles_are_filled_and_dense_ones_left_out():
@@ -67,18 +68,18 @@ def test_heightmaps_of_thin_tiles_are_filled_and_dense_ones_left_out():
     x = np.concatenate((600_000 + rng.uniform(0, 3, 16), 600_003 + rng.uniform(0, 3, 2000)))
     y, z = 3_999_999 + rng.uniform(0, 3, len(x)), rng.normal(0, 0.05, len(x))
     thin = thin_of(block_of(x, y, z))
-    assert np.isfinite(thin.relief_map[0]).all()
-    assert np.isnan(thin.relief_map[1]).all()
-    assert thin.pairs[1, 5:].sum() > 0  # its pairs still tell the noise
+    assert np.isfinite(thin[1][0]).all()
+    assert np.isnan(thin[1][1]).all()
+    assert thin[0][1, 5:].sum() > 0  # its pairs still tell the noise
 
 
 def test_stray_point_is_not_measured():
     rng = np.random.default_rng(6)
     x, y = 600_000 + rng.uniform(0, 3, 30), 3_999_999 + rng.uniform(0, 3, 30)
     z = rng.normal(0, 0.02, 30)
-    plain = thin_of(block_of(x, y, z)).pairs[0]
+    plain = thin_of(block_of(x, y, z))[0][0]
     x, y, z = np.append(x, 600_001.5), np.append(y, 4_000_000.5), np.append(z, 25.0)
-    stray = thin_of(block_of(x, y, z)).pairs[0]
+    stray = thin_of(block_of(x, y, z))[0][0]
     np.testing.assert_allclose(stray, plain, rtol=1e-6)
 
 
@@ -89,8 +90,8 @@ def test_points_that_are_no_ground_do_not_count():
     z = np.where(ground, rng.normal(0, 0.02, 60), rng.uniform(1, 9, 60))
     mixed = thin_of(block_of(x, y, z, ground), ground_only=True)
     alone = thin_of(block_of(x[ground], y[ground], z[ground]))
-    np.testing.assert_allclose(mixed.pairs[0, :2], alone.pairs[0, :2])
-    np.testing.assert_allclose(mixed.pairs[0, 2:], alone.pairs[0, 2:], rtol=1e-9)
+    np.testing.assert_allclose(mixed[0][0, :2], alone[0][0, :2])
+    np.testing.assert_allclose(mixed[0][0, 2:], alone[0][0, 2:], rtol=1e-9)
 
 
 def test_points_on_a_line_span_no_plane():
@@ -106,4 +107,4 @@ def test_a_pond_is_a_hole_where_points_are_many(points, seen):
     x, y = x[dry][:points], y[dry][:points]
     block = block_of(x, y, rng.normal(0, 0.01, points))
     assert measure(block, SETTINGS, ground_only=False).reason.tolist() == [3]
-    assert thin_of(block).pairs[0, 1] == pytest.approx(seen)
+    assert thin_of(block)[0][0, 1] == pytest.approx(seen)

@@ -2,10 +2,10 @@
 
 import json
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.core import THIN_POINTS
@@ -25,14 +25,9 @@ def write(path, density, ground_share=0.0, side=60.0):
     """Write points at random over a square of 20 x 20 tiles."""
     rng = np.random.default_rng(3)
     count = int(density * side**2)
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, 0.001), np.array([500001.0, 4000002.0, 0.0])
-    las = laspy.LasData(header)
-    las.x, las.y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
-    las.z = rng.normal(0.0, 0.02, count)
-    las.classification = np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
-    las.write(path)
-    return path
+    x, y = 500001 + rng.uniform(0.001, side - 0.001, count), 4000002 + rng.uniform(0.001, side - 0.001, count)
+    z, kind = rng.normal(0.0, 0.02, count), np.where(rng.random(count) < ground_share, 2, 1).astype(np.uint8)
+    return write_las(path, x, y, z, crs=None, classification=kind)
 
 
 def run(*words):

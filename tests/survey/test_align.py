@@ -3,13 +3,12 @@
 import json
 import shutil
 
-import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from pyproj import CRS
+from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.layers.products import PRODUCT_NAMES
@@ -36,14 +35,8 @@ def points(step, tilt=0.0, seed=0, n=10_000):
 
 
 def write(path, rows):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = CORNER, (0.001, 0.001, 0.0001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = (rows[:, :3] + CORNER).T
-    las.point_source_id = rows[:, 3].astype(np.uint16)
-    las.write(path)
-    return path
+    line, scales = rows[:, 3].astype(np.uint16), (0.001, 0.001, 0.0001)
+    return write_las(path, *(rows[:, :3] + CORNER).T, offset=CORNER, scales=scales, point_source_id=line)
 
 
 def mapped(out, *words):

@@ -4,14 +4,11 @@ import json
 import os
 from unittest.mock import Mock
 
-import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
-from pyproj import CRS
+from small_surveys import run, write_las
 
 from bumpymap import layers
-from bumpymap.cli import main
 from bumpymap.core import FileHash, hash_file
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, open_survey
@@ -24,20 +21,10 @@ from bumpymap.survey.engine.collector import ReadResult, ResultCollector
 pytestmark = pytest.mark.slow
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 def write_survey(path, lift=0.0, east=0.0):
     rng = np.random.default_rng(0)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y = rng.uniform(500_001 + east, 500_016 + east, 20_000), rng.uniform(4_000_002, 4_000_017, 20_000)
-    las.z = 100 + lift + 0.01 * rng.standard_normal(20_000)
-    las.write(path)
-    return path
+    x, y = rng.uniform(500_001 + east, 500_016 + east, 20_000), rng.uniform(4_000_002, 4_000_017, 20_000)
+    return write_las(path, x, y, 100 + lift + 0.01 * rng.standard_normal(20_000))
 
 
 def again(path, write):

@@ -7,12 +7,11 @@ import sys
 from pathlib import Path
 
 import geopandas
-import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
-from pyproj import CRS
+from small_surveys import write_las
 
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 
@@ -57,16 +56,10 @@ def ended(result, code):
     return said
 
 
-def write_las(path):
+def write_plain(path):
     rng = np.random.default_rng(0)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y = rng.uniform(500_001, 500_031, 60_000), rng.uniform(4_000_002, 4_000_032, 60_000)
-    las.z = 100 + 0.01 * rng.standard_normal(60_000)
-    las.write(path)
-    return path
+    x, y = rng.uniform(500_001, 500_031, 60_000), rng.uniform(4_000_002, 4_000_032, 60_000)
+    return write_las(path, x, y, 100 + 0.01 * rng.standard_normal(60_000))
 
 
 def write_frame(path):
@@ -78,7 +71,7 @@ def write_frame(path):
 
 @pytest.mark.parametrize("locale", LOCALES)
 def test_map(folder, tmp_path, locale):
-    survey, out = write_las(folder / f"{NAME}.las"), folder / f"{NAME} out"
+    survey, out = write_plain(folder / f"{NAME}.las"), folder / f"{NAME} out"
     result = run("map", survey, "--out", out, env=LOCALES[locale])
     ended(result, 0)
     (entry,) = json.loads((out / "run.json").read_text(encoding="utf-8"))["inputs"]
@@ -92,14 +85,14 @@ def test_map(folder, tmp_path, locale):
 
 
 def test_map_for_machines_names_the_files(folder):
-    survey, out = write_las(folder / f"{NAME}.las"), folder / "out"
+    survey, out = write_plain(folder / f"{NAME}.las"), folder / "out"
     result = run("map", survey, "--out", out, "--log-json")
     ended(result, 0)
     assert Path(json.loads(result.stdout.splitlines()[-1])["out"]) == out
 
 
 def test_map_on_a_cluster_with_scratch(folder, dask_scheduler):
-    survey, out = write_las(folder / f"{NAME}.las"), folder / "out"
+    survey, out = write_plain(folder / f"{NAME}.las"), folder / "out"
     ended(run("map", survey, "--out", out, "--scheduler", dask_scheduler, "--scratch", folder / "scratch"), 0)
     assert (out / "run.json").exists()
 
@@ -110,7 +103,7 @@ def test_messages_name_the_file(folder, locale):
     bad.write_bytes(b"LASF" + bytes(500))
     for command in (["info", bad], ["map", bad, "--out", folder / "out"]):
         assert "caf" in ended(run(*command, env=LOCALES[locale]), 3)
-    good = write_las(folder / "good.las")
+    good = write_plain(folder / "good.las")
     ended(run("map", bad, good, "--out", folder / "out", "--skip-bad", env=LOCALES[locale]), 4)
     skipped = json.loads((folder / "out" / "run.json").read_text(encoding="utf-8"))["skipped"]
     assert [Path(path) for path in skipped] == [bad]
@@ -118,7 +111,7 @@ def test_messages_name_the_file(folder, locale):
 
 @pytest.mark.parametrize("locale", LOCALES)
 def test_info(folder, locale):
-    survey = write_las(folder / f"{NAME}.las")
+    survey = write_plain(folder / f"{NAME}.las")
     assert "bumpymap map" in ended(run("info", survey, env=LOCALES[locale]), 0)
     result = run("info", survey, "--json", env=LOCALES[locale])
     ended(result, 0)

@@ -5,39 +5,20 @@ import os
 import shutil
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pyogrio
 import pytest
 import rasterio
 from alike_surveys import alike_surveys
-from click.testing import CliRunner
 from pyproj import CRS
+from small_surveys import run, write_las
 
-from bumpymap.cli import main
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
-def write_las(path, x, y, z, *, crs="EPSG:32614", classification=None, offset=(500_000, 4_000_000, 0)):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
-    if crs:
-        header.add_crs(CRS.from_user_input(crs))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = (np.asarray(axis, float) for axis in (x, y, z))
-    if classification is not None:
-        las.classification = classification
-    las.write(path)
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -149,13 +130,6 @@ def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
             under[ground] = raster.read(1)[7, 2]
     assert under["auto"] == under["class"] < under["all"] == 3
     assert product_bytes(tmp_path / "auto") == product_bytes(tmp_path / "class")
-
-
-def test_the_papers_rules_can_be_asked_for(survey, tmp_path):
-    result = run("map", survey, "--out", tmp_path / "paper", "--compat", "paper")
-    assert result.exit_code == 0, result.output
-    with rasterio.open(tmp_path / "paper" / "class.tif") as raster:
-        assert set(np.unique(raster.read(1))) <= {0, 1, 2, 3}
 
 
 def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):
@@ -369,24 +343,6 @@ def test_bad_files_among_good_ones(survey, layers, tmp_path):
     assert len(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == 10
 
 
-def test_an_unwritable_place_is_refused_before_the_work(survey, tmp_path):
-    (tmp_path / "file").write_text("in the way")
-    result = run("map", survey, "--out", tmp_path / "file" / "layers")
-    assert result.exit_code == 3
-    assert "Traceback" not in result.output
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [["map"], ["map", "x.laz"], ["map", "x.laz", "--out", "o", "--ground", "some"], ["mop"],
-     ["map", "x.laz", "--out", "o", "--tile-size", "-3"], ["map", "x.laz", "--out", "o", "--config", "none.toml"]],
-)  # fmt: skip
-def test_wrong_usage_is_exit_two(arguments):
-    result = run(*arguments)
-    assert result.exit_code == 2
-    assert "Traceback" not in result.output
-
-
 def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
     file = tmp_path / "site.toml"
     file.write_text(f'surveys = ["{survey}"]\nout = "layers"\n')
@@ -394,31 +350,6 @@ def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
     assert product_bytes(tmp_path / "layers") == product_bytes(layers)
     assert run("map", "--config", file, "--out", tmp_path / "elsewhere").exit_code == 0
     assert (tmp_path / "elsewhere" / "class.tif").exists()
-
-
-def test_other_tiles_than_the_calibrations_are_refused(survey, tmp_path):
-    result = run("map", survey, "--out", tmp_path / "layers", "--tile-size", 1.5, "--pixels", 30)
-    assert result.exit_code == 2
-    assert "1.5" in result.output
-    assert list((tmp_path / "layers").glob("*")) == []
-
-
-def test_machines_get_one_json_object(survey, tmp_path):
-    result = run("map", survey, "--out", tmp_path / "layers", "--log-json")
-    record = json.loads(result.stdout.strip().splitlines()[-1])
-    assert record["points"] == 60_000
-    assert record["tiles"] == 100
-
-
-def test_a_map_without_classes_says_what_to_do(site, tmp_path):
-    x, y, z = (axis[::100] for axis in site)
-    sparse = write_las(tmp_path / "sparse.laz", x, y, z)
-    result = run("map", sparse, "--out", tmp_path / "sparse")
-    assert result.exit_code == 0
-    assert "of the tiles are unknown, mostly because of too few points: 6 points per tile (median)" in result.output
-    few = np.where(np.arange(len(site[0])) % 100 == 0, 2, 5).astype(np.uint8)
-    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
-    assert "--ground all" in run("map", wooded, "--out", tmp_path / "wooded").output
 
 
 def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):
@@ -449,25 +380,6 @@ def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
         assert result.exit_code == 2
         assert "the path is empty" in result.output
     assert list(tmp_path.iterdir()) == []
-
-
-def test_ctrl_c_ends_with_a_word_and_leaves_no_folder(survey, tmp_path, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("bumpymap.survey.engine.run.decide_ground", interrupted)
-    result = run("map", survey, "--out", tmp_path / "layers")
-    assert result.exit_code == 130
-    assert "Interrupted" in result.output
-    assert not (tmp_path / "layers").exists()
-
-
-def test_info_judges_the_points_that_map_will_measure(site, tmp_path):
-    few = np.where(np.arange(len(site[0])) % 100 == 0, 2, 5).astype(np.uint8)
-    wooded = write_las(tmp_path / "wooded.laz", *site, classification=few)
-    told = " ".join(run("info", wooded).output.split())
-    assert "100% of the tiles will be unknown, mostly because of too few points: 6 ground points (class 2)" in told
-    assert "ready" not in told
 
 
 def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
@@ -507,21 +419,6 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
     assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
     assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
     assert cost["rubble"] > 0.273  # rough or worse
-
-
-def test_info_says_how_several_files_make_one_map(survey, layers, tmp_path):
-    for name in ("a.laz", "b.laz"):
-        (tmp_path / name).write_bytes(survey.read_bytes())
-    told = run("info", tmp_path, "--quick").output
-    assert f"2 files, 120,000 points, one map: bumpymap map {tmp_path} --out DIR" in told
-    assert "one map" not in run("info", survey, "--quick").output
-
-
-def test_a_folder_may_have_any_name(survey, layers, tmp_path):
-    out = tmp_path / "Grünfläche [2] 50%! new"
-    result = run("map", survey, "--out", out)
-    assert result.exit_code == 0, result.output
-    assert product_bytes(out) == product_bytes(layers)
 
 
 def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):

@@ -3,13 +3,12 @@
 import json
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
-from pyproj import CRS
+from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
@@ -40,15 +39,8 @@ def points():
 
 
 def write(path, points, offset):
-    path.parent.mkdir(exist_ok=True)
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = (points[:, :3] + CORNER).T
-    las.classification = points[:, 3].astype(np.uint8)
-    las.write(path)
-    return path
+    kind = points[:, 3].astype(np.uint8)
+    return write_las(path, *(points[:, :3] + CORNER).T, offset=offset, classification=kind)
 
 
 def mapped(files, out, *options):

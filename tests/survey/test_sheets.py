@@ -2,13 +2,11 @@
 
 import json
 
-import laspy
 import numpy as np
 import pytest
 import rasterio
 from click.testing import CliRunner
-from pyproj import CRS
-from small_surveys import write_survey
+from small_surveys import write_las, write_survey
 
 import bumpymap
 from bumpymap.cli import main
@@ -154,15 +152,9 @@ def test_a_site_too_large_for_one_map_is_told_of_sheets(survey, tmp_path, monkey
 
 def _write_points(path, east, north):
     """A square of points around each easting."""
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
     spread = np.random.default_rng(0).uniform(0, 2, (len(east), 200, 2))
-    las.x, las.y = (east[:, None] + spread[..., 0]).ravel(), (north + spread[..., 1]).ravel()
-    las.z = np.full(las.x.shape, 7.0)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    las.write(path)
+    x, y = (east[:, None] + spread[..., 0]).ravel(), (north + spread[..., 1]).ravel()
+    write_las(path, x, y, np.full(x.shape, 7.0))
 
 
 class TestCommandLine:

@@ -3,23 +3,16 @@
 import json
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 import rasterio
-from click.testing import CliRunner
-from pyproj import CRS
+from small_surveys import run, write_las
 
 import bumpymap
-from bumpymap.cli import main
 from bumpymap.core import UsageError
 from bumpymap.survey.batch.source import read_table
 
 NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -30,14 +23,7 @@ def survey(tmp_path_factory):
     kept = (x > 12) | (y < 18) | (rng.random(60_000) < 0.05)
     x, y = x[kept], y[kept]
     z = 100 + 0.02 * x + np.where(x > 15, 0.15 * np.sin(5 * x) * np.sin(4 * y), 0.0) + 0.004 * rng.normal(size=len(x))
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = x + 500_001, y + 4_000_002, z
-    path = tmp_path_factory.mktemp("survey") / "site.laz"
-    las.write(path)
-    return path
+    return write_las(tmp_path_factory.mktemp("survey") / "site.laz", x + 500_001, y + 4_000_002, z)
 
 
 @pytest.fixture(scope="module")

@@ -5,10 +5,8 @@ import shutil
 
 import pytest
 import rasterio
-from click.testing import CliRunner
-from small_surveys import write_survey
+from small_surveys import run, write_survey
 
-from bumpymap.cli import main
 from bumpymap.layers.products import VIEW_NAMES
 
 pytestmark = pytest.mark.slow
@@ -17,10 +15,6 @@ STATISTICS = (
     "<PAMDataset><PAMRasterBand band='1'><Metadata><MDI key='STATISTICS_MAXIMUM'>1</MDI></Metadata></PAMRasterBand>"
     "</PAMDataset>"
 )
-
-
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")

@@ -200,8 +200,8 @@ def survey_columns(
     for block in survey_terrains(terrains, effects, seed).blocks():
         points = _cut(block) if cut else block
         patches = measure(points, settings, ground_only=False)
-        thin = measure_thin(points, patches, settings, ground_only=False)
-        columns.append(thin_columns(thin.pairs, thin.relief_map, patches.count, operator).astype(np.float64))
+        pairs, relief_map = measure_thin(points, patches, settings, ground_only=False)
+        columns.append(thin_columns(pairs, relief_map, patches.count, operator).astype(np.float64))
         tile.append(patches.col)
     return np.concatenate(columns), np.concatenate(tile)
 

@@ -26,7 +26,6 @@ __all__ = [
     "SQUARES",
     "Lattice",
     "Squares",
-    "WayGraph",
     "line_cost",
     "make_graph",
     "make_lattice",
@@ -239,17 +238,8 @@ _BATCH = 5_000
 """Features that are written at once."""
 
 
-@dataclass(frozen=True, slots=True)
-class WayGraph:
-    """The graph of an area."""
-
-    lattice: Lattice
-    every: int
-    """Side of the largest squares that hold one node each, tiles."""
-
-
-def make_graph(area: ExportArea, every: int | None) -> WayGraph:
-    """Thin the passable tiles of an area to a graph.
+def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
+    """Thin the passable tiles of an area to a graph; return it, and the side of its largest squares, tiles.
 
     Parameters
     ----------
@@ -288,7 +278,7 @@ def make_graph(area: ExportArea, every: int | None) -> WayGraph:
             f"no two nodes are connected: {len(squares.row)} of the area, with `every={every}`. Choose another area, "
             "or pass a smaller `every`"
         )
-    return WayGraph(lattice, every)
+    return lattice, every
 
 
 def _thin(factor: NDArray[np.float64], every: int | None, origin: tuple[int, int]) -> tuple[int, Squares]:
@@ -299,11 +289,11 @@ def _thin(factor: NDArray[np.float64], every: int | None, origin: tuple[int, int
     return side, squares
 
 
-def write_graph(folder: Path, area: ExportArea, graph: WayGraph) -> dict[str, Any]:
+def write_graph(folder: Path, area: ExportArea, lattice: Lattice, every: int) -> dict[str, Any]:
     """Write graph.geojson, and return what the sidecar file says of it."""
     parts = [b'{"type":"FeatureCollection","name":"bumpymap","features":[\n']
     features, separator = [], b""
-    for feature in _features(area, graph.lattice):
+    for feature in _features(area, lattice):
         features.append(json.dumps(feature, separators=(",", ":"), allow_nan=False))
         if len(features) == _BATCH:
             parts.append(separator + ",\n".join(features).encode())
@@ -311,13 +301,13 @@ def write_graph(folder: Path, area: ExportArea, graph: WayGraph) -> dict[str, An
     if features:
         parts.append(separator + ",\n".join(features).encode())
     write_file(folder / "graph.geojson", *parts, b"\n]}\n")
-    nodes, edges = len(graph.lattice.row), 2 * len(graph.lattice.cost)
+    nodes, edges = len(lattice.row), 2 * len(lattice.cost)
     return {
         "graph": {
             "nodes": nodes,
             "edges": edges,
-            "tiles_left_out": graph.lattice.tiles_left_out,
-            "largest_square": graph.every,
+            "tiles_left_out": lattice.tiles_left_out,
+            "largest_square": every,
             "cost": "m of smooth, safe ground",
         }
     }

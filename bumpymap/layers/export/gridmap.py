@@ -1,6 +1,6 @@
 """A grid_map message in a ROS 2 bag (MCAP): elevation, c_r, p_fail, class, obstacle. No ROS is needed to write it."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,6 @@ from bumpytiles import TileWindow
 __all__ = [
     "GRID_MAP",
     "TOPIC",
-    "GridLayers",
     "grid_map_message",
     "make_layers",
     "require_rosbags",
@@ -48,13 +47,6 @@ uint16 inner_start_index
 """Fields of the messages, in the order of ROS 2."""
 
 
-@dataclass(frozen=True, slots=True)
-class GridLayers:
-    """Layers by name, float32 (rows, cols) each, north row first; NaN where unknown."""
-
-    values: dict[str, NDArray[np.float32]]
-
-
 def require_rosbags() -> None:
     """Raise UsageError if the extra ``ros`` is not installed."""
     try:
@@ -66,8 +58,8 @@ def require_rosbags() -> None:
         ) from error
 
 
-def make_layers(area: ExportArea) -> GridLayers:
-    """Read the layers of an area.
+def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
+    """Read the layers of an area by name, (rows, cols) each, north row first; NaN where unknown.
 
     With one cell a tile, elevation is the mean of the tile's heights and obstacle the share of its pixels; else
     elevation is the heightmap and obstacle the state of the pixel: 0 free, 1 obstacle, 2 canopy, NaN unknown.
@@ -89,7 +81,7 @@ def make_layers(area: ExportArea) -> GridLayers:
     for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
-    return GridLayers(values)
+    return values
 
 
 def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
@@ -138,7 +130,7 @@ def typestore() -> Any:
     return store
 
 
-def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[str, Any]:
+def write_gridmap(folder: Path, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> dict[str, Any]:
     """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
 
     All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
@@ -163,7 +155,7 @@ def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[st
         remove_path(bag)
     except OSError as error:
         raise OutputError(f"cannot write the bag to {folder.parent}: {error}. Choose another `out`") from error
-    return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers.values)}
+    return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers)}
 
 
 def _latched() -> Any:
@@ -183,7 +175,7 @@ def _latched() -> Any:
     )
 
 
-def _message(store: Any, area: ExportArea, layers: GridLayers) -> Any:
+def _message(store: Any, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> Any:
     """Make the message: position of the middle, sides, and the layers."""
     types, bounds = store.types, area.bounds
     stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
@@ -193,7 +185,7 @@ def _message(store: Any, area: ExportArea, layers: GridLayers) -> Any:
 
 
 def grid_map_message(
-    store: Any, header: Any, middle: tuple[float, float], resolution: float, layers: GridLayers
+    store: Any, header: Any, middle: tuple[float, float], resolution: float, layers: Mapping[str, NDArray[np.float32]]
 ) -> Any:
     """Make a message ``grid_map_msgs/GridMap``.
 
@@ -206,11 +198,11 @@ def grid_map_message(
         x and y of the middle of the grid in the frame of the header, m.
     resolution : float
         Side of a cell, m.
-    layers : GridLayers
+    layers : mapping
         One of them is ``elevation``.
     """
     types = store.types
-    rows, cols = layers.values["elevation"].shape
+    rows, cols = layers["elevation"].shape
     point = types["geometry_msgs/msg/Point"](x=middle[0], y=middle[1], z=0.0)
     upright = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
     info = types["grid_map_msgs/msg/GridMapInfo"](
@@ -222,9 +214,9 @@ def grid_map_message(
     return types[GRID_MAP](
         header=header,
         info=info,
-        layers=list(layers.values),
+        layers=list(layers),
         basic_layers=["elevation"],
-        data=[_array(types, layer) for layer in layers.values.values()],
+        data=[_array(types, layer) for layer in layers.values()],
         outer_start_index=0,
         inner_start_index=0,
     )

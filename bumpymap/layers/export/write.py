@@ -281,8 +281,8 @@ def _gridmap(area: ExportArea, _: ExportSettings) -> _Writer:
 
 
 def _graph(area: ExportArea, settings: ExportSettings) -> _Writer:
-    graph = make_graph(area, settings.every)
-    return lambda folder: write_graph(folder, area, graph)
+    lattice, every = make_graph(area, settings.every)
+    return lambda folder: write_graph(folder, area, lattice, every)
 
 
 def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:

@@ -122,16 +122,7 @@ def paletted(
 ) -> RasterStyle:
     """Return the style of a band of codes; what is transparent has no entry, as a legend would show it in black.
 
-    Parameters
-    ----------
-    names : iterable of (int, str)
-        The codes and what they mean, in the order of the legend.
-    colours : mapping
-        The colour of each code.
-    clear : sequence of int
-        Codes that are left transparent, whatever their colour.
-    band : int
-        The band with the codes.
+    The legend has the order of ``names``; the codes ``clear`` are left transparent, whatever their colour.
     """
     renderer = _renderer("paletted", band)
     palette = add(renderer, "colorPalette")
@@ -171,12 +162,8 @@ def ramp(band: int, stops: Sequence[tuple[float, str, Colour]], *, clip: bool = 
 def hillshade(z_factor: float, opacity: float = 1.0) -> RasterStyle:
     """Return the style of heights as a relief with the light from the north-west.
 
-    Parameters
-    ----------
-    z_factor : float
-        What a height is multiplied by to have the unit of the CRS.
-    opacity : float
-        Below 1: paler, so that colours over it stay those of their legend.
+    ``z_factor`` turns heights into the unit of the CRS. An ``opacity`` below 1 is paler, so that colours over it stay
+    those of their legend.
     """
     renderer = _renderer("hillshade", 1, opacity)
     renderer.attrib |= {"azimuth": "315", "angle": "45", "zfactor": f"{z_factor:.9g}", "multidirection": "0"}
@@ -219,14 +206,7 @@ TILE_KIND = (
 def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[ET.Element]:
     """Return what stands for areas by class in a style file or in the layer of a project.
 
-    Parameters
-    ----------
-    kind : str
-        Expression that gives the name of the class, or "unknown" or "not passable".
-    labels : sequence of str
-        What the legend says for each class.
-    blend : int
-        Blending mode.
+    The expression ``kind`` gives the name of the class, or "unknown" or "not passable".
     """
     looks: list[AreaLook] = [
         (name, label, CLASS_COLOURS[number], "solid")

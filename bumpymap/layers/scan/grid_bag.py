@@ -28,7 +28,7 @@ from bumpymap.core import (
     atomic,
     remove_path,
 )
-from bumpymap.layers.export.gridmap import GRID_MAP, GridLayers, grid_map_message, require_rosbags, typestore
+from bumpymap.layers.export.gridmap import GRID_MAP, grid_map_message, require_rosbags, typestore
 from bumpymap.layers.scan.folder import Frame
 
 __all__ = ["GridBag", "GroundGrid", "check_bag_file", "sector_occupancy"]
@@ -274,7 +274,7 @@ class GridBag:
         grid, header = self._grid, self._header(frame, number)
         occupancy = grid.fill(self._blank(), classed, header)
         occupancy.data = np.frombuffer(occupancy.data, np.int8)
-        layers = GridLayers({name: layer[::-1] for name, layer in grid.layers(scan, classed).items()})
+        layers = {name: layer[::-1] for name, layer in grid.layers(scan, classed).items()}
         grid_map = grid_map_message(self._store, header, (0.0, 0.0), grid.resolution_m, layers)
         with self.part(number).open("wb") as file:
             file.write(struct.pack("<q", _stamp_ns(frame, number)))

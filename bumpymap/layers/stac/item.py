@@ -50,12 +50,7 @@ _TABLES: dict[str, tuple[dict[int, str], _Colours]] = {
 def classes_of_band(band: str, limits: Sequence[float] = ()) -> list[dict[str, Any]] | None:
     """Return the entries of ``classification:classes`` of a band of codes; None: the band holds none.
 
-    Parameters
-    ----------
-    band : str
-        Its name.
-    limits : sequence of float, optional
-        Ride costs between the classes, rad/m, if the classes of the map were made by them.
+    ``limits`` are the ride costs between the classes, rad/m, if the classes of the map were made by them.
     """
     if band not in _TABLES:
         return None
@@ -120,14 +115,7 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
     """Return the assets of an item: every file of a map by its name, with what its header says.
 
     Files to look at the others with are assets if they are there; they have no size and no checksum, since GIS programs
-    rewrite them.
-
-    Parameters
-    ----------
-    folder : Path
-        With the complete layers.
-    record : mapping
-        The content of run.json.
+    rewrite them. ``record`` is the content of run.json.
     """
     known = {file["path"]: file for file in record["files"]}
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
@@ -376,7 +364,8 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The file cannot be written.
     """
-    name = valid_text(_survey_name(record))
+    paths = (PurePosixPath(str(file["path"])) for file in record.get("inputs") or ())
+    name = valid_text(str(_survey(record).get("name") or min((path.stem for path in paths), default="map")))
     grid = describe_grid(folder / _TILES)
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
@@ -414,12 +403,6 @@ def _identity(name: str, record: Mapping[str, Any]) -> str:
     digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
     place = [f"column{sheet['column']}", f"row{sheet['row']}"] if sheet else []
     return "_".join([identifier(name), *([digits] if digits else []), *place])
-
-
-def _survey_name(record: Mapping[str, Any]) -> str:
-    if name := _survey(record).get("name"):
-        return str(name)
-    return min((PurePosixPath(str(file["path"])).stem for file in record.get("inputs") or ()), default="map")
 
 
 def _description(record: Mapping[str, Any]) -> str:

@@ -140,7 +140,7 @@ class ThinModel:
         """
         inputs = (columns, noise, self.felt, self.relief)
         relief = _log_relief(columns, noise)
-        log_c_r = ride_terms(*inputs) @ np.array(self.c_r) + relief - np.clip(relief, *self.relief)
+        log_c_r = ride_terms(*inputs) @ np.array(self.c_r) + (relief - np.clip(relief, *self.relief))
         sd = np.exp(spread_terms(*inputs) @ np.array(self.spread))
         logit = np.clip(fail_terms(columns, noise, self.felt) @ np.array(self.fail), -_MOST_LOGIT, _MOST_LOGIT)
         below, above = (np.hypot(self.own_spread, side * sd) for side in self.sides)
@@ -161,10 +161,6 @@ def _log_relief(columns: Floats, noise: Floats) -> Floats:
     """Return ln of the standard deviation of the ground about the plane times sqrt 2, without the noise."""
     variance = _column(columns, "spread") ** 2 - noise**2
     return 0.5 * np.log(2.0 * np.maximum(variance, (_LEAST_SHARE * noise) ** 2 + _TINY**2))
-
-
-def _beyond(value: Floats, limits: tuple[float, float]) -> Floats:
-    return value - np.clip(value, *limits)
 
 
 def log_points(points: Floats) -> Floats:

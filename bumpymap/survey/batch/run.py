@@ -22,7 +22,6 @@ from typing import Any, TypeAlias, Unpack
 from bumpymap.core import (
     BumpymapError,
     Holder,
-    MapConfig,
     OutputError,
     UsageError,
     atomic,
@@ -242,7 +241,9 @@ def run_batch(
     refuse_faults(settings.faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
     surveys = list_surveys(config.source, config.survey_per, lambda own: settings.faults(config.merged(own)))
     tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
-    _require_scheduler(tasks[0].config)
+    if (scheduler := tasks[0].config.scheduler) is not None:
+        with connect(scheduler):  # if it does not answer, each survey would wait for it
+            pass
     if remote is None:
         check_batch_out(folder)
     else:
@@ -280,13 +281,6 @@ def run_batch(
         with suppress(OSError):  # layers that could not be uploaded are in it
             folder.rmdir()
     return result
-
-
-def _require_scheduler(config: MapConfig) -> None:
-    """Raise UsageError if the scheduler does not answer: else each survey would wait for it."""
-    if config.scheduler is not None:
-        with connect(config.scheduler):
-            pass
 
 
 def _title(out: Path | str) -> str:

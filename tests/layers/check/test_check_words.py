@@ -7,7 +7,7 @@ import pytest
 from check_records import made_up_check
 
 from bumpymap.layers import check_headline
-from bumpymap.layers.check.words import check_verdict, level_words, metres, percent
+from bumpymap.layers.check.words import check_verdict, level_words
 
 
 def judged(n=40, **figures):
@@ -81,15 +81,3 @@ def test_without_a_map_the_drives_alone_are_told():
     assert check_headline(result) == (
         f"1 drive measured over 80 m: a ride cost of {mean:.3f} rad/m on average. No map was checked."
     )
-
-
-def test_nothing_measured_is_said():
-    result = made_up_check(2, ground=False)
-    none = {name: getattr(result.stretches, name)[:0] for name in result.stretches.__slots__}
-    result = replace(result, stretches=replace(result.stretches, **none))
-    assert check_headline(result) == "Nothing was measured on 1 drive."
-
-
-def test_lengths_and_shares():
-    assert [metres(value) for value in (0.4, 4999.0, 12_345.0)] == ["0 m", "4,999 m", "12.3 km"]
-    assert [percent(value) for value in (0.123, float("nan"))] == ["12 %", "\N{EN DASH}"]

@@ -67,11 +67,6 @@ def styled(folder, **record):
     return {path.name: read(path) for path in folder.glob("*.qml")}
 
 
-def test_a_map_has_all_styles_and_a_project(folder):
-    assert {path.name for path in folder.iterdir()} >= set(GIS_FILES)
-    assert {path.name for path in (*folder.glob("*.qml"), *folder.glob("*.qgs"))} == set(GIS_FILES)
-
-
 def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
     styles = styled(alone)
     labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]

@@ -11,8 +11,7 @@ from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
-from bumpymap.layers.colours import CLASS_COLOURS, RideScale, nice_limit
-from bumpymap.layers.geotiff import box_sum
+from bumpymap.layers.colours import CLASS_COLOURS, RideScale
 from bumpymap.layers.route import drawing
 from bumpymap.layers.route.drawing import (
     BARRED_SHADE,
@@ -21,11 +20,8 @@ from bumpymap.layers.route.drawing import (
     UNKNOWN_SHADE,
     MapView,
     Pen,
-    bar_length,
     hatched,
     paint_ground,
-    tick_step,
-    ticks,
 )
 from bumpymap.layers.route.picture import paint_route, write_route_picture
 from bumpytiles import Grid
@@ -91,26 +87,6 @@ def test_slopes_to_the_north_west_are_bright(view, ground):
         ground.height = rise.astype(np.float32)  # a plane that faces the side it is named after
         brightness[name] = paint_ground(ground, view)[0].sum(axis=2).mean()
     assert brightness["south-east"] + 30 < brightness["level"] < brightness["north-west"] - 30
-
-
-def test_holes_in_the_relief_are_filled_from_around_them():
-    plane = np.add.outer(np.arange(30.0), 2.0 * np.arange(40.0)) + 2000.0
-    holed = plane.copy()
-    holed[10, 10] = holed[20, 5:7] = np.nan
-    filled = drawing._fill(holed)
-    known = np.isfinite(holed)
-    np.testing.assert_array_equal(filled[known], plane[known])
-    assert filled[10, 10] == pytest.approx(plane[10, 10])  # the mean of a symmetric neighbourhood
-    np.testing.assert_allclose(filled[20, 5:7], plane[20, 5:7], atol=1.5)
-    assert np.isnan(drawing._fill(np.full((5, 5), np.nan))).all()
-
-
-@given(st.integers(0, 3), st.integers(1, 12), st.integers(1, 12), st.integers(0, 99))
-def test_a_sum_in_boxes_is_a_sum_in_boxes(half, rows, cols, seed):
-    values = np.random.default_rng(seed).integers(0, 9, (rows, cols)).astype(float)
-    padded = np.pad(values, half)
-    windows = np.lib.stride_tricks.sliding_window_view(padded, (2 * half + 1, 2 * half + 1))
-    np.testing.assert_array_equal(box_sum(values, half), windows.sum(axis=(2, 3)))
 
 
 @given(
@@ -194,37 +170,6 @@ def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(ground, t
         np.testing.assert_array_equal(file.read().transpose(1, 2, 0), np.asarray(paint_route([make_route()], ground)))
 
 
-@given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 12))
-def test_ticks_are_round_and_inside(low, span, most):
-    values, decimals = ticks(low, low + span, most)
-    step = tick_step(span, most)
-    assert len(values) <= most + 1
-    assert step >= span / most * (1 - 1e-9)
-    assert f"{step:.0e}"[0] in "125"
-    assert all(low - step * 1e-6 <= value <= low + span + step * 1e-6 for value in values)
-    assert len({f"{value:.{decimals}f}" for value in values}) == len(values)
-
-
-@given(st.floats(1e-6, 1e9))
-def test_a_scale_bar_is_the_longest_round_length(most):
-    length = bar_length(most)
-    assert most / 2.5 * (1 - 1e-6) <= length <= most * (1 + 1e-6)
-    assert f"{length:.0e}"[0] in "125"
-
-
-@given(st.lists(st.floats(1e-5, 1e3), min_size=1, max_size=50))
-def test_the_scale_of_colours_ends_at_a_round_number(values):
-    limit = nice_limit(np.array(values))
-    most = np.quantile(values, 0.95)
-    assert most <= limit * (1 + 1e-9)
-    assert limit <= 2.1 * most
-    assert f"{limit:.0e}"[0] in "1235"
-
-
-def test_without_values_the_scale_has_an_end():
-    assert nice_limit(np.array([np.nan])) == nice_limit(np.array([])) == nice_limit(np.zeros(3)) == 0.1
-
-
 def class_colours(*numbers):
     return 255 + 0.82 * (np.array([CLASS_COLOURS[number][:3] for number in numbers]) - 255.0)
 
@@ -245,14 +190,6 @@ def test_the_scale_of_colours_runs_through_those_of_the_classes():
 def test_limits_that_are_none_give_a_round_scale(limits):
     for calibration in ({"class_limits": limits}, limits):
         assert RideScale.of({"calibration": calibration}, np.full(9, 1.0)).end == 1.0
-
-
-def test_lines_have_smooth_edges():
-    pen = Pen(40, 40)
-    pen.line(np.array([[5.0, 5.0], [35.0, 30.0]]), (0, 0, 0), 3)
-    shades = np.unique(np.asarray(pen.finished()))
-    assert len(shades) > 3
-    assert shades[[0, -1]].tolist() == [0, 255]
 
 
 def words_of(routes, ground, monkeypatch):

@@ -11,15 +11,12 @@ from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
-import laspy
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
-from pyproj import CRS
+from small_surveys import run, write_las
 
 import bumpytiles
-from bumpymap.cli import main
 from bumpymap.core import hash_file, processes
 from bumpymap.core.errors import OutputError, UsageError
 from bumpymap.core.processes import Child, SharedMemory
@@ -67,10 +64,6 @@ def fail(number):
 '''
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 def layers_of(folder):
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
@@ -80,14 +73,9 @@ def inputs_of(folder):
     return json.loads((folder / "run.json").read_text(encoding="utf-8"))["inputs"]
 
 
-def write_las(path, columns, chosen, offset):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = offset, (0.001, 0.001, 0.001)
-    header.add_crs(CRS.from_epsg(32614))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z, las.classification = (axis[chosen] for axis in columns)
-    las.write(path)
-    return path
+def write_part(path, columns, chosen, offset):
+    *place, kind = (axis[chosen] for axis in columns)
+    return write_las(path, *place, offset=offset, classification=kind)
 
 
 @pytest.fixture(scope="module")
@@ -100,9 +88,9 @@ def surveys(tmp_path_factory):
     kind = np.where(rng.random(n) < 0.6, 2, 5).astype(np.uint8)
     columns = (np.round(x, 3) + 500_001, np.round(y, 3) + 4_000_002, np.round(z, 3), kind)
     folder = tmp_path_factory.mktemp("surveys")
-    write_las(folder / "a.laz", columns, np.flatnonzero(x < 90), (500_000, 4_000_000, 0))
-    write_las(folder / "b.las", columns, np.flatnonzero(x > 60)[::-1], (499_000.5, 3_999_000, 7))
-    write_las(folder / "c.las", columns, rng.permutation(np.flatnonzero((x < 40) & (y < 25))), (500_100, 4_000_000, 0))
+    write_part(folder / "a.laz", columns, np.flatnonzero(x < 90), (500_000, 4_000_000, 0))
+    write_part(folder / "b.las", columns, np.flatnonzero(x > 60)[::-1], (499_000.5, 3_999_000, 7))
+    write_part(folder / "c.las", columns, rng.permutation(np.flatnonzero((x < 40) & (y < 25))), (500_100, 4_000_000, 0))
     return folder
 
 
@@ -222,7 +210,7 @@ def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
     side = np.linspace(0.5, 59.5, 250)
     x, y = (axis.ravel() for axis in np.meshgrid(side, side))
     columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
-    noise = [write_las(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
+    noise = [write_part(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
     for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
         result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
         assert result.exit_code == 0, result.output
@@ -252,7 +240,7 @@ def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(survey
 
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
-    file = write_las(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
+    file = write_part(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
     result = run("map", file, "--out", tmp_path / "layers", "--scheduler", "here", "--ground", "class")
     assert result.exit_code == 3
     assert "no point of the survey has class 2" in result.output

@@ -9,9 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
-
-from bumpymap.cli import main
+from small_surveys import run
 
 dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
@@ -21,10 +19,6 @@ pytestmark = pytest.mark.slow
 
 SURVEY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry_part.ply"
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "cluster.md"
-
-
-def run(*words):
-    return CliRunner().invoke(main, [str(word) for word in words])
 
 
 def map_line(tmp_path, *more):

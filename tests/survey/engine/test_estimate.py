@@ -6,11 +6,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
+from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.layers import write_products as write
@@ -24,15 +24,8 @@ pytestmark = pytest.mark.slow
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 
 
-def write_las(path, points, ground=None):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = points.T
-    if ground is not None:
-        las.classification = np.where(ground, 2, 1).astype(np.uint8)
-    las.write(path)
-    return path
+def write_points(path, points, ground=False):
+    return write_las(path, *points.T, crs=None, classification=np.where(ground, 2, 1) * np.ones(len(points), np.uint8))
 
 
 def bytes_in(folder, names="*"):
@@ -78,7 +71,7 @@ def test_a_run_takes_no_more_disk_than_was_said(tmp_path_factory, seed, span, fi
     for number in range(files):
         corner = (500_000 + number * span * rng.integers(2), 4_000_000, 0)
         points = rng.uniform(0, span, (3_000, 3)) + corner
-        surveys.append(write_las(folder / f"{number}.las", points))
+        surveys.append(write_points(folder / f"{number}.las", points))
     with pytest.MonkeyPatch.context() as patch:
         foretold, found = map_and_look(surveys, folder, (waiting, 400), patch)
     assert (found["scratch"] > 0) <= (3_000 * files > waiting)
@@ -93,7 +86,7 @@ def full_tiles(folder, files, west, side, points_a_pixel):
     for number in range(files):
         count = int(points_a_pixel * (side / 0.2) ** 2)
         points = rng.uniform(0, 1, (count, 3)) * (side, side, 3) + (west + 48 * number, 4_000_034, 0)
-        surveys.append(write_las(folder / f"{number}.las", points, ground=rng.random(count) < 0.5))
+        surveys.append(write_points(folder / f"{number}.las", points, ground=rng.random(count) < 0.5))
     return surveys
 
 
@@ -110,7 +103,7 @@ def test_tiles_and_layers_take_nearly_what_was_said_and_no_more(tmp_path, monkey
 def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkeypatch):
     # Each file reaches into the block of the next one: all points wait for the last file.
     surveys = [*full_tiles(tmp_path, 3, 499_990, 44, 1)]
-    surveys.append(write_las(tmp_path / "all.las", np.array([[499_990.0, 4_000_034, 0], [500_150.0, 4_000_080, 0]])))
+    surveys.append(write_points(tmp_path / "all.las", np.array([[499_990.0, 4_000_034, 0], [500_150.0, 4_000_080, 0]])))
     foretold, found = map_and_look(surveys, tmp_path, (15_000, 4_000), monkeypatch)
     assert 0.85 * foretold.scratch < found["scratch"] <= foretold.scratch
 
@@ -118,14 +111,14 @@ def test_points_that_wait_take_nearly_what_was_said_and_no_more(tmp_path, monkey
 def a_line(folder):
     """20,000 tiles from west to east, one point in each: little to hold but whole blocks of a raster of 15 lines."""
     points = np.column_stack([np.arange(20_000) * 3.0 + 1.5, np.full(20_000, 1.5), np.zeros(20_000)])
-    return write_las(folder / "line.las", points + np.array([500_001, 4_000_002, 0]))
+    return write_points(folder / "line.las", points + np.array([500_001, 4_000_002, 0]))
 
 
 def a_field(folder):
     """80,000 tiles with a point in each: a raster that is just made in memory while the table of tiles is written."""
     col, row = np.meshgrid(np.arange(500) * 3.0 + 1.5, np.arange(160) * 3.0 + 1.5)
     points = np.column_stack([col.ravel(), row.ravel(), np.zeros(col.size)])
-    return write_las(folder / "field.las", points + np.array([500_001, 4_000_002, 0]))
+    return write_points(folder / "field.las", points + np.array([500_001, 4_000_002, 0]))
 
 
 @pytest.mark.slow
@@ -195,7 +188,7 @@ def test_info_says_what_a_run_takes(tmp_path):
     assert "scratch  none" in small
     assert "memory is '1MB'" in told("--memory", "1MB")
     place = np.array([500_001.0, 4_000_002.0, 0.0])
-    cloud = write_las(tmp_path / "a.las", place + np.random.default_rng(0).uniform(0, 9, (100, 3)))
+    cloud = write_points(tmp_path / "a.las", place + np.random.default_rng(0).uniform(0, 9, (100, 3)))
     ply = tmp_path / "a.ply"
     axes = "".join(f"property double {axis}\n" for axis in "xyz")
     ply.write_text(f"ply\nformat ascii 1.0\nelement vertex 1\n{axes}end_header\n1 2 3\n")

@@ -7,9 +7,8 @@ import shutil
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
+from small_surveys import run, write_las
 
-from bumpymap.cli import main
 from bumpymap.cli._text import as_options
 from bumpymap.core import CHECKSUM_METHOD, hash_file
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
@@ -25,10 +24,6 @@ pytestmark = pytest.mark.slow
 GO_ON = "Pass --resume to the same command to continue from the finished tiles."
 
 
-def run(*arguments):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
-
-
 def layers_of(folder):
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
@@ -36,19 +31,12 @@ def layers_of(folder):
 @pytest.fixture(scope="module")
 def surveys(tmp_path_factory):
     """Two files, far enough from each other that the blocks of one are complete when the other is read."""
-    import laspy
-    from pyproj import CRS
-
     folder = tmp_path_factory.mktemp("surveys")
     for name, east, count in (("a.laz", 0.0, 15_000), ("b.laz", 96.0, 260_000)):
         rng = np.random.default_rng(int(east))
-        header = laspy.LasHeader(point_format=6, version="1.4")
-        header.offsets, header.scales = (500_000, 4_000_000, 0), (0.001, 0.001, 0.001)
-        header.add_crs(CRS.from_epsg(32614))
-        las = laspy.LasData(header)
         x, y = rng.uniform(0.01, 47.0, (2, count))
-        las.x, las.y, las.z = x + 500_016.0 + east, y + 4_000_032.0, 0.2 * np.sin(9 * x) * np.sin(8 * y)
-        las.write(folder / name)
+        z = 0.2 * np.sin(9 * x) * np.sin(8 * y)
+        write_las(folder / name, x + 500_016.0 + east, y + 4_000_032.0, z)
     return folder
 
 
