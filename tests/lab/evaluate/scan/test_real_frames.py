@@ -1,7 +1,4 @@
-"""Ground and obstacles of real labelled frames, and of Patchwork++ where it is installed."""
-
-import importlib.util
-from pathlib import Path
+"""Ground and obstacles of real labelled frames."""
 
 import numpy as np
 import pytest
@@ -43,16 +40,3 @@ def test_obstacles_lie_in_sectors_that_say_so(seen):
     total = sum_obstacles(scores)
     assert total.points > 4000
     assert total.in_free < 0.05 * total.points < total.in_free_class
-
-
-@pytest.mark.skipif(importlib.util.find_spec("pypatchworkpp") is None, reason="Patchwork++ is not installed")
-def test_ground_is_not_worse_than_that_of_patchwork(seen):
-    spec = importlib.util.spec_from_file_location(
-        "ground_compare", Path(__file__).resolve().parents[3] / "benchmarks" / "ground_compare.py"
-    )
-    compare = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(compare)
-    _, labels, scans = seen
-    for scan, stack in scans:
-        found = compare.theirs(scan, compare.sensor_height(scan, labels))
-        assert ground_score(scan, stack.point_ground, labels).f1 >= ground_score(scan, found, labels).f1, scan.name
