@@ -65,9 +65,6 @@ from .train.textures import (
     TrainSettings as TrainSettings,
     make_model as make_model,
 )
-from .worlds.sample import (
-    make_quarry_survey as make_quarry_survey,
-)
 from .worlds.scans.lidar import (
     load_open3d as load_open3d,
 )

@@ -12,6 +12,7 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
+from made_quarry import QuarrySite
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -493,9 +494,17 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
     assert counts[:4].min() > 50
 
 
-def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
-    from bumpymap.lab.worlds.sample import QuarrySite
+def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
+    assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
+    assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
+    assert json.loads((tmp_path / "demo" / "layers" / "run.json").read_text())["counts"]["points"] == 1_250_248
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    refused = run("demo", "--out", tmp_path / "file")
+    assert refused.exit_code == 3
+    assert "cannot write the survey" in refused.output
 
+
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
     run("map", QUARRY, "--out", tmp_path / "layers")
     with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
