@@ -8,8 +8,6 @@ from .evaluate.report import (
     percent as percent,
     require_matplotlib as require_matplotlib,
     write_report as write_report,
-)
-from .evaluate.scan_report import (
     write_scan_report as write_scan_report,
 )
 from .evaluate.scans import (
