@@ -21,18 +21,6 @@ from bumpymap.lab.simulate.jobs import Key
 from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
 from bumpymap.rating import Calibration, DrivenTerrain, Vehicle, make_textures
 
-__all__ = [
-    "CalibrationSettings",
-    "calibrated_settings",
-    "driven_library",
-    "library_ground",
-    "library_record",
-    "library_terrain",
-    "library_terrains",
-    "read_library",
-    "run_job",
-]
-
 _LIBRARY_STREAM = len(TEXTURES)
 """First number of the random streams of library drives; no texture has this index."""
 _LIBRARY_WHEEL_M = 0.3
@@ -81,11 +69,6 @@ class CalibrationSettings:
         return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
 
     @property
-    def height_scale(self) -> float:
-        """Factor on the library's heights: the height that a wheel climbs is proportional to its radius."""
-        return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
-
-    @property
     def total_drives(self) -> int:
         """Number of drives of the whole calibration."""
         return sum(job.starts for job in self.jobs())
@@ -102,22 +85,13 @@ class CalibrationSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings that affect the numbers and the library versions, as plain JSON values."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("profile", "drive")}
+        versions = {name: version(name) for name in ("bumpymap", "dartpy", "numpy")}
         return {
             "vehicle": self.profile.to_dict(),
-            "seed": self.seed,
-            "patches": self.patches,
-            "starts": self.starts,
-            "z_range": list(self.z_range),
-            "terrains": self.terrains,
-            "terrain_starts": self.terrain_starts,
-            "tile_size": self.tile_size,
-            "pixels": self.pixels,
+            **own | {"z_range": list(self.z_range)},
             "drive": asdict(self.drive),
-            "versions": {
-                **{name: version(name) for name in ("bumpymap", "dartpy", "numpy")},
-                "python": platform.python_version(),
-                "machine": platform.machine(),
-            },
+            "versions": {**versions, "python": platform.python_version(), "machine": platform.machine()},
         }
 
 
@@ -138,16 +112,17 @@ class TableJob:
 
 @dataclass(frozen=True, slots=True)
 class LibraryJob:
-    """Drives over one terrain of the library."""
+    """Drives over one terrain of the library, for the ``purpose`` that its key begins with."""
 
     kind: str
     index: int
     starts: int
+    purpose: str = "library"
 
     @property
     def key(self) -> Key:
         """Name of the job in a journal."""
-        return ("library", self.kind, self.index)
+        return (self.purpose, self.kind, self.index)
 
 
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
@@ -161,12 +136,12 @@ def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
 
 
 def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
-    """Make a terrain of the library, its height and slope scaled to the vehicle."""
+    """Make a terrain of the library for the vehicle: the height that a wheel climbs is proportional to its radius."""
     return make_terrain(
         kind,
         settings.seed,
         index,
-        height_scale=settings.height_scale,
+        height_scale=settings.profile.wheel.radius_m / _LIBRARY_WHEEL_M,
         slope_limit_deg=settings.profile.slope_limit_deg,
         tile_size=settings.tile_size,
         pixels=settings.pixels,
@@ -199,7 +174,18 @@ _COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind",
 def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
     """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
     return tuple(
-        _driven(kind, index, results["library", kind, index]) for kind in KINDS for index in range(settings.terrains)
+        DrivenTerrain(
+            kind=kind,
+            index=index,
+            c_r=six_digits(drives.mean_c_r),
+            c_r_error=six_digits(drives.standard_error),
+            completed=len(drives.completed),
+            stuck=drives.outcome.count("stuck"),
+            rolled=drives.outcome.count("rolled"),
+        )
+        for kind in KINDS
+        for index in range(settings.terrains)
+        for drives in (results["library", kind, index],)
     )
 
 
@@ -212,10 +198,8 @@ def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[
     """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
     record: dict[str, dict[str, list[Any]]] = {}
     for terrain in driven:
-        columns = record.setdefault(terrain.kind, {name: [] for name in _COLUMNS})
-        values = asdict(terrain)
-        for name, column in columns.items():
-            column.append(values[name])
+        for name in _COLUMNS:
+            record.setdefault(terrain.kind, {}).setdefault(name, []).append(getattr(terrain, name))
     return record
 
 
@@ -252,17 +236,6 @@ def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenT
     return library_ground(calibrated_settings(calibration), driven), driven
 
 
-def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:
-    return DrivenTerrain(
-        kind=kind,
-        index=index,
-        c_r=_six_digits(drives.mean_c_r),
-        c_r_error=_six_digits(drives.standard_error),
-        completed=len(drives.completed),
-        stuck=drives.outcome.count("stuck"),
-        rolled=drives.outcome.count("rolled"),
-    )
-
-
-def _six_digits(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.6g}")
+def six_digits(value: float | None) -> float | None:
+    """Round a figure as it is recorded; None for None and NaN."""
+    return None if value is None or math.isnan(value) else float(f"{value:.6g}")

@@ -18,8 +18,6 @@ from bumpymap.lab.worlds.scans.scene import Scene
 from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label
 from bumpymap.lab.worlds.terrains import log_uniform
 
-__all__ = ["draw_sensor", "load_open3d", "overhead_scan", "simulate_scan"]
-
 Pattern = Literal["lines", "rosette"]
 """Horizontal lines, or loops through the middle of the view, as two rotating prisms make them."""
 _LOOP_TURN = 0.2199
@@ -373,9 +371,9 @@ def _returns(
     """Return which beams have a return, which are reflected away, and the intensity."""
     reflectivity = np.zeros(256)
     lost = np.zeros(256)
-    for label, reflection in REFLECTIONS.items():
-        reflectivity[label] = rng.uniform(*reflection.reflectivity)
-        lost[label] = rng.uniform(*reflection.specular_loss)
+    for label, (bright, away) in REFLECTIONS.items():
+        reflectivity[label] = rng.uniform(*bright)
+        lost[label] = rng.uniform(*away)
     lost[list(_GET_WET)] = np.maximum(lost[list(_GET_WET)], scene.wet)
     count = len(hits.distance)
     bright = reflectivity[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)
