@@ -21,11 +21,9 @@ TABLE = ClassedSectorTable(
 
 def test_rows_hold_medians_and_means_of_each_class():
     smooth, middle, rough = class_rows(TABLE, "filter")
-    assert (smooth.sectors, middle.sectors, rough.sectors) == (2, 1, 3)
-    assert smooth.share == pytest.approx(1 / 3)
-    assert rough.variance == (7.0, 11.0)
-    assert rough.stripes == (1.0, 1.5)
-    assert middle.residual == (0.25, 0.25)
+    assert (smooth["sectors"], middle["sectors"], rough["sectors"]) == (2, 1, 3)
+    assert smooth["share"] == pytest.approx(1 / 3)
+    assert (rough["variance"], rough["stripes"], middle["residual"]) == ((7.0, 11.0), (1.0, 1.5), (0.25, 0.25))
 
 
 def test_sectors_without_ground_are_gathered_and_have_no_row():
@@ -42,5 +40,5 @@ def test_sectors_without_ground_are_gathered_and_have_no_row():
     assert table.variance == pytest.approx(np.tile(stack.variance, 2), nan_ok=True)
     for row in (0, len(stack.zone) - 1):
         assert table.deviation[row] == pytest.approx(points[stack.point_sector == row, 2].std(), abs=1e-5)
-    assert sum(row.sectors for row in class_rows(table, "filter")) == 2 * stack.traversable.sum()
+    assert sum(row["sectors"] for row in class_rows(table, "filter")) == 2 * stack.traversable.sum()
     assert (join_sectors([{"filter": classify_filter(stack)}], [np.zeros(len(stack.zone))], None).truth == -1).all()

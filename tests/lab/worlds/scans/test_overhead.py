@@ -28,7 +28,7 @@ def test_the_seed_decides_every_bit():
     assert len(one.points) != len(other.points)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
     seen = overhead_scan(level, seed)
     heap = seen.label == Label.RUBBLE
@@ -43,14 +43,6 @@ def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
     away = np.hypot(*seen.points[:, :2].T)
     assert away.min() >= 3.999
     assert away.max() < 60.001
-
-
-def test_grass_stands_on_the_ground(level):
-    ground = replace(level.ground, cover=Label.GRASS, grass_m=0.3, grass_path_m=0.1)
-    seen = overhead_scan(replace(level, ground=ground), 1)
-    grass = seen.label == Label.GRASS
-    assert seen.points[grass, 2].std() > 0.05
-    assert np.ptp(seen.points[grass, 2]) < 2 * 0.3 + 0.3
 
 
 def test_water_has_no_label(level):

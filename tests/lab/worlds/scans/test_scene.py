@@ -9,18 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.scans.ground import ground_mesh, make_blob, make_road
 from bumpymap.lab.worlds.scans.scene import ROADSIDES, THEMES, make_scene, make_street
-from bumpymap.lab.worlds.scans.things import (
-    REFLECTIONS,
-    Label,
-    block_field,
-    boxes,
-    herb,
-    leaves,
-    make_field,
-    ribbon,
-    stones,
-    tube,
-)
+from bumpymap.lab.worlds.scans.things import REFLECTIONS, Label, leaves, make_field
 
 pytestmark = pytest.mark.slow
 
@@ -61,14 +50,6 @@ def test_nothing_but_ground_is_nearer_than_the_robot_is_wide():
         for label, soup in make_scene(9, index).things:
             if label not in {Label.TREE, Label.RUBBLE}:  # a crown may hang over it
                 assert np.hypot(soup[..., 0], soup[..., 1]).min() > 1.0, label
-
-
-def test_a_scene_without_anything_is_no_error(monkeypatch):
-    monkeypatch.setitem(THEMES, "bare", replace(THEMES["meadow"], bushes=0, trees=0, persons=0, vehicles=0, fences=0))
-    monkeypatch.setitem(THEMES, "bare", replace(THEMES["bare"], barriers=0, herbs=0, roads=0, mud=0, puddles=0, bare=0))
-    scene = make_scene(1, 1, "bare")
-    assert scene.things == ()
-    assert set(scene.ground.sample(X, Y).label) == {Label.GRASS}
 
 
 def test_water_is_level_and_ground_is_not():
@@ -165,20 +146,6 @@ def test_fields_have_unit_spread_the_asked_waves_and_repeat():
     assert_allclose(field.at(x, y), field.at(x + 128 * cos, y + 128 * sin), atol=1e-3)
 
 
-def test_bodies_have_their_areas_and_sizes():
-    box = boxes(np.array([[1.0, 2.0, 3.0]]), np.zeros((1, 3)), np.array([0.7]))
-    assert _area(box) == pytest.approx(22.0, rel=1e-6)
-    assert box[..., 2].min() == 0
-    assert box[..., 2].max() == 3
-    pole = tube(np.zeros(3), np.array([0.0, 3.0, 4.0]), 0.1, 0.1, 200)
-    assert _area(pole) == pytest.approx(2 * np.pi * 0.1 * 5, rel=1e-3)
-    band = ribbon(np.array([[0.0, 0, 0], [3.0, 4, 0], [3.0, 4.0, 2.0]]), 0.5)
-    assert _area(band) == pytest.approx(2.5, rel=1e-6)  # the second stretch goes straight up
-    rock = stones(np.random.default_rng(1), np.array([[5.0, 5, 1]]), np.array([[0.4, 0.3, 0.2]]))
-    assert len(rock) == 20
-    assert (np.abs(rock - [5, 5, 1]) <= 1.25 * np.array([0.5, 0.5, 0.2])).all()
-
-
 def test_leaves_stop_beams_after_their_free_path():
     """A cube cut out of a large cloud holds 1 / path m2 of leaves in a cubic metre, seen from any side."""
     rng = np.random.default_rng(3)
@@ -187,30 +154,6 @@ def test_leaves_stop_beams_after_their_free_path():
     volume = 4 / 3 * np.pi * 8
     # Triangles any way up show half of their area; sides vary by 0.6 to 1.4, which adds 5 % of area.
     assert _area(soup) / volume / 2 == pytest.approx(1 / 0.5, rel=0.08)
-
-
-def test_herbs_are_low_and_stand_where_they_grow():
-    for seed in range(5):
-        soup = herb(np.random.default_rng(seed), np.array([4.0, 2.0, 1.0]), 0.3)
-        middle = soup.mean(axis=1)
-        assert np.abs(middle[:, :2] - [4.0, 2.0]).max() < 0.35
-        assert 0.9 < middle[:, 2].min() < middle[:, 2].max() < 1.4
-        assert np.ptp(middle[:, 2]) > 0.15
-
-
-def test_blocks_are_packed_and_as_high_as_they_happen():
-    places = np.random.default_rng(1).uniform(-4, 4, (5000, 2))
-    for seed in range(4):
-        soup = block_field(np.random.default_rng(seed), places, lambda x, _y: 0.1 * x)
-        block = soup.reshape(-1, 36, 3)
-        wide = np.ptp(block[..., :2], axis=1).max(axis=1)
-        assert 0.2 < wide.min() <= wide.max() < 1.05 * 0.8 * 1.3
-        high = block[..., 2].max(axis=1) - 0.1 * block[..., 0].mean(axis=1)
-        assert 0.0 <= high.min() < high.max() < 0.9
-        assert np.ptp(high) > 0.1
-        tops = _area(soup[np.ptp(soup[..., 2], axis=1) == 0]) / 2  # a lid and a floor each
-        assert tops > 0.9 * 64  # side by side: no ground between
-    assert block_field(np.random.default_rng(1), places[:0], lambda x, _y: x).shape == (0, 3, 3)
 
 
 def test_the_mesh_follows_the_ground(monkeypatch):
