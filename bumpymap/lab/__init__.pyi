@@ -1,7 +1,4 @@
-from .evaluate.rated_survey import (
-    Subject as Subject,
-    open_readers as open_readers,
-)
+from .evaluate.rated_survey import Subject as Subject, open_readers as open_readers
 from .evaluate.report import (
     REPORT as REPORT,
     number as number,
@@ -25,44 +22,18 @@ from .evaluate.survey_trial import (
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
 )
-from .simulate.calibrate import (
-    calibrate_vehicle as calibrate_vehicle,
-    seconds_of_a_drive as seconds_of_a_drive,
-)
-from .simulate.jobs import (
-    Journal as Journal,
-    all_checks as all_checks,
-)
-from .simulate.model import (
-    require_dart as require_dart,
-)
+from .simulate.calibrate import calibrate_vehicle as calibrate_vehicle, seconds_of_a_drive as seconds_of_a_drive
+from .simulate.jobs import Journal as Journal, all_checks as all_checks
+from .simulate.model import require_dart as require_dart
 from .simulate.motion_fit import (
     MotionEffort as MotionEffort,
     add_motion as add_motion,
     motion_journal as motion_journal,
 )
-from .simulate.plan import (
-    CalibrationSettings as CalibrationSettings,
-    library_terrains as library_terrains,
-)
+from .simulate.plan import CalibrationSettings as CalibrationSettings, library_terrains as library_terrains
 from .simulate.refit import add_steps as add_steps, crossing_jobs as crossing_jobs
-from .simulate.ride_fit import (
-    fit_ride as fit_ride,
-    fit_thin_surveys as fit_thin_surveys,
-)
-from .train.model_files import (
-    EpochReport as EpochReport,
-    TrainedModel as TrainedModel,
-)
-from .train.scan_net import (
-    ScanTrainSettings as ScanTrainSettings,
-    make_scan_model as make_scan_model,
-)
-from .train.textures import (
-    NetworkSettings as NetworkSettings,
-    TrainSettings as TrainSettings,
-    make_model as make_model,
-)
-from .worlds.scans.lidar import (
-    load_open3d as load_open3d,
-)
+from .simulate.ride_fit import fit_ride as fit_ride, fit_thin_surveys as fit_thin_surveys
+from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
+from .train.scan_net import ScanTrainSettings as ScanTrainSettings, make_scan_model as make_scan_model
+from .train.textures import NetworkSettings as NetworkSettings, TrainSettings as TrainSettings, make_model as make_model
+from .worlds.scans.lidar import load_open3d as load_open3d

@@ -61,14 +61,6 @@ def test_pitch_before_the_measurement_does_not_count():
     assert drive.c_r == 0.0
 
 
-def test_speed_is_rest_then_a_ramp_then_the_profiles():
-    vehicle, _ = run()
-    speeds = [left for left, _ in vehicle.commands]
-    assert speeds[:11] == [0.0] * 11
-    assert speeds[20] == pytest.approx(PROFILE.speed_mps / 2)
-    assert speeds[30:] == pytest.approx([PROFILE.speed_mps] * len(speeds[30:]))
-
-
 def test_slow_vehicle_is_stuck_below_a_fifth_of_its_way():
     _, stuck = run(grip=lambda _t: 0.19, pitch_rate=lambda _t: 1.0)
     assert stuck.outcome == "stuck"

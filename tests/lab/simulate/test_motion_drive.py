@@ -62,11 +62,3 @@ def test_a_plane_is_hardly_felt_and_a_drive_repeats():
     assert made.c_r < 0.001
     assert made.c_roll < 0.001
     assert made.a_w < 0.01
-
-
-@pytest.mark.slow
-def test_a_drive_that_rolls_over_measures_nothing():
-    pytest.importorskip("dartpy")
-    made = drive_motion(WARTHOG, PlaneGround((0.0, 2.5)), Start(0.0, 0.0, 0.0), 1.0)
-    assert made.outcome != "completed"
-    assert all(math.isnan(value) for value in (made.c_r, made.c_roll, made.a_w))

@@ -40,13 +40,6 @@ def fake_drive(monkeypatch):
     return state
 
 
-def test_mean_and_error_are_those_of_the_completed_drives():
-    drives = PatchDrives(("completed", "stuck", "completed", "completed"), (0.1, None, 0.2, 0.4))
-    assert drives.mean_c_r == pytest.approx(0.7 / 3)
-    assert drives.standard_error == pytest.approx(np.std([0.1, 0.2, 0.4], ddof=1) / math.sqrt(3))
-    assert drives.failed == 1
-
-
 def test_drives_go_on_until_the_mean_is_known(fake_drive):
     fake_drive["spread"] = 0.35
     effort = Effort(least=4, most=200, target_error=0.05)
@@ -59,11 +52,6 @@ def test_drives_go_on_until_the_mean_is_known(fake_drive):
 def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
     fake_drive["fails"] = 1.0
     assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
-
-
-def test_more_effort_adds_drives_and_changes_none(fake_drive):
-    few, many = (drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort.fixed(n)) for n in (3, 8))
-    assert many.c_r[:3] == few.c_r
 
 
 @pytest.mark.parametrize("effort", [(0, 4, 0.05), (5, 4, 0.05), (4, 5, 0.0), (4, 5, math.nan)])

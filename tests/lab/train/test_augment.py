@@ -9,7 +9,6 @@ from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
 from bumpymap.lab.train.texture_data import (
     ALL,
     KINDS,
-    add_noise,
     augment,
     blur,
     fill_holes,
@@ -51,12 +50,6 @@ def test_blur_agrees_with_scipy_inside(patches):
     theirs = np.stack([ndimage.gaussian_filter(patch, 0.7, truncate=6) for patch in patches.astype(float)])
     assert_allclose(ours[:, 5:10, 5:10], theirs[:, 5:10, 5:10], atol=1e-4)
     assert_allclose(blur(np.ones((1, 15, 15)), np.array([2.0])), 1)
-
-
-def test_noise_has_the_asked_deviation():
-    level = np.tile(np.linspace(0, 2, 15), (200, 15, 1))
-    noisy = add_noise(level, np.full(200, 0.1), np.random.default_rng(0))
-    assert (noisy - level).std() == pytest.approx(0.2, rel=0.02)
 
 
 def test_holes_are_filled_as_the_features_fill_them(patches):

@@ -83,13 +83,6 @@ def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
     _assert_same(resumed, small)
 
 
-@pytest.mark.parametrize("batch", [2, 67])
-def test_no_batch_is_too_small_to_normalise(batch):
-    # 16 patches of each texture and 4 short waves: 67 would leave one patch over.
-    net = train(replace(SMALL, epochs=1, batch=batch))
-    assert all(np.isfinite(value).all() for value in _numbers(net).values())
-
-
 @pytest.mark.parametrize("pixels", [9, 15])
 def test_onnx_says_what_torch_says(pixels):
     settings = NetworkSettings(pixels=pixels)

@@ -58,24 +58,6 @@ class Sensor:
     stray: float = 0.0
     """Share of the pulses that return from dust, rain or nothing, at any range."""
 
-    def __post_init__(self) -> None:
-        if self.lines < 2 or self.columns < 8:
-            raise UsageError(f"a sensor has {self.lines} lines and {self.columns} columns; it needs at least 2 and 8")
-        if not -90.0 < self.lowest_deg < self.highest_deg < 90.0:
-            raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} deg; they must rise within -90 to 90")
-        if not (0.0 < self.view_deg <= 360.0 and self.dense_deg[0] < self.dense_deg[1] and self.dense > 0):
-            raise UsageError(
-                f"view_deg is {self.view_deg}, dense_deg {self.dense_deg}, dense {self.dense}; the view must be above "
-                "0 and at most 360 degrees, the band must rise, its density be above 0"
-            )
-        if not 0 <= self.stray < 1:
-            raise UsageError(f"stray is {self.stray}; it must be 0 or more, and below 1")
-        if not (min(self.height_m, self.reach_m) > 0 and self.noise_m >= 0 and self.end_m > 1 and 0 <= self.lost < 1):
-            raise UsageError(
-                f"height_m is {self.height_m}, noise_m {self.noise_m}, reach_m {self.reach_m}, end_m {self.end_m}, "
-                f"lost {self.lost}; height and reach must be above 0, end above 1, noise 0 or more, lost 0 to 1"
-            )
-
     def directions(self) -> NDArray[np.float64]:
         """Return unit vectors in the sensor's frame, (lines * columns, 3): lines from the lowest, loops in time."""
         if self.pattern == "rosette":

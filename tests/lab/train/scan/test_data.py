@@ -11,11 +11,9 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab.train import scan_sectors as data
 from bumpymap.lab.train.scan_sectors import (
-    GRIDS,
     SWAPPED_MEASURES,
     Sectors,
     crowns_as_bushes,
-    draw_cuts,
     draw_epoch,
     folder_frames,
     folder_sectors,
@@ -70,19 +68,6 @@ def test_the_most_frequent_label_decides_the_class(label):
     assert (sectors.label == label).all()
     assert sectors.patches.shape == (96, CHANNELS, 15, 15)
     assert sectors.measures.shape == (96, len(MEASURES))
-
-
-def test_labels_without_a_class_are_left_out():
-    for label in (0, 7, 12, 500):
-        assert len(labelled_sectors(_ring(label, lambda rng, n: rng.normal(0, 0.01, n))).class_id) == 0
-
-
-def test_additional_cuts_turn_and_use_several_grids():
-    cuts = draw_cuts(np.random.default_rng(1), 200)
-    assert cuts == draw_cuts(np.random.default_rng(1), 200)
-    assert {grid for _, grid in cuts} == {PolarSettings(), *GRIDS}
-    assert 60 < sum(grid == PolarSettings() for _, grid in cuts) < 140
-    assert all(0 <= angle < 2 * np.pi for angle, _ in cuts)
 
 
 def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.scans import ground
 from bumpymap.lab.worlds.scans.ground import Blob
 from bumpymap.lab.worlds.scans.lidar import SENSORS, Sensor, simulate_scan
@@ -105,31 +104,6 @@ def test_what_stands_in_the_way_hides_what_lies_behind(level):
     assert_allclose(scan.points[ahead & (scan.label == Label.BARRIER), 0], 5.0, atol=1e-3)
     assert scan.points[ahead, 0].max() < 5.001
     assert (scan.label[ahead] == Label.BARRIER).any()
-
-
-def test_a_sensor_that_cannot_be_is_refused():
-    for wrong in (
-        {"lines": 1},
-        {"lowest_deg": 30.0},
-        {"noise_m": -1.0},
-        {"lost": 1.0},
-        {"height_m": 0.0},
-        {"view_deg": 0.0},
-        {"stray": 1.0},
-    ):
-        with pytest.raises(UsageError, match=r"must|at least"):
-            Sensor(**wrong)
-
-
-def test_lines_are_closer_in_their_band():
-    sensor = Sensor(lines=64, columns=8, lowest_deg=-25, highest_deg=3, dense_deg=(-8.0, 3.0), dense=1.5)
-    rays = sensor.directions().reshape(64, 8, 3)
-    elevation = np.degrees(np.arcsin(rays[:, 0, 2]))
-    assert_allclose(elevation[[0, -1]], [-25, 3], atol=1e-9)
-    steps = np.diff(elevation)
-    inside = elevation[:-1] > -8
-    assert_allclose(steps[inside], steps[inside][0], rtol=1e-9)
-    assert_allclose(steps[0] / steps[-1], 1.5, rtol=1e-9)
 
 
 def test_a_solid_state_sensor_looks_ahead_and_its_loops_pass_the_middle():
