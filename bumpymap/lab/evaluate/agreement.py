@@ -263,8 +263,8 @@ def compare(
     def agreement(predictor: Floats, c_r: Floats, predicted_class: NDArray[np.integer], **more: Any) -> Agreement:
         table = confusion(class_id, predicted_class.astype(np.int64), CLASSES)
         error, ratio = np.abs(c_r[good] - truth) / truth, c_r[good] / truth
-        medians = (float(np.median(values)) if len(values) else math.nan for values in (error, ratio))
-        return Agreement(spearman(predictor[good], truth), *medians, class_shift(table), table.tolist(), **more)
+        middle, off = (float(np.median(values)) if len(values) else math.nan for values in (error, ratio))
+        return Agreement(spearman(predictor[good], truth), middle, off, class_shift(table), table.tolist(), **more)
 
     def fail(p_fail: Floats) -> dict[str, Any]:
         return {

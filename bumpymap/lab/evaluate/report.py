@@ -365,8 +365,8 @@ def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
     free = ("method", "points", "in free sectors", "low", "in sectors of class 0 or 1")
     sections = [
         section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
-        section("Ground", _GROUND, ground and table(("frame", "points", "precision", "recall", "F1"), ground)),
-        section("Obstacles in sectors called free", _OBSTACLES, obstacles and table(free, obstacles)),
+        section("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
+        section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
         section("Statistics of the classes", "The paper's Tables IV and V.", _scan_class_lines(findings)),
     ]
     text = report_text("Can the classes of scans be trusted?", [opening, ""], sections)

@@ -353,9 +353,9 @@ def _returns(
     """Return which beams have a return, which are reflected away, and the intensity."""
     reflectivity = np.zeros(256)
     lost = np.zeros(256)
-    for label, (bright, away) in REFLECTIONS.items():
-        reflectivity[label] = rng.uniform(*bright)
-        lost[label] = rng.uniform(*away)
+    for label, (returned, reflected) in REFLECTIONS.items():
+        reflectivity[label] = rng.uniform(*returned)
+        lost[label] = rng.uniform(*reflected)
     lost[list(_GET_WET)] = np.maximum(lost[list(_GET_WET)], scene.wet)
     count = len(hits.distance)
     bright = reflectivity[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)
