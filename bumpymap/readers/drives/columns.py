@@ -30,11 +30,7 @@ from bumpymap.readers.drives.signals import (
 )
 
 __all__ = [
-    "GROUPS",
-    "SINGLE",
     "TOPICS",
-    "UNIT_SUFFIX",
-    "ColumnGroup",
     "DriveColumn",
     "check_lonlat",
     "chosen_columns",
@@ -42,7 +38,6 @@ __all__ = [
     "guess_angle_unit",
     "guess_columns",
     "guess_local",
-    "listed",
     "parse_columns",
     "refuse_odd_rates",
     "unit_in_name",
@@ -246,11 +241,8 @@ class DriveColumn(NamedTuple):
     sign: float = 1.0
 
 
-class _Spelled(NamedTuple):
-    """A name of a column, and the (words, unit) that it may mean."""
-
-    name: str
-    spellings: Sequence[tuple[str, str]]
+Spelled = Mapping[str, Sequence[tuple[str, str]]]
+"""Name of a column -> the (words, unit) that it may mean."""
 
 
 class _Match(NamedTuple):
@@ -278,7 +270,7 @@ def guess_columns(source: str, names: Sequence[str], skip: Collection[str] = ())
     BadInputError
         Several columns may hold the same quantity.
     """
-    spelled = [_Spelled(name, list(_spellings(name))) for name in names]
+    spelled = {name: list(_spellings(name)) for name in names}
     found: dict[str, DriveColumn] = {}
     for group in GROUPS:
         found.update(_guess_group(source, spelled, group, skip))
@@ -317,10 +309,10 @@ def unit_in_name(name: str, quantity: str) -> str | None:
     return units[0] if units else None
 
 
-def _matches(spelled: Sequence[_Spelled], pattern: str) -> Iterator[_Match]:
+def _matches(spelled: Spelled, pattern: str) -> Iterator[_Match]:
     before = "()" if pattern.startswith("=") else "(?:(.*?)_)??"
     whole = re.compile(f"{before}(?:{pattern.removeprefix('=')})")
-    for name, spellings in spelled:
+    for name, spellings in spelled.items():
         for words, unit in spellings:
             match = whole.fullmatch(words)
             if match is not None:
@@ -332,9 +324,9 @@ def _column(match: _Match, quantity: str) -> DriveColumn:
     return DriveColumn(match.name, plain_unit(match.unit, DIMENSIONS[quantity]) if match.unit else None)
 
 
-def _stamp(spelled: Sequence[_Spelled]) -> dict[str, DriveColumn]:
+def _stamp(spelled: Spelled) -> dict[str, DriveColumn]:
     """Return the columns of seconds and nanoseconds of a stamp that has both."""
-    words = {each.spellings[0][0]: each.name for each in spelled}
+    words = {spellings[0][0]: name for name, spellings in spelled.items()}
     for rest, name in words.items():
         whole = words.get(_NANOSECONDS.sub(r"\1", rest))
         if whole is not None and whole != name:
@@ -342,9 +334,7 @@ def _stamp(spelled: Sequence[_Spelled]) -> dict[str, DriveColumn]:
     return {}
 
 
-def _guess_group(
-    source: str, spelled: Sequence[_Spelled], group: ColumnGroup, skip: Collection[str]
-) -> dict[str, DriveColumn]:
+def _guess_group(source: str, spelled: Spelled, group: ColumnGroup, skip: Collection[str]) -> dict[str, DriveColumn]:
     wanted = [quantity for quantity in group.quantities if quantity not in skip]
     least = set(wanted) - ({"yaw"} if group.quantities == ANGLES else set())
     for pattern in group.patterns if wanted else ():
@@ -373,7 +363,7 @@ def _only(source: str, full: Mapping[str, dict[str, DriveColumn]]) -> dict[str, 
     return full.get("", first)
 
 
-def _guess_single(spelled: Sequence[_Spelled], quantity: str) -> dict[str, DriveColumn]:
+def _guess_single(spelled: Spelled, quantity: str) -> dict[str, DriveColumn]:
     for pattern in SINGLE[quantity]:
         found = list(_matches(spelled, pattern))
         if found:
@@ -464,9 +454,3 @@ def _unit(quantity: str, stated: str) -> str:
         meant = f" Did you mean '{close[0]}'?" if close else ""
         raise UsageError(f"'{stated}' is no unit of {quantity} in `columns`.{meant} Units of it are: {allowed}")
     return unit
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return the names of columns for a message."""
-    shown = ", ".join(names[:60])
-    return shown if len(names) <= 60 else f"{shown} and {len(names) - 60} more"
