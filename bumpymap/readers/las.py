@@ -29,7 +29,7 @@ from bumpymap.readers.copc import (
     read_table,
     refuse_density,
 )
-from bumpymap.readers.decoder import Stream, StreamLostError, decoder
+from bumpymap.readers.decoder import StreamLostError, decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import KINDS, OUTSIDE, LineRules, PointStats
 from bumpymap.readers.protocol import (
@@ -192,7 +192,7 @@ class LazStream(RecordSource):
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
         super().__init__(path, header)
         self._record, self._next = record, 0
-        self._stream: Stream | None = None
+        self._stream: int | None = None
         if table is None:
             size = header.size - header.offset_to_points
             refuse_density(path, np.array([header.point_count]), np.array([size]))
@@ -225,13 +225,13 @@ class LazStream(RecordSource):
         if stream is None or chunk.first < self._next:
             self._close()
             start, size = self._header.offset_to_points, self._header.size
-            stream = self._stream = decoder().stream(self._record, self._supply, start, size)
+            stream = self._stream = decoder().open_stream(self._record, self._supply, start, size)
             self._next = 0
         while self._next < chunk.first:
             skipped = min(_SKIPPED, chunk.first - self._next)
-            stream.read(skipped * self._header.point_size)
+            decoder().read_stream(stream, self._supply, skipped * self._header.point_size)
             self._next += skipped
-        data = stream.read(chunk.points * self._header.point_size)
+        data = decoder().read_stream(stream, self._supply, chunk.points * self._header.point_size)
         self._next += chunk.points
         return data
 
@@ -244,7 +244,7 @@ class LazStream(RecordSource):
     def _close(self) -> None:
         stream, self._stream = self._stream, None
         if stream is not None:
-            stream.close()
+            decoder().close_stream(stream)
 
 
 def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds | None) -> RecordRules:
