@@ -217,7 +217,7 @@ SINGLE: Mapping[str, Sequence[str]] = {
     ),
     "fix": (r"fix_type|fix|status_status|gps_qual", r"=(?:quality|status)"),
 }
-UNIT_SUFFIX = (
+_SUFFIX = re.compile(
     r"_(s|secs?|ms|msec|millis|us|usec|micros|ns|nsec|nanos|dps|mdps|degs?|deg_s|deg_per_s|degps|rads?|rad_s|rad_per_s"
     r"|g|mg|m_s2|m_s_2|mps2|ms2|mps|m_s|kmh|kph|km_h|deg_?e7|e7|degrees|m|mm|cm)$"
 )
@@ -226,7 +226,6 @@ UNIT_SUFFIX = (
 
 _SPLIT = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9]+")
 _UNIT = re.compile(r"\s*(?:\[([^\]]*[A-Za-z°][^\]]*)\]|\(([^)]*[A-Za-z°][^)]*)\)|:([A-Za-z°][^:]*))\s*$")
-_SUFFIX = re.compile(UNIT_SUFFIX)
 _CLOCKS = {"millis", "micros", "nanos"}
 """Names of times that are nothing but a unit."""
 _NANOSECONDS = re.compile(r"n(?:ano)?(secs?|seconds)$")
@@ -373,6 +372,10 @@ def _guess_single(spelled: Spelled, quantity: str) -> dict[str, DriveColumn]:
 
 TOPICS = ("imu", "gnss", "odometry", "twist")
 """Quantities of bags: the topics that they are read from."""
+_EXPLAINED = (
+    f"Quantities are {', '.join(QUANTITIES)}; in bags {', '.join(TOPICS)}. For example "
+    "`columns='rate_y=GyrY[deg/s],time=t[ms]'`"
+)
 _STATED = re.compile(r"(.+?)\s*(?:\[([^\[\]]+)\]|:([^:]+))")
 
 
@@ -388,7 +391,7 @@ def parse_columns(text: str) -> dict[str, str]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         quantity, equals, name = part.partition("=")
         if not equals:
-            raise UsageError(f"`columns` is QUANTITY=COLUMN,..., not '{part}'. {_explained()}")
+            raise UsageError(f"`columns` is QUANTITY=COLUMN,..., not '{part}'. {_EXPLAINED}")
         if quantity.strip() in found:
             raise UsageError(f"`columns` names {quantity.strip()} twice. Name it once")
         found[quantity.strip()] = name.strip()
@@ -400,14 +403,7 @@ def unknown_quantities(columns: Mapping[str, str], known: Sequence[str]) -> None
     """Raise UsageError if columns are named for something that is no quantity."""
     unknown = sorted(set(columns) - set(known))
     if unknown:
-        raise UsageError(f"`columns` names {', '.join(unknown)}, which is no quantity. {_explained()}")
-
-
-def _explained() -> str:
-    return (
-        f"Quantities are {', '.join(QUANTITIES)}; in bags {', '.join(TOPICS)}. For example "
-        "`columns='rate_y=GyrY[deg/s],time=t[ms]'`"
-    )
+        raise UsageError(f"`columns` names {', '.join(unknown)}, which is no quantity. {_EXPLAINED}")
 
 
 def chosen_columns(columns: Mapping[str, str], names: Sequence[str]) -> dict[str, DriveColumn]:
