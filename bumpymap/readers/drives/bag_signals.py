@@ -219,11 +219,12 @@ def _signals(role: str, topic: str, rows: Floats) -> DriveSignals:
     else:
         moved = role == "odometry"
         speed = _part(rows, slice(7, 8) if moved else slice(1, 2))
+        unknown = np.full(0 if speed is None else len(speed.time), np.nan)
         signals = DriveSignals(
             topic,
             attitude=_turns(rows, slice(3, 7)) if moved else None,
             places=_odometry_places(topic, rows, notes) if moved else None,
-            wheels=speed and WheelTrack(speed.time, speed.values[:, 0], np.full(len(speed.time), np.nan)),
+            wheels=None if speed is None else WheelTrack(speed.time, speed.values[:, 0], unknown),
         )
     return replace(signals, columns={role: topic}, notes=tuple(notes))
 
