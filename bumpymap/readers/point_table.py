@@ -185,11 +185,11 @@ def convert_points(
         highest=max(0.0, -low, high),
     )
     kept = ~(noise | no_return)
-    classes = np.bincount(codes[kept], minlength=256)
-    if stats.bad:
-        kept[:] = False
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
+    classes = np.bincount(codes, minlength=256)
+    if stats.bad:
+        axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
     return ChunkPoints(PointCloud(*axes, KINDS[codes]), stats, classes=classes)
 
 
