@@ -11,7 +11,9 @@ from .compare import (
 )
 from .pipeline import (
     ChangeResult as ChangeResult,
-    DiffConfig as DiffConfig,
     diff_surveys as diff_surveys,
     find_changes as find_changes,
+)
+from .settings import (
+    DiffConfig as DiffConfig,
 )

@@ -3,7 +3,6 @@
 Open both, find which tiles both have, compare heights and ride costs, decide, connect, write.
 """
 
-import math
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
@@ -24,6 +23,7 @@ from bumpymap.change.compare import (
     ride_z,
 )
 from bumpymap.change.regions import connect, describe_regions, region_names
+from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
@@ -32,7 +32,6 @@ from bumpymap.core import (
     Barred,
     Progress,
     SilentProgress,
-    UsageError,
     brief_repr,
     count_text,
     path_of_call,
@@ -54,35 +53,7 @@ from bumpymap.layers import (
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["ChangeResult", "DiffConfig", "diff_surveys", "find_changes", "remarks"]
-
-
-@dataclass(frozen=True, slots=True)
-class DiffConfig:
-    """All settings of a ``diff`` run."""
-
-    before: Path
-    """Layers of the earlier survey."""
-    after: Path
-    """Layers of the later one."""
-    out: Path | None = None
-    """Folder for the files; None: only the summary."""
-    fdr: float = 0.05
-    """Share of the changed tiles that may be found by mistake."""
-    min_tiles: int = 2
-    """Fewest connected tiles of a change; smaller ones are left out."""
-    offset: float | None = None
-    """Height that is taken off the later survey, m; None: the median difference, as measured."""
-    overwrite: bool = False
-    """Replace files of an earlier run."""
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.fdr) and 0.0 < self.fdr < 1.0):
-            raise UsageError(f"`fdr` is {self.fdr!r}; it must be a number between 0 and 1, such as 0.05")
-        if self.min_tiles < 1:
-            raise UsageError(f"`min_tiles` is {self.min_tiles!r}; it must be a whole number of at least 1")
-        if self.offset is not None and not math.isfinite(self.offset):
-            raise UsageError(f"`offset` is {self.offset!r}; it must be a number of metres, such as 0")
+__all__ = ["ChangeResult", "diff_surveys", "find_changes", "remarks"]
 
 
 _DENSITY = 2.0
@@ -109,11 +80,11 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> tuple[str, ...
 def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
-        what = "taken off" if taken == fit["offset_m"] else f"{taken:+.3f} m was taken off, as asked"
-        side = "higher" if fit["offset_m"] > 0.0 else "lower"
-        lies = f"{abs(fit['offset_m']):.3f} m {side}"
         level = abs(fit["offset_m"]) < 0.0005
-        yield f"the later survey lies {'level with the earlier one' if level else lies} in the median tile; {what}"
+        side = "higher" if fit["offset_m"] > 0.0 else "lower"
+        lies = "level with the earlier one" if level else f"{abs(fit['offset_m']):.3f} m {side}"
+        asked = f"; {taken:+.3f} m was taken off, as asked" if taken != fit["offset_m"] else ""
+        yield f"the later survey lies {lies} in the median tile{asked or ('' if level else '; taken off')}"
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (
@@ -258,9 +229,9 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
         The files cannot be written.
     """
     progress = progress or SilentProgress()
+    pair = open_pair(config.before, config.after)
     if config.out is not None:
         check_change_out(config.out, overwrite=config.overwrite)
-    pair = open_pair(config.before, config.after)
     progress.start("comparing", None)
     surveys = pair.tiles(pair.window)
     shared = (surveys[0].barred != NO_TILE) & (surveys[1].barred != NO_TILE)

@@ -9,8 +9,7 @@ from contextlib import suppress
 
 import click
 
-from bumpymap.cli._terminal import emit, restored_logging
-from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, flush, print_error
+from bumpymap.cli._text import BROKEN_PIPE, LostOutputError, emit, flush, print_error, restored_logging
 from bumpymap.core import BumpymapError, error_chain, join_lines, missing_resource, refused_write
 
 __all__ = ["RunInterrupted", "exit_code_of"]

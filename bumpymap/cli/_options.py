@@ -1,36 +1,126 @@
-"""Options that several commands have, and which options were given on the command line."""
+"""Options of commands, made from the declaration of their settings, and which were given on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeVar, get_args
+from functools import wraps
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._terminal import PATH, SHARE, NumberList
-from bumpymap.core import Align, Clash, Compat, Ground, Rating, ZUnit, override_settings, refuse_clashes
+from bumpymap.cli._text import option_name, set_up_logging, spell_setting
+from bumpymap.core import (
+    Clash,
+    Declared,
+    override_settings,
+    parse_share,
+    path_fault,
+    refuse_clashes,
+    settings_with_options,
+)
 
 __all__ = [
-    "crs_option",
-    "force_crs_option",
+    "FILE",
+    "LOCATION",
+    "PATH",
+    "config_option",
     "given_options",
     "jobs_option",
     "merge_settings",
-    "option_name",
     "output_options",
-    "rating_options",
-    "sheets_option",
-    "tolerance_options",
+    "settings_options",
 ]
 
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 
-def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
-    """Add ``--quiet`` and ``--log-json``; ``what`` is the help text of ``--quiet``."""
+class _NamedPath(click.Path):
+    """A path that is not empty: an unset shell variable must not mean the current folder."""
 
-    def add(command: _Command) -> _Command:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert a string to a Path."""
+        if value == "":
+            self.fail("the path is empty; is a variable unset? The current folder is called .", param, ctx)
+        if isinstance(value, str) and (reason := path_fault(value)):
+            self.fail(reason, param, ctx)
+        if isinstance(value, str) and "://" in value:
+            self.fail(f"{value} is a URL; URLs can be surveys, and the --out of batch", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+PATH = _NamedPath(path_type=Path)
+"""Type of every path on the command line."""
+FILE = _NamedPath(dir_okay=False, path_type=Path)
+"""Type of a path that must not be a folder."""
+
+
+class _Location(_NamedPath):
+    """A path, or a URL, which stays a string."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Convert a string to a Path, unless it is a URL."""
+        return value if isinstance(value, str) and "://" in value else super().convert(value, param, ctx)
+
+
+LOCATION = _Location(path_type=Path)
+"""Type of surveys on the command line."""
+
+
+class _Share(click.ParamType):  # type: ignore[type-arg]
+    """A share, as a number from 0 to 1 or as a percentage."""
+
+    name = "share"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert a string to a number from 0 to 1."""
+        share = parse_share(str(value))
+        if share is None:
+            self.fail(f"{value!r} is no share; give one such as 50% or 0.5", param, ctx)
+        return share
+
+
+SHARE = _Share()
+"""Type of a share on the command line."""
+
+
+class NumberList(click.ParamType):  # type: ignore[type-arg]
+    """Numbers with commas between them."""
+
+    name = "list"
+
+    def __init__(self, kind: type[int] | type[float] = float) -> None:
+        self._kind = kind
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+        """Convert a string to numbers."""
+        try:
+            return tuple(self._kind(word) for word in str(value).split(","))
+        except ValueError:
+            whole = "whole " if self._kind is int else ""
+            self.fail(f"{value!r} is no list of {whole}numbers; give one such as 1,2,5", param, ctx)
+
+
+class WordList(click.ParamType):  # type: ignore[type-arg]
+    """Words with commas between them."""
+
+    name = "list"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
+        """Convert a string to words."""
+        return tuple(word.strip() for word in str(value).split(",") if word.strip())
+
+
+def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
+    """Add ``--quiet`` and ``--log-json``, by which logs are printed; ``what`` is the help text of ``--quiet``."""
+
+    def add(command: Callable[..., Any]) -> Any:
+        @wraps(command)
+        def run(*values: Any, **options: Any) -> Any:
+            set_up_logging(as_json=options["log_json"])
+            return command(*values, **options)
+
         log_json = click.option("--log-json", is_flag=True, help="Print events, warnings and errors as JSON lines.")
-        return click.option("--quiet", is_flag=True, help=what)(log_json(command))
+        return click.option("--quiet", is_flag=True, help=what)(log_json(run))
 
     return add
 
@@ -39,6 +129,73 @@ def jobs_option(command: _Command) -> _Command:
     """Add ``--jobs`` for drives of the simulation."""
     text = "Processes of this machine that drive at a time [default: one per core]."
     return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
+
+
+config_option = click.option(
+    "--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings, which options override."
+)
+
+
+def settings_options(
+    owner: type, *names: str, without: Sequence[str] = (), required: Sequence[str] = (), **texts: str
+) -> Callable[[_Command], _Command]:
+    """Add the options of a settings class: those named, or all that it declares.
+
+    Parameters
+    ----------
+    owner : type
+        Dataclass whose fields hold a `Setting`. Each option's value comes under the field's name.
+    *names, without, required : str
+        Fields to take; fields to leave out; those whose option must be given.
+    **texts : str
+        Help texts of this command, without the full stop, instead of those of the declaration.
+    """
+    every = [each for each in settings_with_options(owner) if each.name not in without]
+    declared = [each for each in every if not names or each.name in names]
+
+    def add(command: _Command) -> _Command:
+        for each in reversed(declared):
+            command = _option(each, texts.get(each.name, each.setting.help), each.name in required)(command)
+        return command
+
+    return add
+
+
+def _option(each: Declared, text: str, required: bool) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds one option."""
+    setting = each.setting
+    spelled = spell_setting(each.name, setting.option)
+    default = _default_text(each.default) if setting.default is None else setting.default
+    shown = f"{text} [default: {default}]." if default and "[default" not in text else f"{text}."
+    if each.kind is bool:
+        as_flag: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
+        return click.option(spelled, each.name, help=shown, **as_flag)
+    kind, several = _click_type(each.kind, setting.metavar)
+    more: dict[str, Any] = {"multiple": several, "required": required, "metavar": setting.metavar}
+    return click.option(spelled, each.name, type=kind, help=shown, **more)
+
+
+def _default_text(value: Any) -> str:
+    """Return a default as help texts show it; empty for a flag, and where nothing is set."""
+    if value is None or isinstance(value, bool) or value == ():
+        return ""
+    if isinstance(value, tuple):
+        return ",".join(map(_default_text, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _click_type(kind: Any, metavar: str | None) -> tuple[Any, bool]:
+    """Return the type of an option, and whether it may be given several times."""
+    items = get_args(kind)
+    if get_origin(kind) is Literal:
+        return (click.Choice(items) if isinstance(items[0], str) else type(items[0])), False
+    if get_origin(kind) is tuple:
+        if get_origin(items[0]) is Literal:
+            return WordList(), False
+        return (NumberList(items[0]), False) if items[0] in (int, float) else (_click_type(items[0], metavar)[0], True)
+    if kind is float and metavar == "SHARE":
+        return SHARE, False
+    return {int: int, float: float, Path: PATH, Path | str: LOCATION}.get(kind), False
 
 
 def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
@@ -53,11 +210,6 @@ def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
 
 
-def option_name(name: str) -> str:
-    """Return the option of a setting, such as ``--tile-size``."""
-    return f"--{name.replace('_', '-')}"
-
-
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:
     """Merge the settings of a file and of the command line, which also override settings that contradict them.
 
@@ -69,57 +221,3 @@ def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Se
     refuse_clashes(from_file, clashes)
     refuse_clashes(given, clashes, option_name)
     return override_settings(from_file, given, clashes)
-
-
-crs_option = click.option("--crs", metavar="CRS", help="CRS of surveys that have none, such as EPSG:32614.")
-force_crs_option = click.option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.")
-
-_RATING = (
-    crs_option,
-    force_crs_option,
-    click.option("--local", is_flag=True, help="Map surveys without a CRS in their own coordinates."),
-    click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it."),
-    click.option("--ground", type=click.Choice(get_args(Ground)), help="Points to use [default: auto]."),
-    click.option("--align", type=click.Choice(get_args(Align)), help="Height steps of flight lines [default: report]."),
-    click.option(
-        "--vehicle", metavar="NAME_OR_FILE", help="Name of an included vehicle, or a TOML file [default: warthog]."
-    ),
-    click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle."),
-    click.option(
-        "--speed", type=float, metavar="SPEED", help="Speed to rate the ride at, in m/s [default: the vehicle's]."
-    ),
-    click.option(
-        "--speeds", type=NumberList(), metavar="LIST", help="Write pitch, roll and a_w at these speeds, in m/s."
-    ),
-    click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own texture network."),
-    click.option(
-        "--rating", type=click.Choice(get_args(Rating)), help="How the ride cost is predicted [default: ride]."
-    ),
-    click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: use the rules of the BumpyPatch paper."),
-    click.option("--tile-size", type=float, metavar="M", help="Tile size in metres [default: 3]."),
-    click.option("--pixels", type=int, metavar="N", help="Heightmap pixels along a side of a tile [default: 15]."),
-)
-_TOLERANCE = (
-    click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header."),
-    click.option("--skip-bad", is_flag=True, help="Skip files that cannot be read (exit code 4)."),
-    click.option(
-        "--max-unknown", type=SHARE, metavar="SHARE", help="Fail (exit code 4) if more tiles are unknown: 50% or 0.5."
-    ),
-)
-sheets_option = click.option(
-    "--sheets", type=float, metavar="KM", help="Write a large site in square sheets of this side, in km."
-)
-
-
-def rating_options(command: _Command) -> _Command:
-    """Add the options that say what surveys are, and how their tiles are measured and rated."""
-    for option in reversed(_RATING):
-        command = option(command)
-    return command
-
-
-def tolerance_options(command: _Command) -> _Command:
-    """Add the options that say which faults of surveys are accepted."""
-    for option in reversed(_TOLERANCE):
-        command = option(command)
-    return command

@@ -7,9 +7,8 @@ from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bumpymap.cli._terminal import emit
-from bumpymap.cli._text import error_console, is_plain, print_error
-from bumpymap.core import Progress as BaseProgress, escape_controls
+from bumpymap.cli._text import emit, error_console, is_plain, print_error
+from bumpymap.core import Progress as BaseProgress, SilentProgress, escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -29,17 +28,11 @@ class CommandProgress(BaseProgress, Protocol):
 
 
 _COMPILING = "compiling, once"
-"""What a new installation does to the numerical kernels, beside the first stage that needs them."""
+"""Stage in which a new installation compiles the numerical kernels, beside the first stage that needs them."""
 
 
-class _Quiet:
+class _Quiet(SilentProgress):
     """Prints nothing."""
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Do nothing."""
-
-    def advance(self, steps: int) -> None:
-        """Do nothing."""
 
     def note(self, text: str, event: str, **facts: Any) -> None:
         """Do nothing."""

@@ -1,5 +1,7 @@
 r"""Printing to the terminal: all output of the command line goes through this module, which makes it safe.
 
+Text and tables go to standard output; errors, log records and the events of ``--log-json`` to standard error.
+
 A file name may hold escape sequences that a terminal executes, line breaks that forge a message, and marks that change
 the direction of text. They are printed escaped (``\x1b``, ``\n``, ``\u202e``), so that callers need not do it. One call
 prints one line.
@@ -8,11 +10,14 @@ prints one line.
 import errno
 import io
 import json
+import logging
 import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, TextIO
 
 from bumpymap.core import OutputError, escape_controls
@@ -23,32 +28,47 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 __all__ = [
+    "DRIVES_KEPT",
     "LostOutputError",
     "about",
     "as_options",
+    "emit",
     "error_console",
     "flush",
+    "interrupt_note",
     "is_plain",
+    "option_name",
     "print_error",
     "print_json",
     "print_labelled",
     "print_line",
     "print_table",
+    "restored_logging",
+    "set_up_logging",
+    "spell_setting",
 ]
 
-_SPELLED = {
-    "start": "from",
-    "goal": "to",
-    "round_trip": "return",
-    "radius_m": "robot-radius",
-    "range_m": "range",
-    "zone_starts_m": "zones",
-    "band_hz": "band",
-    "window_m": "window",
-    "drives": "drive",
-}
-"""Options that do not have the name of the setting: ``from`` and ``return`` are words of Python."""
+_SPELLED: dict[str, str] = {}
+"""Setting -> option, where the two differ (``from`` is a word of Python); of the commands that were made."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
+
+
+def spell_setting(name: str, option: str) -> str:
+    """Return the option of a setting; one of another name, without dashes, is remembered for messages.
+
+    Raises
+    ------
+    ValueError
+        Another command spells this setting in another way.
+    """
+    if option and _SPELLED.setdefault(name, option) != option:
+        raise ValueError(f"{name} is --{option} here and --{_SPELLED[name]} elsewhere")
+    return option_name(name)
+
+
+def option_name(name: str) -> str:
+    """Return the option of a setting, such as ``--tile-size``."""
+    return f"--{_SPELLED.get(name, name).replace('_', '-')}"
 
 
 def as_options(text: str) -> str:
@@ -58,7 +78,7 @@ def as_options(text: str) -> str:
 
 def _option(found: re.Match[str]) -> str:
     name, quoted, plain = found.groups()
-    option = f"--{_SPELLED.get(name, name).replace('_', '-')}"
+    option = option_name(name)
     if quoted is not None:
         return f"{option} {shlex.quote(quoted)}"
     return option if plain in {None, "True"} else f"{option} {plain}"
@@ -231,3 +251,63 @@ def about(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"about {seconds / size:.0f} {unit}"
     return f"about {seconds:.0f} s"
+
+
+def emit(event: str, **facts: Any) -> None:
+    """Print one event with the current time."""
+    time = datetime.now(UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    print_error(json.dumps({"time": time, "event": event, **facts}))
+
+
+class _Handler(logging.Handler):
+    """Prints log records as lines or as events."""
+
+    def __init__(self, *, as_json: bool) -> None:
+        super().__init__()
+        self._as_json = as_json
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print a record."""
+        try:
+            level, message = record.levelname.lower(), record.getMessage()
+        except Exception:  # noqa: BLE001 (a log call with wrong arguments must not end a run)
+            self.handleError(record)
+            return
+        if self._as_json:
+            emit(level, message=message, logger=record.name)
+        else:
+            print_error(f"{level.capitalize()}: {message}")
+
+
+@contextmanager
+def restored_logging() -> Iterator[None]:
+    """Restore the log settings at the end, for a caller that continues after a command."""
+    logger = logging.getLogger("bumpymap")
+    before = logger.handlers, logger.level, logger.propagate
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = before[0], before[2]
+        logger.setLevel(before[1])
+
+
+def set_up_logging(*, as_json: bool) -> None:
+    """Print the warnings of bumpymap and its engine to standard error, as text or as events."""
+    for name in ("bumpymap", "bumpytiles"):
+        logger = logging.getLogger(name)
+        logger.handlers = [_Handler(as_json=as_json)]
+        logger.setLevel(logging.INFO if as_json else logging.WARNING)
+        logger.propagate = False
+
+
+DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
+
+
+@contextmanager
+def interrupt_note(note: str) -> Iterator[None]:
+    """Add a note to the message after Ctrl-C or SIGTERM."""
+    try:
+        yield
+    except KeyboardInterrupt as end:
+        end.add_note(note)
+        raise

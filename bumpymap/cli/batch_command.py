@@ -5,18 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    given_options,
-    option_name,
-    output_options,
-    rating_options,
-    sheets_option,
-    tolerance_options,
-)
+from bumpymap.cli._options import PATH, config_option, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION, PATH, interrupt_note, set_up_logging
-from bumpymap.cli._text import as_options, print_json, print_line
-from bumpymap.core import CLASHES, count_text, refuse_clashes
+from bumpymap.cli._text import as_options, interrupt_note, option_name, print_json, print_line
+from bumpymap.core import CLASHES, MapConfig, count_text, refuse_clashes
+from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
     from bumpymap.layers import SurveyRow, SurveyStatus
@@ -32,36 +25,16 @@ _MOST_LISTED = 20
 
 @click.command("batch")
 @click.argument("source", type=PATH)
-@click.option(
-    "--out",
-    type=LOCATION,
-    metavar="DIR",
-    required=True,
-    help="Folder for the layers, a folder for each survey; or a URL, such as s3://bucket/night.",
+@settings_options(BatchConfig, required=("out",))
+@settings_options(
+    MapConfig,
+    without=("out", "resume"),
+    threads="Number of threads, shared by --jobs",
+    memory="Memory limit, shared by --jobs",
+    scratch="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded",
+    overwrite="Replace layers of other inputs or settings",
 )
-@click.option(
-    "--survey-per",
-    type=click.Choice(["file", "folder"]),
-    default="file",
-    help="What in the folder SOURCE is one survey [default: file].",
-)
-@click.option("--jobs", type=int, metavar="N", default=1, help="Number of surveys mapped at a time [default: 1].")
-@rating_options
-@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings for all surveys.")
-@click.option("--threads", type=int, metavar="N", help="Number of threads, shared by --jobs [default: all cores].")
-@click.option(
-    "--memory", metavar="SIZE", help="Memory limit, shared by --jobs [default: auto, a quarter of what is free]."
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
-@click.option(
-    "--scratch",
-    type=PATH,
-    metavar="DIR",
-    help="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded.",
-)
-@tolerance_options
-@sheets_option
-@click.option("--overwrite", is_flag=True, help="Replace layers of other inputs or settings.")
+@config_option
 @output_options()
 @click.pass_context
 def command(
@@ -84,11 +57,10 @@ def command(
     bumpymap batch surveys --out night
     bumpymap batch surveys.csv --out night --jobs 4
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    from bumpymap.survey import BatchConfig, read_batch_settings, run_batch
+    from bumpymap.survey import read_batch_settings, run_batch
 
-    own = {"survey_per": given.pop("survey_per"), "jobs": given.pop("jobs")}
     settings = given_options(given)
+    own = {name: settings.pop(name) for name in ("survey_per", "jobs") if name in settings}
     refuse_clashes(settings, CLASHES, option_name)
     defaults = read_batch_settings(config_file) if config_file else {}
     config = BatchConfig(source, out, settings, defaults, **own)
@@ -101,7 +73,7 @@ def command(
 
 
 def _reporter(progress: CommandProgress) -> "BatchReport":
-    """Return a function that prints what became of a survey; what failed is printed as a warning already."""
+    """Return a function that prints the result of a survey; what failed is printed as a warning already."""
 
     def report(row: "SurveyRow") -> None:
         progress.advance(1)

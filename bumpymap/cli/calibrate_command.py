@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, jobs_option, option_name, output_options
+from bumpymap.cli._options import FILE, given_options, jobs_option, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, FILE, interrupt_note, set_up_logging
-from bumpymap.cli._text import about, print_error, print_json, print_line
+from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, option_name, print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
+from bumpymap.lab import CalibrationSettings
 
 if TYPE_CHECKING:
-    from bumpymap.lab import CalibrationSettings
     from bumpymap.rating import Calibration, Vehicle
 
 
@@ -33,14 +32,8 @@ _NO_OUT = "calibrate needs a file to write: --out FILE.json (or --check)"
     help="Name of an included vehicle, or a TOML file [with --check: warthog].",
 )
 @click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
-@click.option("--seed", type=int, metavar="N", help="Random seed [default: 1].")
+@settings_options(CalibrationSettings)
 @jobs_option
-@click.option("--patches", type=int, metavar="N", help="Patches per texture and z range [default: 8; quick: 4].")
-@click.option("--starts", type=int, metavar="N", help="Drives per patch [default: 3; quick: 1].")
-@click.option("--terrains", type=int, metavar="N", help="Library terrains of each kind [default: 24; quick: 16].")
-@click.option("--terrain-starts", type=int, metavar="N", help="Drives per terrain [default: 8; quick: 4].")
-@click.option("--tile-size", type=float, metavar="M", help="Patch size in metres [default: 3].")
-@click.option("--pixels", type=int, metavar="N", help="Heightmap pixels along a side of a patch [default: 15].")
 @click.option("--quick", is_flag=True, help="Rough calibration in a few minutes: other defaults, fewer z ranges.")
 @click.option("--overwrite", is_flag=True, help="Replace the file, and discard progress made with other settings.")
 @click.option("--check", is_flag=True, help="Only check the simulation against analytical solutions; writes no file.")
@@ -52,10 +45,8 @@ def command(
 
     To resume an interrupted run, give the same command again.
     """
-    from bumpymap.lab import CalibrationSettings
     from bumpymap.rating import load_profile
 
-    set_up_logging(as_json=log_json)
     vehicle = vehicle or _default_vehicle(out, check=check)
     profile = load_profile(vehicle)
     workers, overwrite = given.pop("jobs") or os.cpu_count() or 1, given.pop("overwrite")
@@ -102,7 +93,7 @@ def _refuse_beside_check() -> None:
 
 
 def _calibrate(
-    settings: "CalibrationSettings",
+    settings: CalibrationSettings,
     out: Path,
     workers: int,
     overwrite: bool,
@@ -177,7 +168,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
         raise OutputError(f"cannot write {out}: {error}; choose an --out in a folder that you may write") from error
 
 
-def _command_line(settings: "CalibrationSettings", vehicle: str, out: Path, quick: bool) -> str:
+def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick: bool) -> str:
     """Return the command that makes the file again."""
     words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
     words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options
+from bumpymap.check import CheckConfig
+from bumpymap.cli._options import FILE, PATH, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import FILE, PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import (
-    CLASS_NAMES,
     BadInputError,
     BumpymapError,
     OutputError,
@@ -25,7 +24,7 @@ from bumpymap.core import (
 )
 
 if TYPE_CHECKING:
-    from bumpymap.check import CheckConfig, CheckRun
+    from bumpymap.check import CheckRun
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
     from bumpymap.layers import RouteMap
     from bumpymap.rating import Calibration, DriveUpdate
@@ -33,8 +32,8 @@ if TYPE_CHECKING:
 __all__ = ["Refit", "command", "prepare_refit", "show"]
 
 
-def show(run: "CheckRun", config: "CheckConfig", refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
-    """Print what was found, or one JSON object, with what became of the calibration."""
+def show(run: "CheckRun", config: CheckConfig, refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
+    """Print what was found, or one JSON object, with what was done to the calibration."""
     if as_json:
         print_json(_record(run, config) | ({} if refit is None else {"refit": refit}))
         return
@@ -73,8 +72,8 @@ def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
 
 def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
     angles = zip(("roll", "pitch", "yaw"), drive.mount_deg, strict=True)
-    told = [f"{name} {angle:.1f}" for name, angle in angles if math.isfinite(angle)]
-    yield f"the IMU is mounted at {', '.join(told)} degrees" if told else "how the IMU is mounted is not known"
+    known = [f"{name} {angle:.1f}" for name, angle in angles if math.isfinite(angle)]
+    yield f"the IMU is mounted at {', '.join(known)} degrees" if known else "how the IMU is mounted is not known"
     if math.isfinite(drive.floor_radps):
         yield f"at standstill it reads {drive.floor_radps:.4f} rad/s, which is taken off"
     if math.isfinite(drive.clock_offset_s):
@@ -82,6 +81,8 @@ def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
 
 
 def _classes(result: "CheckResult") -> Iterator[tuple[str, ...]]:
+    from bumpymap.core import CLASS_NAMES
+
     for number, found in sorted(result.by_class.items()):
         name = f"{number} {CLASS_NAMES[number]}" if number < len(CLASS_NAMES) else "unknown"
         yield (
@@ -101,7 +102,7 @@ def _percent(value: float) -> str:
     return f"{value:.0%}" if math.isfinite(value) else "-"
 
 
-def _record(run: "CheckRun", config: "CheckConfig") -> dict[str, Any]:
+def _record(run: "CheckRun", config: CheckConfig) -> dict[str, Any]:
     from bumpymap.layers import check_headline
 
     result = run.result
@@ -307,47 +308,33 @@ def _refit_percent(share: float) -> str:
 
 
 _PARTLY_DONE = 4
-_SETTINGS = {"band": "band_hz", "window": "window_m"}
-"""Options that do not have the name of the setting."""
 
 
 @click.command("check")
 @click.argument("layers", type=PATH, metavar="[LAYERS]", required=False)
-@click.option(
-    "--drive",
-    "drives",
-    multiple=True,
-    required=True,
-    metavar="LOG",
-    help="Log of a drive: CSV, a bag of ROS, ULog; files of one drive joined by commas. Can be repeated.",
-)
+@settings_options(CheckConfig, required=("drives",))
 @click.option(
     "--columns",
     metavar="LIST",
     help="Columns or topics of the log, such as rate_y=GyrY[deg/s],time=t [default: guessed and shown].",
 )
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: page, picture, tables, GIS layers.")
-@click.option("--band", type=float, metavar="HZ", help="Rates are low-passed at this frequency [default: 10].")
-@click.option("--window", type=float, metavar="M", help="Length of a stretch, at least 5 [default: 10].")
 @click.option("--refit", type=FILE, metavar="FILE", help="Move the calibration of the map to the drives (JSON).")
 @click.option(
     "--calibration", type=FILE, metavar="FILE", help="With --refit: calibration of the map [default: its own]."
 )
-@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier check.")
 @output_options()
 @click.pass_context
 def command(
     ctx: click.Context,
     /,
     layers: Path | None,
-    drives: tuple[str, ...],
     *,
     quiet: bool,
     log_json: bool,
     columns: str | None,
     **given: Any,
 ) -> None:
-    """Hold a map against real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
+    """Compare a map with real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
 
     Drives that cannot be used are left out and named (exit code 4).
 
@@ -357,13 +344,12 @@ def command(
     bumpymap check --drive drive.csv
     bumpymap check site_layers --drive drive.mcap --refit my_robot.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    from bumpymap.check import CheckConfig, run_check
+    from bumpymap.check import run_check
     from bumpymap.readers import parse_columns
 
     refit = _refit(layers, given.pop("refit"), given.pop("calibration"), overwrite=given["overwrite"])
-    settings = {_SETTINGS.get(name, name): value for name, value in given_options(given).items()}
-    config = CheckConfig(drives, layers, columns=None if columns is None else parse_columns(columns), **settings)
+    named = None if columns is None else parse_columns(columns)
+    config = CheckConfig(layers=layers, columns=named, **given_options(given))
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         run = run_check(config, progress)
     update, refused = _moved(refit, run.result)
@@ -387,7 +373,7 @@ def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, o
 
 
 def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate | None, BumpymapError | None]":
-    """Move the calibration; what stands against that is told after the findings of the check."""
+    """Move the calibration; reasons against it follow the findings of the check."""
     if refit is None or result.ground is None:
         return None, None
     try:

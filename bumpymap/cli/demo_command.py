@@ -5,9 +5,8 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import output_options
+from bumpymap.cli._options import PATH, output_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic
 
@@ -39,7 +38,6 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     from bumpymap.layers import REPORT_NAME
     from bumpymap.survey import map_surveys
 
-    set_up_logging(as_json=log_json)
     if survey is None:
         survey = _copy_sample(out / "survey" / _SAMPLE.name)
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)

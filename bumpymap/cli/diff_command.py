@@ -6,21 +6,25 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options
+from bumpymap.change import DiffConfig
+from bumpymap.cli._options import PATH, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
 from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.core import CLASS_NAMES, count_text, share_text, shares_text
+from bumpymap.core import count_text, share_text, shares_text
 
 if TYPE_CHECKING:
-    from bumpymap.change import ChangeResult, DiffConfig
+    from bumpymap.change import ChangeResult
 
 __all__ = ["command", "show"]
 
-_NAMES = (*(f"{number} {name}" for number, name in enumerate(CLASS_NAMES)), "unknown")
+
+def _names() -> tuple[str, ...]:
+    from bumpymap.core import CLASS_NAMES
+
+    return (*(f"{number} {name}" for number, name in enumerate(CLASS_NAMES)), "unknown")
 
 
-def show(result: "ChangeResult", config: "DiffConfig", *, as_json: bool) -> None:
+def show(result: "ChangeResult", config: DiffConfig, *, as_json: bool) -> None:
     """Print what has changed as tables, or as one JSON object."""
     if as_json:
         print_json(_record(result, config))
@@ -33,7 +37,7 @@ def show(result: "ChangeResult", config: "DiffConfig", *, as_json: bool) -> None
     )
     print_table(_changes(result), ("change", "tiles", "share"))
     print_line("Classes before (rows) and after (columns), tiles:")
-    print_table(_classes(result), ("before", *_NAMES))
+    print_table(_classes(result), ("before", *_names()))
     if counts["passable_lost"] or counts["passable_won"]:
         print_line(
             f"of the changed tiles, {count_text(counts['passable_lost'], 'is', 'are')} no longer passable and "
@@ -52,16 +56,16 @@ def _changes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
 
 
 def _classes(result: "ChangeResult") -> Iterator[tuple[str, ...]]:
-    for name, row in zip(_NAMES, result.transitions, strict=True):
+    for name, row in zip(_names(), result.transitions, strict=True):
         yield name, *(f"{tiles:,}" for tiles in row)
 
 
-def _record(result: "ChangeResult", config: "DiffConfig") -> dict[str, Any]:
+def _record(result: "ChangeResult", config: DiffConfig) -> dict[str, Any]:
     return {
         "out": None if config.out is None else str(config.out),
         "files": [path.name for path in result.files],
         "counts": dict(result.counts),
-        "classes": {"names": list(_NAMES), "tiles_before_after": result.transitions.tolist()},
+        "classes": {"names": list(_names()), "tiles_before_after": result.transitions.tolist()},
         "fit": dict(result.fit),
         "notes": list(result.notes),
     }
@@ -70,11 +74,7 @@ def _record(result: "ChangeResult", config: "DiffConfig") -> dict[str, Any]:
 @click.command("diff")
 @click.argument("before", type=PATH, metavar="BEFORE")
 @click.argument("after", type=PATH, metavar="AFTER")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for the files: raster, places, page.")
-@click.option("--fdr", type=float, metavar="SHARE", help="Share of changed tiles found by mistake [default: 0.05].")
-@click.option("--min-tiles", type=int, metavar="N", help="Fewest connected tiles of a change [default: 2].")
-@click.option("--offset", type=float, metavar="M", help="Height to take off AFTER [default: as measured].")
-@click.option("--overwrite", is_flag=True, help="Replace the files of an earlier run.")
+@settings_options(DiffConfig)
 @output_options()
 def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: Any) -> None:
     """Find what has changed between two surveys of a site, BEFORE and AFTER: folders of `bumpymap map`.
@@ -82,8 +82,7 @@ def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: 
     \b
     bumpymap diff may_layers june_layers --out may_to_june
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    from bumpymap.change import DiffConfig, find_changes
+    from bumpymap.change import find_changes
 
     config = DiffConfig(before, after, **given_options(given))
     with show_progress(quiet=quiet, as_json=log_json) as progress:

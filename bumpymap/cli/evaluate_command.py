@@ -2,28 +2,28 @@
 
 import os
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from bumpymap.cli._options import (
-    crs_option,
-    force_crs_option,
+    LOCATION,
+    PATH,
     given_options,
     jobs_option,
     merge_settings,
-    option_name,
     output_options,
+    settings_options,
 )
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import DRIVES_KEPT, LOCATION, PATH, interrupt_note, set_up_logging
-from bumpymap.cli._text import print_json, print_line
-from bumpymap.core import OF_CRS, Ground, OutputError, Progress, Rating, UsageError, ZUnit, locked
+from bumpymap.cli._text import DRIVES_KEPT, interrupt_note, option_name, print_json, print_line
+from bumpymap.core import OF_CRS, MapConfig, OutputError, Progress, Rating, UsageError, locked
+from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 
 if TYPE_CHECKING:
-    from bumpymap.lab import EvaluateSettings, Findings, ScanFindings, Subject
+    from bumpymap.lab import Findings, ScanFindings, Subject
 
 _OF_ALL = ("surveys", "scans", "out", "seed", "overwrite", "quiet", "log_json")
 _OF_SCANS = ("scenes", "labels", "model", "stripes")
@@ -33,11 +33,9 @@ _OF_SCANS = ("scenes", "labels", "model", "stripes")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @click.option("--scans", is_flag=True, help="Evaluate the classes of single scans: given frames, or simulated scenes.")
 @click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
-@crs_option
-@force_crs_option
-@click.option("--local", is_flag=True, help="Treat coordinates without a CRS as metres.")
-@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
-@click.option("--ground", type=click.Choice(get_args(Ground)), default="auto", show_default=True, help="Points to use.")
+@settings_options(
+    MapConfig, "ground", "crs", "force_crs", "z_unit", "local", local="Treat coordinates without a CRS as metres"
+)
 @click.option(
     "--vehicle",
     multiple=True,
@@ -45,26 +43,14 @@ _OF_SCANS = ("scenes", "labels", "model", "stripes")
     help="Name of an included vehicle, or a TOML file [default: warthog].",
 )
 @click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
-@click.option(
-    "--rating",
-    type=click.Choice(get_args(Rating)),
-    default="ride",
-    show_default=True,
-    help="table: evaluate without the ride model.",
-)
-@click.option("--total-patches", type=int, metavar="N", help="Patches to drive over [default: 300].")
-@click.option("--min-starts", type=int, metavar="N", help="Minimum number of drives per patch [default: 16].")
-@click.option("--max-starts", type=int, metavar="N", help="Maximum number of drives per patch [default: 48].")
-@click.option("--seed", type=int, default=7, show_default=True, metavar="N", help="Random seed.")
+@settings_options(EvaluateSettings)
 @jobs_option
 @click.option(
     "--labels",
     metavar="NAME_OR_FILE",
     help="With --scans: label set: kitti, semantic-kitti, rellis, or a file of ids and classes [default: by the ids].",
 )
-@click.option(
-    "--scenes", type=int, default=44, show_default=True, metavar="N", help="With --scans: number of simulated scenes."
-)
+@settings_options(ScanEvaluateSettings, "scenes")
 @click.option("--model", type=PATH, metavar="FILE", help="With --scans: your own scan network.")
 @click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: your own stripe classes.")
 @click.option("--overwrite", is_flag=True, help="Replace the report, and discard drives made with other settings.")
@@ -81,17 +67,15 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=given["log_json"])
-    shown = _Output(given["quiet"], given["log_json"])
     _refuse_other_options(places=bool(surveys), scans=scans)
     if scans:
-        _evaluate_scans(surveys, out, given, shown)
+        _evaluate_scans(surveys, out, given)
         return
     if not surveys:
         raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     merge_settings({}, given_options(click.get_current_context().params), OF_CRS)
-    settings = _settings(given)
-    subjects = _subjects(given)
+    settings = EvaluateSettings(**_chosen(given, EvaluateSettings))
+    subjects = _subjects(given, settings.rating)
     from bumpymap.lab import (
         TrialOptions,
         evaluate_survey,
@@ -106,12 +90,12 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     require_dart()
     options = ReadOptions(crs=given["crs"], z_unit=given["z_unit"], force_crs=given["force_crs"])
     readers = open_readers(surveys, options, local=given["local"])
-    with locked(out), interrupt_note(DRIVES_KEPT), shown.progress() as progress:
+    with locked(out), interrupt_note(DRIVES_KEPT), _progress(given) as progress:
         _check_place(out, overwrite=given["overwrite"])
         trial = TrialOptions(out, given["jobs"] or os.cpu_count() or 1, given["overwrite"], progress)
-        findings = evaluate_survey(readers, options, given["ground"], subjects, settings, trial)
+        findings = evaluate_survey(readers, options, given["ground"] or "auto", subjects, settings, trial)
         files = write_report(findings, out)
-    if shown.summary(out, files):
+    if _is_text(out, files, given):
         _summary(findings, files)
 
 
@@ -131,27 +115,19 @@ def _refuse_other_options(*, places: bool, scans: bool) -> None:
         raise UsageError("--labels applies to frames: give frames, or leave it out")
 
 
-@dataclass(frozen=True, slots=True)
-class _Output:
-    """What an evaluation prints in addition to its report."""
-
-    quiet: bool
-    log_json: bool
-
-    def progress(self) -> AbstractContextManager[Progress]:
-        """Return the context manager that shows the progress."""
-        return show_progress(quiet=self.quiet, as_json=self.log_json)
-
-    def summary(self, out: Path, files: list[Path]) -> bool:
-        """Print the list of files as JSON with ``log_json``; return whether to print a summary as text."""
-        if self.log_json and not self.quiet:
-            print_json({"out": str(out), "files": [path.name for path in files]})
-        return not (self.quiet or self.log_json)
+def _progress(given: dict[str, Any]) -> AbstractContextManager[Progress]:
+    return show_progress(quiet=given["quiet"], as_json=given["log_json"])
 
 
-def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], shown: _Output) -> None:
+def _is_text(out: Path, files: list[Path], given: dict[str, Any]) -> bool:
+    """Return whether to print a summary as text; with ``--log-json``, the list of files is printed as JSON."""
+    if given["log_json"] and not given["quiet"]:
+        print_json({"out": str(out), "files": [path.name for path in files]})
+    return not (given["quiet"] or given["log_json"])
+
+
+def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
     from bumpymap.lab import (
-        ScanEvaluateSettings,
         ScanMethods,
         evaluate_scans,
         labels_of,
@@ -163,32 +139,30 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any], s
     from bumpymap.readers import find_frames
     from bumpymap.scan import ScanModel, load_stripes
 
-    settings = ScanEvaluateSettings(scenes=given["scenes"], seed=given["seed"])
+    settings = ScanEvaluateSettings(**_chosen(given, ScanEvaluateSettings))
     network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
     methods = ScanMethods(load_stripes(given["stripes"]), network)
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
     labels = labels_of(frames, given["labels"])
-    with locked(out), shown.progress() as progress:
+    with locked(out), _progress(given) as progress:
         _check_place(out, overwrite=given["overwrite"])
         scans = read_frames(frames, labels) if frames else simulated_scans(settings)
         findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
         files = write_scan_report(findings, out)
-    if shown.summary(out, files):
+    if _is_text(out, files, given):
         _summarise_scans(findings)
         print_line(f"wrote {files[0]}")
 
 
-def _settings(given: dict[str, Any]) -> "EvaluateSettings":
-    from bumpymap.lab import EvaluateSettings
-
-    names = ("total_patches", "min_starts", "max_starts", "seed", "rating")
-    own = {name: value for name, value in given_options(given).items() if name in names}
-    return EvaluateSettings(**own)
+def _chosen(given: dict[str, Any], owner: type) -> dict[str, Any]:
+    """Return the options that were given and are settings of a class."""
+    names = {field.name for field in fields(owner)}
+    return {name: value for name, value in given_options(given).items() if name in names}
 
 
-def _subjects(given: dict[str, Any]) -> "list[Subject]":
+def _subjects(given: dict[str, Any], rating: Rating) -> "list[Subject]":
     from bumpymap.lab import Subject
     from bumpymap.rating import TextureModel, find_calibration
 
@@ -199,7 +173,7 @@ def _subjects(given: dict[str, Any]) -> "list[Subject]":
     if len(set(ids)) < len(ids):
         raise UsageError("the same calibration was given twice; give each vehicle once")
     textures = TextureModel.shipped()
-    return [Subject.of(calibration, textures, given["rating"]) for calibration in calibrations]
+    return [Subject.of(calibration, textures, rating) for calibration in calibrations]
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:

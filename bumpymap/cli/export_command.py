@@ -3,17 +3,17 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, option_name, output_options
-from bumpymap.cli._terminal import PATH, set_up_logging
-from bumpymap.cli._text import print_json, print_line
-from bumpymap.core import ExportFormat, ExportResolution, UsageError
+from bumpymap.cli._options import PATH, given_options, output_options, settings_options
+from bumpymap.cli._text import option_name, print_json, print_line
+from bumpymap.core import UsageError
+from bumpymap.layers import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
-    from bumpymap.layers import Export, ExportSettings, RouteMap
+    from bumpymap.layers import Export, RouteMap
 
 __all__ = ["command"]
 
@@ -38,31 +38,12 @@ _LOCAL_DATUM_M = 1e6
 
 @click.command("export")
 @click.argument("layers", nargs=-1, required=True, type=PATH, metavar="LAYERS...")
-@click.option("--to", required=True, type=click.Choice(get_args(ExportFormat)), help="Format; see above.")
 @click.option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.")
 @click.option(
     "--around", metavar="POINT", help="Only the tiles around LON,LAT or X,Y in the survey's CRS [default: all]."
 )
-@click.option("--radius", type=float, metavar="M", help="How far around, to each side, in metres [default: 100].")
 @click.option("--datum", metavar="POINT", help="Origin of the local frame [default: a corner of a tile in the middle].")
-@click.option(
-    "--resolution",
-    type=click.Choice(get_args(ExportResolution)),
-    help="nav2, gridmap: one cell a tile, or a pixel (0.2 m) with obstacles [default: tile].",
-)
-@click.option(
-    "--comfort", type=float, metavar="RAD_S", help="nav2: most pitch motion for the speed mask, rad/s [default: 0.3]."
-)
-@click.option(
-    "--dearest", type=float, metavar="COST", help="nav2: cost per metre of the highest value [default: the highest]."
-)
-@click.option(
-    "--every", type=int, metavar="N", help="graph: one node in up to N x N tiles: 1, 3, 9, 27 [default: auto]."
-)
-@click.option(
-    "--route", type=PATH, metavar="PATH", help="plan: folder of the route, or a GeoJSON file [default: LAYERS]."
-)
-@click.option("--through-obstacles", is_flag=True, help="plan: take a route that touches obstacles too.")
+@settings_options(ExportSettings, required=("to",))
 @click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
 @output_options("Print no summary.")
 def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
@@ -79,11 +60,12 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
-    _refuse_idle(given_options(given), given["to"])
+    options = given_options(given)
+    _refuse_idle(options, given["to"])
     from bumpymap.layers import export_map, open_map
 
-    settings = _checked(given)
+    # Settings that need no map are checked before it is opened.
+    settings = ExportSettings(**{name: value for name, value in options.items() if name not in _POINTS})
     route_map = open_map(layers)
     done = export_map(route_map, out, _placed(settings, given, route_map), overwrite=overwrite)
     if quiet:
@@ -105,14 +87,7 @@ def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
         raise UsageError("--radius has no effect without --around POINT")
 
 
-def _checked(given: Mapping[str, Any]) -> "ExportSettings":
-    """Return the settings that need no map, checked before it is opened."""
-    from bumpymap.layers import ExportSettings
-
-    return ExportSettings(**{name: given[name] for name in given if given[name] is not None and name not in _POINTS})
-
-
-def _placed(settings: "ExportSettings", given: Mapping[str, Any], route_map: "RouteMap") -> "ExportSettings":
+def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "RouteMap") -> ExportSettings:
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 

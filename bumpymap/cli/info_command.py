@@ -1,20 +1,18 @@
 """``bumpymap info``: report what a survey contains, and what a run needs."""
 
 import logging
-import os
 import shlex
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import crs_option, force_crs_option, option_name, output_options
+from bumpymap.cli._options import LOCATION, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import LOCATION, set_up_logging
-from bumpymap.cli._text import as_options, print_json, print_labelled, print_line, print_table
-from bumpymap.core import OF_CRS, Ground, MapConfig, ZUnit, count_text, refuse_clashes
+from bumpymap.cli._text import as_options, option_name, print_json, print_labelled, print_line, print_table
+from bumpymap.core import OF_CRS, Ground, MapConfig, count_text, refuse_clashes
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
@@ -26,23 +24,18 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _BAD_INPUT = 3
+_OF_SIZE = ("tile_size", "pixels", "memory", "threads")
 
 
 @click.command("info")
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@crs_option
-@force_crs_option
-@click.option("--z-unit", type=click.Choice(get_args(ZUnit)), help="Unit of heights if the CRS does not define it.")
-@click.option("--trust-points", is_flag=True, help="Accept files whose points contradict the extent in the header.")
+@settings_options(MapConfig, "crs", "force_crs", "z_unit", "trust_points", "tile_size", "pixels")
 @click.option(
     "--ground", type=click.Choice(["auto", "all", "class"]), default="auto", help="As for map [default: auto]."
 )
-@click.option("--tile-size", type=float, default=3.0, metavar="M", help="Tile size in metres [default: 3].")
-@click.option(
-    "--pixels", type=int, default=15, metavar="N", help="Heightmap pixels along a side of a tile [default: 15]."
+@settings_options(
+    MapConfig, "memory", "threads", memory="As for map, for the estimate", threads="As for map, for the estimate"
 )
-@click.option("--memory", default="auto", metavar="SIZE", help="As for map, for the estimate [default: auto].")
-@click.option("--threads", type=int, metavar="N", help="As for map, for the estimate [default: all cores].")
 @click.option("--quick", is_flag=True, help="Read only the headers, no points.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 @output_options("Print no progress.")
@@ -64,13 +57,12 @@ def command(
     from bumpymap.survey import Budget, with_memory
     from bumpytiles import Grid
 
-    set_up_logging(as_json=log_json)
     refuse_clashes({name: given[name] for name in ("crs", "force_crs") if given[name] is not None}, OF_CRS, option_name)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
-    count = (os.cpu_count() or 1) if given["threads"] is None else given["threads"]
     # Checks that the settings are valid for a run.
-    sizes = {name: given[name] for name in ("tile_size", "pixels", "memory")}
-    run = with_memory(MapConfig(surveys, Path(), threads=count, **sizes))
+    sizes = {name: value for name, value in given_options(given).items() if name in _OF_SIZE}
+    config = MapConfig(surveys, Path(), **sizes)
+    run = with_memory(config)
     ground, as_json = given["ground"], given["as_json"]
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
@@ -91,7 +83,7 @@ def command(
     else:
         _show(reports, why_not_together or _advise_one_map(surveys, reports, whole))
         if forecast is not None:
-            memory = run.memory if run.memory == given["memory"] else f"{given['memory']} ({run.memory} now)"
+            memory = run.memory if run.memory == config.memory else f"{config.memory} ({run.memory} now)"
             _show_run(forecast, grid, memory, budget.threads)
             _show_sheets(grid, reports)
     if any(report.error for report in reports):
@@ -194,7 +186,7 @@ def _show(reports: "list[Report]", why_not_together: list[str]) -> None:
         print_table(as_rows(report))
         # Not in the table, which would wrap commands: they must stay on one line to be copied.
         for need in report.needs():
-            label = "cannot be read" if report.error else "to map it"
+            label = "error" if report.error else "to map it"
             print_labelled(f"  {label}: ", need, "yellow")
         print_line()
     for number, line in enumerate(why_not_together):

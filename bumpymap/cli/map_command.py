@@ -9,15 +9,14 @@ from typing import Any
 import click
 
 from bumpymap.cli._options import (
+    LOCATION,
+    config_option,
     given_options,
     merge_settings,
     output_options,
-    rating_options,
-    sheets_option,
-    tolerance_options,
+    settings_options,
 )
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import LOCATION, PATH, set_up_logging
 from bumpymap.core import CLASHES, MapConfig, Progress, UsageError, read_settings_file
 
 __all__ = ["ImportsAhead", "command", "start_ahead"]
@@ -67,21 +66,8 @@ _PARTLY_DONE = 4
 
 @click.command("map")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for the layers.")
-@rating_options
-@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
-@click.option("--threads", type=int, metavar="N", help="Number of threads [default: all cores].")
-@click.option(
-    "--memory",
-    metavar="SIZE",
-    help="Memory limit in addition to the interpreter's, per worker [default: auto, a quarter of what is free].",
-)
-@click.option("--scheduler", metavar="ADDRESS", help="Run on the workers of this dask scheduler.")
-@click.option("--scratch", type=PATH, metavar="DIR", help="Folder for points that exceed --memory [default: in --out].")
-@tolerance_options
-@sheets_option
-@click.option("--resume", is_flag=True, help="Continue an interrupted run.")
-@click.option("--overwrite", is_flag=True, help="Replace the layers of an earlier run.")
+@settings_options(MapConfig)
+@config_option
 @output_options()
 @click.pass_context
 def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log_json: bool, **given: Any) -> None:
@@ -91,7 +77,6 @@ def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     from_file = read_settings_file(config_file, MapConfig) if config_file else {}
     settings = merge_settings(from_file, given_options(given), CLASHES)
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):

@@ -5,8 +5,7 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._options import given_options, output_options
-from bumpymap.cli._terminal import PATH, set_up_logging
+from bumpymap.cli._options import PATH, given_options, output_options
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import UsageError
 
@@ -30,7 +29,6 @@ def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: A
     bumpymap report layers --check checked
     bumpymap report may_layers june_layers --out may_and_june.html
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     if not layers:
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.layers import write_reports

@@ -2,26 +2,35 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from statistics import median
-from typing import TYPE_CHECKING, Any, get_args
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, merge_settings, option_name, output_options
+from bumpymap.cli._options import PATH, config_option, given_options, merge_settings, output_options, settings_options
 from bumpymap.cli._progress import show_progress
-from bumpymap.cli._terminal import PATH, set_up_logging
-from bumpymap.cli._text import print_json, print_line, print_table
-from bumpymap.core import VEHICLE_OR_CALIBRATION, Compat, UsageError, count_text, shares_text
+from bumpymap.cli._text import option_name, print_json, print_line, print_table
+from bumpymap.core import (
+    VEHICLE_OR_CALIBRATION,
+    PolarSettings,
+    Robot,
+    UsageError,
+    count_text,
+    read_settings_file,
+    settings_with_options,
+    shares_text,
+)
+from bumpymap.scan import ScanConfig
 
 if TYPE_CHECKING:
-    from bumpymap.core import PolarSettings
-    from bumpymap.scan import ScanConfig, ScanRun, StripeModel
+    from bumpymap.scan import ScanRun, StripeModel
 
-__all__ = ["METHODS", "PRODUCTS", "command", "show", "show_fit"]
+__all__ = ["command", "show", "show_fit"]
 
 
-def show(result: "ScanRun", config: "ScanConfig", *, as_json: bool) -> None:
+def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
     """Print the result of a run as a table, or as one JSON object."""
+    from statistics import median
+
     record = _record(result, config)
     if as_json:
         print_json(record)
@@ -79,7 +88,7 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
     return f"Merged: {kept}; {agree}"
 
 
-def show_fit(model: "StripeModel", config: "ScanConfig", skipped: dict[str, str], *, as_json: bool) -> None:
+def show_fit(model: "StripeModel", config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
     """Print the result of a fit."""
     if as_json:
         found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
@@ -100,7 +109,7 @@ def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str
         yield shown, f"{count:,}", share, f"{points[name]:,}" if name in points else ""
 
 
-def _record(result: "ScanRun", config: "ScanConfig") -> dict[str, Any]:
+def _record(result: "ScanRun", config: ScanConfig) -> dict[str, Any]:
     frames = [frame.record() for frame in result.frames]
     return {
         "out": str(config.out),
@@ -123,28 +132,9 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
 
 
 _PARTLY_DONE = 4
-# Copied from bumpymap.scan, whose import would slow --help down by half a second; a test compares them.
-METHODS = ("filter", "learned")
-PRODUCTS = ("polygons", "table", "cloud")
-_NOT_OF_A_FIT = (
-    "out",
-    "poses",
-    "crs",
-    "deskew",
-    "method",
-    "model",
-    "stripes",
-    "compat",
-    "products",
-    "odometry",
-    "bag",
-    "pictures",
-    "range_m",
-    "threads",
-    "vehicle",
-    "calibration",
-    "resume",
-)
+_OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
+_NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
+_TABLES = (PolarSettings.__dataclass_fields__, Robot.__dataclass_fields__)
 
 
 class _EveryNth(click.types.IntParamType):
@@ -160,47 +150,19 @@ class _EveryNth(click.types.IntParamType):
 
 @click.command("scan")
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
-@click.option("--out", type=PATH, metavar="DIR", help="Folder for the output files.")
+@settings_options(ScanConfig)
+@settings_options(PolarSettings)
+@settings_options(Robot)
 @click.option(
     "--fit",
     type=PATH,
     metavar="FILE",
     help="Fit the stripe classes of the filter to the frames and write only this file.",
 )
-@click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
-@click.option("--no-deskew", "deskew", flag_value=False, type=bool, help="Keep points as measured in motion.")
-@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: told from them].")
-@click.option(
-    "--labels", metavar="NAME_OR_FILE", help="Label set: kitti, semantic-kitti, rellis, or a file (id,class)."
-)
-@click.option("--crs", metavar="CRS", help="CRS of the poses, such as EPSG:32614 [default: none, local metres].")
-@click.option("--topic", metavar="NAME", help="Topic of the scans in a bag [default: the only PointCloud2].")
-@click.option("--odometry", metavar="NAME", help="Topic of the poses in a bag [default: the only Odometry, or tf].")
-@click.option("--bag", type=PATH, metavar="FILE", help="Write grids of all frames to this bag of ROS 2 (.mcap).")
-@click.option(
-    "--method", type=click.Choice(METHODS), help="How sectors are classified [default: learned if available]."
-)
-@click.option("--model", type=PATH, metavar="FILE", help="ONNX file of your own scan network (learned).")
-@click.option("--stripes", type=PATH, metavar="FILE", help="Your own stripe classes, from --fit (filter).")
-@click.option("--compat", type=click.Choice(get_args(Compat)), help="paper: fit the stripe classes in every scan.")
-@click.option("--products", metavar="LIST", help=f"What to write for each frame [default: {','.join(PRODUCTS)}].")
 @click.option(
     "--pictures", type=_EveryNth(), is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
 )
-@click.option("--range", "range_m", type=float, metavar="M", help="A picture reaches as far as this [default: 40].")
-@click.option("--threads", type=int, metavar="N", help="Number of frames to work on at a time [default: all cores].")
-@click.option("--zones", metavar="LIST", help="Borders of the zones, m [default: 1,4,12,28,60,100].")
-@click.option("--sectors", metavar="LIST", help="Sectors around each zone [default: 16,24,32,48,32].")
-@click.option("--rings", metavar="LIST", help="Rings of each zone [default: 2,4,4,4,2].")
-@click.option(
-    "--robot-radius", type=float, metavar="M", help="Exclude returns nearer than this, as on the robot [default: 0.5]."
-)
-@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle whose ride is told: name or TOML file.")
-@click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
-@click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
-@click.option("--skip-bad", is_flag=True, help="Skip frames that cannot be read (exit code 4).")
-@click.option("--resume", is_flag=True, help="Continue an interrupted run.")
-@click.option("--overwrite", is_flag=True, help="Replace the output of an earlier run.")
+@config_option
 @output_options()
 @click.pass_context
 def command(
@@ -217,7 +179,6 @@ def command(
     from bumpymap.layers import import_without_pandas
     from bumpymap.scan import fit_frames, scan_frames
 
-    set_up_logging(as_json=log_json)
     config = _config(config_file, fit, given)
     if ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
@@ -235,49 +196,23 @@ def command(
         ctx.exit(_PARTLY_DONE)
 
 
-def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> "ScanConfig":
+def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> ScanConfig:
     """Merge the settings of the file and of the command line, which override them."""
     from dataclasses import replace
 
-    from bumpymap.core import read_settings_file
-    from bumpymap.scan import ScanConfig
-
     options = given_options(given)
-    if fit is not None:
-        wrong = [name for name in _NOT_OF_A_FIT if name in options]
-        if wrong:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
+    if fit is not None and (wrong := [name for name in _NOT_OF_A_FIT if name in options]):
+        raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
     settings = read_settings_file(config_file, ScanConfig) if config_file else {}
-    polar: dict[str, str] = {name: options.pop(name) for name in ("zones", "sectors", "rings") if name in options}
-    radius = options.pop("robot_radius", None)
-    if "products" in options:
-        options["products"] = tuple(word.strip() for word in options["products"].split(",") if word.strip())
+    polar, robot = ({name: options.pop(name) for name in declared if name in options} for declared in _TABLES)
     settings = merge_settings(settings, options, [VEHICLE_OR_CALIBRATION])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):
         if not settings.get(name):
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
+    if "zone_starts_m" in polar:  # the option lists the outer border of the last zone too
+        *starts, end = polar["zone_starts_m"]
+        polar |= {"zone_starts_m": tuple(starts), "end_m": end}
     config = ScanConfig(**settings)
-    if radius is not None:
-        config = replace(config, robot=replace(config.robot, radius_m=radius))
-    return replace(config, polar=_polar(config.polar, polar)) if polar else config
-
-
-def _polar(settings: "PolarSettings", given: dict[str, str]) -> "PolarSettings":
-    from dataclasses import replace
-
-    changed: dict[str, Any] = {
-        name: _numbers(name, given[name], int, "16,24,32,48,32") for name in ("sectors", "rings") if name in given
-    }
-    if "zones" in given:
-        *starts, end = _numbers("zones", given["zones"], float, "1,4,12,28,60,100")
-        changed |= {"zone_starts_m": tuple(starts), "end_m": end}
-    return replace(settings, **changed)
-
-
-def _numbers(name: str, text: str, kind: type, example: str) -> tuple[Any, ...]:
-    try:
-        return tuple(kind(word) for word in text.split(","))
-    except ValueError as error:
-        raise UsageError(f"--{name} is '{text}'; it must be numbers with commas between them: {example}") from error
+    return replace(config, polar=replace(config.polar, **polar), robot=replace(config.robot, **robot))

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import given_options, option_name, output_options
+from bumpymap.cli._options import FILE, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._terminal import FILE, interrupt_note, set_up_logging
-from bumpymap.cli._text import print_json, print_line
+from bumpymap.cli._text import interrupt_note, option_name, print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
+from bumpymap.lab import LoopSettings, NetworkSettings, ScanTrainSettings, TrainSettings
 
 if TYPE_CHECKING:
     from bumpymap.lab import EpochReport, TrainedModel
@@ -27,7 +27,6 @@ _OF_TEXTURES = ("patches_per_texture", "tile_size", "pixels")
 _OF_SCANS = ("scenes", "sectors_per_class")
 
 
-# Defaults are text in the help, because their modules import torch; a test compares them.
 @click.command("train")
 @click.option(
     "--out",
@@ -41,25 +40,10 @@ _OF_SCANS = ("scenes", "sectors_per_class")
     metavar="simulated|DIR",
     help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
 )
-@click.option(
-    "--seed", type=int, metavar="N", help="Random seed of the training data and initial weights [default: 1]."
-)
-@click.option("--epochs", type=int, metavar="N", help="Number of epochs [default: 30; with --scans 20].")
-@click.option(
-    "--patches-per-texture",
-    type=int,
-    metavar="N",
-    help="Texture network: training patches per texture [default: 6534].",
-)
-@click.option("--tile-size", type=float, metavar="M", help="Texture network: tile size in metres [default: 3].")
-@click.option("--pixels", type=int, metavar="N", help="Texture network: pixels along a side of a tile [default: 15].")
-@click.option("--scenes", type=int, metavar="N", help="With --scans simulated: training scenes [default: 440].")
-@click.option(
-    "--sectors-per-class", type=int, metavar="N", help="With --scans: sectors per class and epoch [default: 10000]."
-)
-@click.option(
-    "--threads", type=int, metavar="N", help="CPU threads; the last bits of the result depend on it [default: 1]."
-)
+@settings_options(LoopSettings)
+@settings_options(TrainSettings, *_OF_TEXTURES)
+@settings_options(NetworkSettings, *_OF_TEXTURES)
+@settings_options(ScanTrainSettings, *_OF_SCANS)
 @click.option("--overwrite", is_flag=True, help="Replace the network of an earlier training.")
 @output_options()
 def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
@@ -73,7 +57,6 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    set_up_logging(as_json=log_json)
     options = given_options(given)
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
@@ -112,7 +95,7 @@ def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
 def _train_textures(
     options: dict[str, Any], out: Path, progress: CommandProgress
 ) -> "tuple[list[str], TrainedModel[Any]]":
-    from bumpymap.lab import NetworkSettings, TrainSettings, make_model
+    from bumpymap.lab import make_model
 
     network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
     made = make_model(TrainSettings(**options, network=network), out, _Epochs(progress))
@@ -129,7 +112,7 @@ def _train_textures(
 def _train_scans(
     options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
 ) -> "tuple[list[str], TrainedModel[Any]]":
-    from bumpymap.lab import ScanTrainSettings, load_open3d, make_scan_model
+    from bumpymap.lab import load_open3d, make_scan_model
 
     if folder is None:
         load_open3d("--scans simulated")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._terminal import PATH
+from bumpymap.cli._options import PATH
 from bumpymap.cli._text import print_line
 
 if TYPE_CHECKING:

@@ -8,10 +8,13 @@ from .config import (
     Compat as Compat,
     CsfSettings as CsfSettings,
     FeatureSettings as FeatureSettings,
+    GridSettings as GridSettings,
     Ground as Ground,
     MapConfig as MapConfig,
-    NameOrFile as NameOrFile,
+    PolarSettings as PolarSettings,
     Rating as Rating,
+    Robot as Robot,
+    ScanMethod as ScanMethod,
     ZUnit as ZUnit,
     decide_ground as decide_ground,
     override_settings as override_settings,
@@ -129,8 +132,6 @@ from .processes import (
 )
 from .route_types import (
     NO_TILE as NO_TILE,
-    ExportFormat as ExportFormat,
-    ExportResolution as ExportResolution,
     Route as Route,
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
@@ -174,19 +175,21 @@ from .scan_types import (
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
     FrameSource as FrameSource,
-    PolarSettings as PolarSettings,
     PoseTrack as PoseTrack,
     Scan as Scan,
-    ScanMethod as ScanMethod,
     SectorBounds as SectorBounds,
     SectorRide as SectorRide,
     SectorStack as SectorStack,
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
-from .settings_file import (
+from .settings import (
     UNFILLED as UNFILLED,
+    Declared as Declared,
+    NameOrFile as NameOrFile,
+    Setting as Setting,
     brief_repr as brief_repr,
+    check_settings as check_settings,
     field_rule as field_rule,
     parse_record as parse_record,
     parse_share as parse_share,
@@ -197,6 +200,7 @@ from .settings_file import (
     refuse_faults as refuse_faults,
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
+    settings_with_options as settings_with_options,
     short_repr as short_repr,
 )
 from .shared_kernels import (
@@ -204,7 +208,6 @@ from .shared_kernels import (
     Plane as Plane,
     best_candidate as best_candidate,
     fill_holes as fill_holes,
-    squared_distances as squared_distances,
 )
 from .types import (
     BANDS as BANDS,

@@ -1,12 +1,15 @@
-"""Settings of a map run: frozen dataclasses with defaults, validated when they are created."""
+"""Settings of a map run, and of the polar grid and the robot of scans: declared once, checked when they are created."""
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from bumpymap.core.errors import BadInputError, UsageError
+from bumpymap.core.settings import NameOrFile, Setting, check_settings
 
 __all__ = [
     "CLASHES",
@@ -18,13 +21,15 @@ __all__ = [
     "Compat",
     "CsfSettings",
     "FeatureSettings",
+    "GridSettings",
     "Ground",
     "MapConfig",
-    "NameOrFile",
+    "PolarSettings",
     "Rating",
+    "Robot",
+    "ScanMethod",
     "ZUnit",
     "decide_ground",
-    "names_a_file",
     "override_settings",
     "refuse_clashes",
 ]
@@ -34,14 +39,16 @@ Compat = Literal["none", "paper"]
 Align = Literal["off", "report", "on"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
-NameOrFile = Annotated[str, "a name, or the path of a file"]
-"""A relative path in a settings file starts at the folder of that file."""
+ScanMethod = Literal["filter", "learned"]
 
 RESUME_OR_OVERWRITE = (
     "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
     "started with `overwrite=True` is resumed with just `resume=True`"
 )
 _MOST_SPEEDS = 16
+_MOST_SECTORS = 32_767
+"""Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
+_MOST_GRID_CELLS = 4_000_000
 _CLASSIFIED_SHARE = 0.5
 """``ground = "auto"`` uses only points of class 2 if more than this share of the tiles has such points."""
 
@@ -69,6 +76,33 @@ CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a ra
 
 
 @dataclass(frozen=True, slots=True)
+class NumberRange:
+    """The numbers that a setting can be, given in the ``Annotated`` type of its field."""
+
+    low: float
+    high: float = math.inf
+    unit: str = ""
+    whole: bool = False
+    """True: only whole numbers are allowed."""
+
+    @property
+    def allowed(self) -> str:
+        """Description of the allowed numbers; continues *it must be*."""
+        kind = "a whole number" if self.whole else "a number"
+        if self.high == math.inf:
+            return f"{kind}, at least {self.low:g}"
+        return f"{kind} from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def fault(self, value: Any) -> str:
+        """Return what is wrong with a value; empty if nothing is."""
+        is_number = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
+        return "" if is_number and self.low <= value <= self.high else f"it must be {self.allowed}"
+
+
+_SPEED = NumberRange(0.01, 100.0, "m/s")
+
+
+@dataclass(frozen=True, slots=True)
 class FeatureSettings:
     """How tiles are measured, and when a heightmap cannot be rated.
 
@@ -76,48 +110,40 @@ class FeatureSettings:
     points where these carry it, by a rule that has no settings (``docs/pages/thin-surveys.md``).
     """
 
-    min_points: int = 30
+    min_points: Annotated[int, Setting(low=3)] = 30
     """The heightmap of a tile with fewer points is not rated, reason 2. A larger number holds for thin tiles too."""
-    min_coverage: float = 0.25
+    min_coverage: Annotated[float, Setting(low=0.0, high=1.0)] = 0.25
     """One with a smaller share of pixels that hold a point is not rated, reason 3."""
-    max_hole: float = 1.0
+    max_hole: Annotated[float, Setting(low=0.0, high=1e6, unit="m")] = 1.0
     """One with a pixel farther than this from every pixel that holds a point is not rated, reason 3, m."""
-    ransac_threshold: float = 0.1
+    ransac_threshold: Annotated[float, Setting(low=1e-6, high=1e6, unit="m")] = 0.1
     """Points within this distance of a plane are its inliers, m."""
-    stray_gap: float = 0.5
+    stray_gap: Annotated[float, Setting(low=0.0, high=1e6, unit="m")] = 0.5
     """A stray point is separated from all others by more than this (and by more than their spread), m."""
-    stray_points: int = 3
+    stray_points: Annotated[int, Setting(low=0)] = 3
     """Number of stray points searched for above, and below, the others."""
-    stray_share: float = 0.01
-    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
+    stray_share: Annotated[float, Setting(low=0.0, high=1.0)] = 0.01
+    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be separated from noise."""
 
     def __post_init__(self) -> None:
-        _at_least("min_points", self.min_points, 3)
-        _within("min_coverage", self.min_coverage, 0.0, 1.0)
-        _within("max_hole", self.max_hole, 0.0, 1e6, "m")
-        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6, "m")
-        _within("stray_gap", self.stray_gap, 0.0, 1e6, "m")
-        _at_least("stray_points", self.stray_points, 0)
-        _within("stray_share", self.stray_share, 0.0, 1.0)
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
 class CsfSettings:
     """Settings of the cloth simulation filter that finds ground points (``ground = "csf"``)."""
 
-    cloth_resolution: float = 0.5
+    cloth_resolution: Annotated[float, Setting(low=0.05, high=100.0, unit="m")] = 0.5
     """Mesh size of the cloth, m."""
-    class_threshold: float = 0.5
+    class_threshold: Annotated[float, Setting(low=0.01, high=10.0, unit="m")] = 0.5
     """Points within this distance of the cloth are ground, m."""
-    rigidness: int = 3
+    rigidness: Annotated[int, Setting(low=1, high=3)] = 3
     """Stiffness of the cloth: 1 follows steep slopes, 3 bridges wide objects."""
     slope_smooth: bool = True
     """Pull the cloth down at the foot of steep slopes, where it hangs in the air."""
 
     def __post_init__(self) -> None:
-        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0, "m")
-        _within("class_threshold", self.class_threshold, 0.01, 10.0, "m")
-        _within("rigidness", self.rigidness, 1, 3)
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,91 +152,85 @@ class MapConfig:
 
     surveys: tuple[Path | str, ...]
     """Files and folders; strings are fsspec URLs."""
-    out: Path
-    """Output folder."""
-    tile_size: float = 3.0
-    """Side of a tile, m."""
-    pixels: int = 15
-    """Pixels along a side of a tile."""
-    ground: Ground = "auto"
+    out: Annotated[Path, Setting("Folder for the layers", "DIR")]
+    tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m")] = 3.0
+    pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255)] = 15
+    ground: Annotated[Ground, Setting("Points to use")] = "auto"
     """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
-    align: Align = "report"
+    align: Annotated[Align, Setting("Height steps of flight lines")] = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
     tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
-    rating: Rating = "ride"
+    rating: Annotated[Rating, Setting("How the ride cost is predicted")] = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
-    compat: Compat = "none"
-    """``paper`` rates tiles by the rules of the paper."""
-    vehicle: NameOrFile = "warthog"
+    compat: Annotated[Compat, Setting("paper: use the rules of the BumpyPatch paper", default="")] = "none"
+    vehicle: Annotated[NameOrFile, Setting("Name of an included vehicle, or a TOML file", "NAME_OR_FILE")] = "warthog"
     """A vehicle that ships with bumpymap, or the TOML file of one, with its calibration file in the same folder."""
-    calibration: Path | None = None
+    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE")] = None
     """A calibration file, used instead of ``vehicle``."""
-    speed: float | None = None
+    speed: Annotated[
+        float | None, Setting("Speed to rate the ride at, in m/s", "SPEED", 0.01, 100.0, "m/s", default="the vehicle's")
+    ] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
-    speeds: tuple[float, ...] | None = None
+    speeds: Annotated[
+        tuple[float, ...] | None,
+        Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s"),
+    ] = None
     """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
-    model: Path | None = None
+    model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE")] = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
-    crs: str | None = None
-    """CRS of surveys that state none."""
-    force_crs: str | None = None
-    """CRS of all surveys, whatever they state."""
-    z_unit: ZUnit | None = None
+    crs: Annotated[str | None, Setting("CRS of surveys that have none, such as EPSG:32614", "CRS")] = None
+    force_crs: Annotated[str | None, Setting("CRS of all surveys, whatever they state", "CRS")] = None
+    z_unit: Annotated[ZUnit | None, Setting("Unit of heights if the CRS does not define it")] = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
-    local: bool = False
-    """Accept coordinates without a CRS."""
-    trust_points: bool = False
-    """Continue if the extent in a file header contradicts the points."""
-    skip_bad: bool = False
-    """Continue without files that cannot be read."""
-    max_unknown: float | None = None
+    local: Annotated[bool, Setting("Map surveys without a CRS in their own coordinates")] = False
+    trust_points: Annotated[bool, Setting("Accept files whose points contradict the extent in the header")] = False
+    skip_bad: Annotated[bool, Setting("Skip files that cannot be read (exit code 4)")] = False
+    max_unknown: Annotated[
+        float | None, Setting("Fail (exit code 4) if more tiles are unknown: 50% or 0.5", "SHARE", 0.0, 1.0)
+    ] = None
     """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
     anyway."""
-    sheets: float | None = None
+    sheets: Annotated[
+        float | None,
+        Setting("Write a large site in square sheets of this side, in km", "KM", 0.001, 10_000.0, "km"),
+    ] = None
     """Side of the sheets that the layers are written in, km, each sheet to a folder of its own; None: one map. It is
     rounded to whole blocks of 16 x 16 tiles."""
-    overwrite: bool = False
-    """Replace the layers of an earlier run."""
-    resume: bool = False
-    """Continue an interrupted run."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    overwrite: Annotated[bool, Setting("Replace the layers of an earlier run")] = False
+    resume: Annotated[bool, Setting("Continue an interrupted run")] = False
+    threads: Annotated[int, Setting("Number of threads", "N", 1, default="all cores")] = field(
+        default_factory=lambda: os.cpu_count() or 1
+    )
     """Number of threads on this machine."""
-    memory: str = "auto"
+    memory: Annotated[
+        str,
+        Setting(
+            "Memory limit in addition to the interpreter's, per worker",
+            "SIZE",
+            default="auto, a quarter of what is free",
+        ),
+    ] = "auto"
     """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; for each worker of a
     ``scheduler``. ``auto``: a quarter of the memory that is free when the run starts, at least 512 MB and at most 8 GB,
     or 1 GB for each worker."""
-    scratch: Path | None = None
+    scratch: Annotated[
+        Path | None, Setting("Folder for points that exceed the memory limit", "DIR", default="in --out")
+    ] = None
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
-    scheduler: str | None = None
+    scheduler: Annotated[str | None, Setting("Run on the workers of this dask scheduler", "ADDRESS")] = None
     """Address of a dask.distributed scheduler whose workers are used; None: everything runs in this process."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
 
     def __post_init__(self) -> None:
-        _within("`tile_size`", self.tile_size, 0.05, 1000.0, "m")
-        _within("`pixels`", self.pixels, 3, 255)
-        _at_least("`threads`", self.threads, 1)
-        _one_of("`ground`", self.ground, get_args(Ground))
-        _one_of("`align`", self.align, get_args(Align))
-        _one_of("`rating`", self.rating, get_args(Rating))
-        _one_of("`compat`", self.compat, get_args(Compat))
-        if self.z_unit is not None:
-            _one_of("`z_unit`", self.z_unit, get_args(ZUnit))
-        if self.speed is not None:
-            _within("`speed`", self.speed, 0.01, 100.0, "m/s")
+        check_settings(self)
         self._check_speeds()
-        if self.max_unknown is not None:
-            _within("`max_unknown`", self.max_unknown, 0.0, 1.0)
-        if self.sheets is not None:
-            _within("`sheets`", self.sheets, 0.001, 10_000.0, "km")
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
-        for speed in self.speeds or ():
-            _within("`speeds`", speed, 0.01, 100.0, "m/s")
         if (
             self.speeds is not None
             and not 0 < len({f"{speed:g}" for speed in self.speeds}) == len(self.speeds) <= _MOST_SPEEDS
@@ -227,9 +247,106 @@ class MapConfig:
             )
 
 
-def names_a_file(text: str) -> bool:
-    """Return whether a `NameOrFile` is a file: it ends in ``.toml`` or ``.csv``, or contains a slash."""
-    return text.endswith((".toml", ".csv")) or "/" in text
+@dataclass(frozen=True, slots=True)
+class PolarSettings:
+    """The concentric-zone polar grid.
+
+    From 4 m on the defaults are the paper's grid. The zone before it is for robots whose sensor is low: half of their
+    points lie there.
+    """
+
+    zone_starts_m: Annotated[
+        tuple[float, ...],
+        Setting("Borders of the zones, m", "LIST", 0.0, unit="m", default="1,4,12,28,60,100", option="zones"),
+    ] = (1.0, 4.0, 12.0, 28.0, 60.0)
+    """Inner radius of each zone, horizontal distance from the sensor, m."""
+    end_m: float = 100.0
+    """Outer radius of the last zone, m."""
+    sectors: Annotated[tuple[int, ...], Setting("Sectors around each zone", "LIST", 3)] = (16, 24, 32, 48, 32)
+    rings: Annotated[tuple[int, ...], Setting("Rings of each zone", "LIST", 1)] = (2, 4, 4, 4, 2)
+    """Rings of each zone, of equal width."""
+    least_points: Annotated[int, Setting(low=3)] = 30
+    """A sector is judged if it has more points than this, and measured if it has ground."""
+    pixels: Annotated[int, Setting(low=3, high=64)] = 15
+    """Rows and columns of a sector's heightmap."""
+    least_normal_z: Annotated[float, Setting(low=0.0, high=1.0)] = math.cos(math.radians(45.0))
+    """A sector is traversable if abs(n_z) of its PCA normal is at least this. The default, 45 degrees, is the limit at
+    which published ground segmentation on the same grid treats a sector as a wall."""
+    overhead_m: float = 2.0
+    """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
+    ground. The margin allows for frames whose origin is at the robot's base."""
+    ground_only: bool = True
+    """True: ground is found in each sector, and only ground points are measured; False: all points are, as in the
+    paper."""
+    belly_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 0.25
+    """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
+    height_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 1.38
+    """Height of the vehicle: what is higher above the ground is overhead."""
+    anchored: bool = True
+    """True: the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        edges = (*self.zone_starts_m, self.end_m)
+        if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
+            raise UsageError(
+                "`zone_starts_m`, `sectors` and `rings` must be for equally many zones; they are for "
+                f"{len(self.zone_starts_m)} (ending at {self.end_m:g} m), {len(self.sectors)} and {len(self.rings)}. "
+                "Give all three"
+            )
+        if not (edges[-1] < math.inf and all(inner < outer for inner, outer in pairwise(edges))):
+            raise UsageError(f"`zone_starts_m`: zones must grow outwards; {edges} m were given")
+        cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
+        if cells > _MOST_SECTORS:
+            raise UsageError(
+                f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
+                f"{_MOST_SECTORS:,}. Give fewer `sectors` or `rings`"
+            )
+        if math.isnan(self.overhead_m) or self.height_m <= self.belly_m:
+            raise UsageError(
+                f"overhead_m is {self.overhead_m}, belly_m {self.belly_m}, height_m {self.height_m}; the first must be "
+                "a number, and height_m more than belly_m"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """The region, in the sensor frame, in which returns are from the robot that carries the sensor."""
+
+    radius_m: Annotated[
+        float, Setting("Exclude returns nearer than this, as on the robot", "M", 0.0, unit="m", option="robot-radius")
+    ] = 0.5
+    """Returns closer than this, horizontally, are on the robot; 0: none are. The default covers the robot's deck: from
+    a roof or a mast, no beam hits the ground as close."""
+    box_m: tuple[float, float, float, float] | None = None
+    """Rear, front, right and left end (x from, x to, y from, y to) of a longer robot, m; at any height."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        rear, front, right, left = self.box_m or (0.0, 1.0, 0.0, 1.0)
+        if not (rear < front and right < left):
+            raise UsageError(
+                f"box_m is {self.box_m}; the box of the robot goes from rear to front and from right to left, in "
+                "metres: x from, x to, y from, y to"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class GridSettings:
+    """Size of the grids of scans."""
+
+    resolution_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 0.25
+    """Side of a cell."""
+    reach_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 30.0
+    """Distance from the sensor to each side of the grid."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.resolution_m > self.reach_m or (2.0 * self.reach_m / self.resolution_m) ** 2 > _MOST_GRID_CELLS:
+            raise UsageError(
+                f"a grid reaches {self.reach_m} m with cells of {self.resolution_m} m; it must reach one cell or more, "
+                f"and there are at most {_MOST_GRID_CELLS:,} cells"
+            )
 
 
 def refuse_clashes(settings: Mapping[str, Any], clashes: Sequence[Clash], spelled: Callable[[str], str] = str) -> None:
@@ -265,19 +382,3 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     if ground == "class" and not flagged:
         raise BadInputError("`ground='class'`: no point of the survey has class 2 (ground). Use `ground='all'`")
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
-
-
-def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        of_unit = unit and f" {unit}"
-        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}{of_unit}")
-
-
-def _at_least(name: str, value: int, low: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < low:
-        raise UsageError(f"{name} is {value!r}; it must be a whole number, at least {low}")
-
-
-def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    if value not in allowed:
-        raise UsageError(f"{name} is {value!r}; it must be one of {', '.join(allowed)}")

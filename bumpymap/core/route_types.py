@@ -5,7 +5,6 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +14,6 @@ from bumpytiles import Grid, TileWindow
 
 __all__ = [
     "NO_TILE",
-    "ExportFormat",
-    "ExportResolution",
     "Route",
     "RouteFigures",
     "RouteProfile",
@@ -24,12 +21,6 @@ __all__ = [
     "TileField",
     "TracedLine",
 ]
-
-ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
-"""Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
-ExportResolution = Literal["tile", "pixel"]
-"""One cell a tile, or one a pixel of the heightmap, which shows obstacles."""
-
 
 NO_TILE = 255
 """Value of ``TileField.barred`` where the map has no tile."""
@@ -79,7 +70,7 @@ class TracedLine:
     col: NDArray[np.int64]
     """(n,) column of the tile in the window, from the west."""
     length: NDArray[np.float64]
-    """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the dearer one."""
+    """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the one that costs more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +100,7 @@ class RouteProfile:
 
 @dataclass(frozen=True, slots=True)
 class RouteFigures:
-    """What a whole way costs."""
+    """Cost of a whole way."""
 
     length_m: float
     straight_m: float

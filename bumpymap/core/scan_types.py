@@ -7,13 +7,12 @@ One row of a ``SectorStack`` is one sector with enough points; all its arrays ha
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import brief_repr
+from bumpymap.core.config import PolarSettings, ScanMethod
+from bumpymap.core.settings import brief_repr
 from bumpymap.core.types import NO_CLASS
 
 __all__ = [
@@ -26,10 +25,8 @@ __all__ = [
     "ClassedSectors",
     "Dropped",
     "FrameSource",
-    "PolarSettings",
     "PoseTrack",
     "Scan",
-    "ScanMethod",
     "SectorBounds",
     "SectorRide",
     "SectorStack",
@@ -169,14 +166,10 @@ class FrameSource:
     """Poses around the frame, at times relative to it; None if unknown."""
 
 
-ScanMethod = Literal["filter", "learned"]
 CLASSES = 3
 """Class 0 (smooth) to 2 (rough) of a scan's sectors."""
 NOT_TRAVERSABLE = 255
 """Class of a sector whose points are not ground, and of points outside of all classified sectors."""
-
-_MOST_CELLS = 32_767
-"""Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,78 +212,6 @@ class Scan:
             values = getattr(self, name)
             if values is not None and values.shape != (count,):
                 raise ValueError(f"{name} is {values.shape}; the scan has {count} points")
-
-
-@dataclass(frozen=True, slots=True)
-class PolarSettings:
-    """The concentric-zone polar grid.
-
-    From 4 m on the defaults are the paper's grid. The zone before it is for robots whose sensor is low: half of their
-    points lie there.
-    """
-
-    zone_starts_m: tuple[float, ...] = (1.0, 4.0, 12.0, 28.0, 60.0)
-    """Inner radius of each zone, horizontal distance from the sensor, m."""
-    end_m: float = 100.0
-    """Outer radius of the last zone, m."""
-    sectors: tuple[int, ...] = (16, 24, 32, 48, 32)
-    """Sectors around each zone."""
-    rings: tuple[int, ...] = (2, 4, 4, 4, 2)
-    """Rings of each zone, of equal width."""
-    least_points: int = 30
-    """A sector is judged if it has more points than this, and measured if it has ground."""
-    pixels: int = 15
-    """Rows and columns of a sector's heightmap."""
-    least_normal_z: float = math.cos(math.radians(45.0))
-    """A sector is traversable if abs(n_z) of its PCA normal is at least this. The default, 45 degrees, is the limit at
-    which published ground segmentation on the same grid treats a sector as a wall."""
-    overhead_m: float = 2.0
-    """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
-    ground. The margin allows for frames whose origin is at the robot's base."""
-    ground_only: bool = True
-    """Whether ground is found in each sector, and only ground points are measured; False: all points are, as in the
-    paper."""
-    belly_m: float = 0.25
-    """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
-    height_m: float = 1.38
-    """Height of the vehicle: what is higher above the ground is overhead."""
-    anchored: bool = True
-    """Whether the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
-
-    def __post_init__(self) -> None:
-        edges = (*self.zone_starts_m, self.end_m)
-        if not len(self.zone_starts_m) == len(self.sectors) == len(self.rings) > 0:
-            raise UsageError(
-                "`zone_starts_m`, `sectors` and `rings` must be for equally many zones; they are for "
-                f"{len(self.zone_starts_m)} (ending at {self.end_m:g} m), {len(self.sectors)} and {len(self.rings)}. "
-                "Give all three"
-            )
-        if not all(math.isfinite(e) for e in edges) or edges[0] < 0.0 or any(np.diff(edges) <= 0.0):
-            raise UsageError(
-                f"`zone_starts_m`: zones must start at 0 m or further out and grow outwards; {edges} m were given"
-            )
-        if min(*self.sectors, *self.rings) < 1 or min(self.sectors) < 3:
-            raise UsageError(
-                f"a zone has 3 `sectors` or more and 1 of `rings` or more; {self.sectors} and {self.rings} were given"
-            )
-        cells = sum(around * outwards for around, outwards in zip(self.sectors, self.rings, strict=True))
-        if cells > _MOST_CELLS:
-            raise UsageError(
-                f"{self.sectors} sectors in {self.rings} rings are {cells:,} cells; a polar grid has at most "
-                f"{_MOST_CELLS:,}. Give fewer `sectors` or `rings`"
-            )
-        if (
-            self.least_points < 3
-            or not 3 <= self.pixels <= 64
-            or not 0.0 <= self.least_normal_z <= 1.0
-            or math.isnan(self.overhead_m)
-            or not 0.0 < self.belly_m < self.height_m < math.inf
-        ):
-            raise UsageError(
-                f"least_points is {self.least_points} (3 or more), pixels {self.pixels} (3 to 64), least_normal_z "
-                f"{self.least_normal_z} (0 to 1), overhead_m {self.overhead_m} (a number), belly_m {self.belly_m} "
-                f"(above 0), height_m {self.height_m} (above belly_m)"
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,7 +282,7 @@ class SectorStack:
 
 @dataclass(frozen=True, slots=True)
 class SectorRide:
-    """What a vehicle feels on the ground of sectors, as in a survey's map; unknown where points are too few."""
+    """The ride of a vehicle on the ground of sectors, as in a survey's map; unknown where points are too few."""
 
     c_r: NDArray[np.float32]
     """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""

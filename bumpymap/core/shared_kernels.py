@@ -1,4 +1,4 @@
-"""What the kernels of surveys and of scans have in common: random numbers, RANSAC, the filling of holes.
+"""Kernels that surveys and scans share: random numbers, RANSAC, the filling of holes.
 
 RANSAC (Fischler and Bolles 1981) draws three points at a time and keeps the plane that most points lie near. Its
 generator is seeded by the tile or the sector, so the same points give the same plane in any company; it scores
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from bumpytiles import helper
 
-__all__ = ["NO_PLANE", "Plane", "best_candidate", "fill_holes", "next_random", "squared_distances"]
+__all__ = ["NO_PLANE", "Plane", "best_candidate", "fill_holes", "next_random"]
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -145,32 +145,3 @@ def fill_holes(heights: Floats | Singles, depth: int, holes: Integers, values: F
                 left += 1
         missing = left
     return missing
-
-
-@helper
-def squared_distances(
-    mask: NDArray[np.uint8], reach: int, column: NDArray[np.float64], out: NDArray[np.float64]
-) -> None:
-    """Write the squared distance from each pixel to the nearest pixel of a mask that is not 0, px^2.
-
-    Exact up to ``reach`` px east or west, and at least so far beyond; 1e12 where there is none. ``column`` is scratch
-    of the same shape: distances along columns.
-    """
-    rows, cols = mask.shape
-    for c in range(cols):
-        away = 1e6
-        for r in range(rows):
-            away = 0.0 if mask[r, c] else away + 1.0
-            column[r, c] = away
-        away = 1e6
-        for k in range(rows):
-            r = rows - 1 - k
-            away = 0.0 if mask[r, c] else away + 1.0
-            column[r, c] = min(column[r, c], away)
-    for r in range(rows):
-        for c in range(cols):
-            least = 1e12
-            for other in range(max(0, c - reach), min(cols, c + reach + 1)):
-                across, along = other - c, column[r, other]
-                least = min(least, along * along + across * across)
-            out[r, c] = min(least, 1e12)

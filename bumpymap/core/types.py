@@ -73,38 +73,29 @@ __all__ = [
 THIN_POINTS = 15
 """A thin tile with fewer points is unknown."""
 
-
 THIN_PARTS = 3
 """Parts along a side of a tile, of which each block of 2 x 2 must hold a point."""
 
-
 THIN_SEEN = 5 / THIN_PARTS**2
 """Least share of these parts that hold a point."""
-
 
 DENSE_COVERAGE = 0.75
 """Tiles with at least this share of pixels with points are rated from their heightmap alone (35 points per m2, if they
 are spread at random)."""
 
-
 HOLE_POINTS = 64
 """From this number of points on a tile has holes for a reason, if it has too many."""
-
 
 HOLE_SHARE = 0.7
 """Its holes are chance where it has at least this share of the coverage that its points would have at random."""
 
-
 Texture = Literal["flat", "low_noise", "noise_sin", "high_noise"]
-
 
 TEXTURES: tuple[Texture, ...] = ("flat", "low_noise", "noise_sin", "high_noise")
 """The four terrain forms of the paper, in the order of the texture axis of every array."""
 
-
 CLASS_NAMES = ("smooth", "fair", "rough", "very rough")
 """Names of classes 0 to 3."""
-
 
 NO_CLASS = 255
 """Value of ``CostMap.class_id`` for unknown tiles."""
@@ -130,7 +121,6 @@ REASON_TEXT: dict[Reason, str] = {
     Reason.OUTLIER_RELIEF: "outlier-only relief",
 }
 
-
 FREE, OBSTACLE, CANOPY, UNDECIDED, UNSEEN = 0, 1, 2, 3, 255
 """States of a pixel in ``ObjectStack.objects``."""
 
@@ -150,7 +140,6 @@ class Barred(IntEnum):
 OPEN_THROUGH = (Barred.NO, Barred.OBSTACLE, Barred.UNKNOWN, Barred.SPLIT)
 """Tiles of which a part may be open; unknown ones have no cost, but for those of which too little was seen."""
 
-
 BARRED_TEXT: dict[Barred, str] = {
     Barred.NO: "passable",
     Barred.UNKNOWN: "unknown ground",
@@ -161,7 +150,6 @@ BARRED_TEXT: dict[Barred, str] = {
     Barred.SPLIT: "split by an obstacle",
 }
 
-
 CHANGE_KINDS = (
     "not changed",
     "ground changed, ride as before",
@@ -169,8 +157,7 @@ CHANGE_KINDS = (
     "smoother",
     "ground changed, ride unknown",
 )
-"""What can become of a tile between two surveys, by its code in change.tif."""
-
+"""Changes of a tile between two surveys, by code in change.tif."""
 
 SIDES = ("north", "east", "south", "west")
 """Sides of a tile, in the order of every array of sides."""
@@ -260,14 +247,13 @@ LONE, SOLID, EMPTY, STEEP, SEEN = 4, 5, 6, 7, 16
 obstacle; canopy that lets no pulse through; no point; points far above one another, where all count as ground; and,
 added to a state, ground in the same pixel."""
 
-
 OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown")
 """Names of these states in obstacle.tif, where ``UNSEEN`` is 3."""
 
 
 @dataclass(frozen=True, slots=True)
 class ObjectStack:
-    """What stands on the ground of tiles or hangs over it, one row each."""
+    """Objects that stand on the ground of tiles or hang over it, one row a tile."""
 
     objects: NDArray[np.uint8]
     """(n, pixels, pixels) state of each pixel, north row first: ``FREE``; ``OBSTACLE`` between the vehicle's belly and
@@ -411,9 +397,9 @@ class CostMap:
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
     rule: CostRule
-    """Which tiles are passable, and at what cost."""
+    """Rule by which tiles are passable, and their cost."""
     objects: ObjectStack | None = None
-    """What stands on the ground; None where that is part of the relief, because all points are measured as ground."""
+    """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
     motion: NDArray[np.float32] | None = None
@@ -456,7 +442,7 @@ class CostTable:
 
     georeference: Georeference
     rule: CostRule
-    """Which tiles are passable, and at what cost."""
+    """Rule by which tiles are passable, and their cost."""
     tiles: TileTable
     """Columns of `tile_columns`."""
     speeds: tuple[float, ...] = ()
@@ -554,13 +540,12 @@ BANDS: tuple[Band, ...] = (
 )
 """The bands of roughness.tif, in order."""
 
-
 SPEED_BANDS: tuple[Band, ...] = (
     Band("c_r", "rad/m", "ride cost at {} m/s: pitch motion per metre driven"),
     Band("c_roll", "rad/m", "roll motion per metre driven at {} m/s"),
     Band("a_w", "m/s2", "weighted vertical acceleration at {} m/s (Wk of ISO 2631-1, 0.4 to 10 Hz)"),
 )
-"""What is told at each speed."""
+"""Values that are computed at each speed."""
 
 
 def speed_bands(speeds: tuple[float, ...]) -> tuple[Band, ...]:

@@ -8,7 +8,6 @@ from .evaluate.report import (
     write_scan_report as write_scan_report,
 )
 from .evaluate.scans import (
-    ScanEvaluateSettings as ScanEvaluateSettings,
     ScanFindings as ScanFindings,
     ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
@@ -17,10 +16,18 @@ from .evaluate.scans import (
     simulated_scans as simulated_scans,
 )
 from .evaluate.survey_trial import (
-    EvaluateSettings as EvaluateSettings,
     Findings as Findings,
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
+)
+from .settings import (
+    CalibrationSettings as CalibrationSettings,
+    EvaluateSettings as EvaluateSettings,
+    LoopSettings as LoopSettings,
+    NetworkSettings as NetworkSettings,
+    ScanEvaluateSettings as ScanEvaluateSettings,
+    ScanTrainSettings as ScanTrainSettings,
+    TrainSettings as TrainSettings,
 )
 from .simulate.calibrate import calibrate_vehicle as calibrate_vehicle, seconds_of_a_drive as seconds_of_a_drive
 from .simulate.jobs import Journal as Journal, all_checks as all_checks
@@ -30,10 +37,10 @@ from .simulate.motion_fit import (
     add_motion as add_motion,
     motion_journal as motion_journal,
 )
-from .simulate.plan import CalibrationSettings as CalibrationSettings, library_terrains as library_terrains
+from .simulate.plan import library_terrains as library_terrains
 from .simulate.refit import add_steps as add_steps, crossing_jobs as crossing_jobs
 from .simulate.ride_fit import fit_ride as fit_ride, fit_thin_surveys as fit_thin_surveys
 from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
-from .train.scan_net import ScanTrainSettings as ScanTrainSettings, make_scan_model as make_scan_model
-from .train.textures import NetworkSettings as NetworkSettings, TrainSettings as TrainSettings, make_model as make_model
+from .train.scan_net import make_scan_model as make_scan_model
+from .train.textures import make_model as make_model
 from .worlds.scans.lidar import load_open3d as load_open3d

@@ -51,9 +51,12 @@ from .colours import (
     OFF_COLOURS as OFF_COLOURS,
     REASON_COLOURS as REASON_COLOURS,
 )
+from .export.settings import (
+    ExportFormat as ExportFormat,
+    ExportSettings as ExportSettings,
+)
 from .export.write import (
     Export as Export,
-    ExportSettings as ExportSettings,
     export_map as export_map,
 )
 from .folder import (
@@ -114,11 +117,12 @@ from .regions import (
     dissolve as dissolve,
     label as label,
 )
-from .report.words import degrees_line as degrees_line
-from .report.write import (
+from .report.map_page import (
     write_report as write_report,
     write_reports as write_reports,
 )
+from .report.page import compile_pages as compile_pages
+from .report.words import degrees_line as degrees_line
 from .route.folder import (
     ReachLevels as ReachLevels,
     write_reach_files as write_reach_files,
@@ -195,7 +199,6 @@ from .scan.frame import (
 )
 from .scan.grid_bag import (
     GridBag as GridBag,
-    GridSettings as GridSettings,
     GroundGrid as GroundGrid,
     check_bag_file as check_bag_file,
 )

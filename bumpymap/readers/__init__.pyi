@@ -14,6 +14,7 @@ from .detect import (
 from .drives.columns import parse_columns as parse_columns
 from .drives.read import (
     close_log_reader as close_log_reader,
+    drive_files as drive_files,
     read_drive as read_drive,
 )
 from .frames.deskew_kernels import (
@@ -43,7 +44,6 @@ from .frames.raw import (
 )
 from .frames.read import (
     BagTopics as BagTopics,
-    Robot as Robot,
     bags_at as bags_at,
     find_frames as find_frames,
     find_sources as find_sources,

@@ -1,37 +1,40 @@
-"""Settings of a route run: frozen dataclasses with defaults, validated when they are created."""
+"""Settings of a route run: frozen dataclasses, declared once, checked when they are created."""
 
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated
 
-from bumpymap.core import UsageError, memory_limit
+from bumpymap.core import Setting, UsageError, check_settings, memory_limit
 
 __all__ = ["CostSettings", "RouteConfig"]
+
+_MOST_COST = 1e9
+"""Weights beyond all ground, with which costs can still be added up."""
 
 
 @dataclass(frozen=True, slots=True)
 class CostSettings:
     """What makes ground dear, and what may be crossed."""
 
-    risk: float | None = None
-    """m: the detour that one certain failure is worth; None: the ``fail_weight`` of the vehicle profile."""
-    robust: bool = False
-    """Plan on ``c_r_high``, the upper end of the interval, instead of ``c_r``."""
-    unknown: float | None = None
+    risk: Annotated[
+        float | None,
+        Setting("Detour that one certain failure is worth", "M", 0.0, _MOST_COST, "m", default="profile"),
+    ] = None
+    """m; None: the ``fail_weight`` of the vehicle profile."""
+    robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r")] = False
+    unknown: Annotated[
+        float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, _MOST_COST)
+    ] = None
     """Cost per metre of unknown ground; None: it is not crossed."""
-    avoid: Path | None = None
-    """File of polygons that are not entered."""
-    only: Path | None = None
-    """File of polygons that are not left."""
-    allow_outside: bool = False
+    avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE")] = None
+    only: Annotated[Path | None, Setting("Polygons that are not left", "FILE")] = None
+    allow_outside: Annotated[bool, Setting("It is no error if no polygon lies on the map")] = False
     """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
-
-    through_obstacles: bool = False
+    through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way")] = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
 
     def __post_init__(self) -> None:
-        _number("risk", self.risk, 0.0, _MOST_COST)
-        _number("unknown", self.unknown, 1.0, _MOST_COST)
+        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,54 +43,48 @@ class RouteConfig:
 
     layers: tuple[Path, ...]
     """Folders that ``bumpymap map`` wrote; several are sheets of one map."""
-    start: str | None = None
-    """``lon,lat``, or ``x,y`` in the survey's CRS."""
-    goal: str | None = None
+    start: Annotated[str | None, Setting("Start: lon,lat or x,y in the survey's CRS", "POINT", option="from")] = None
+    goal: Annotated[str | None, Setting("Goal; without one, map what can be reached", "POINT", option="to")] = None
     """The same; None: what can be reached from the start."""
-    via: tuple[str, ...] = ()
+    via: Annotated[tuple[str, ...], Setting("Point to pass on the way; may be given several times", "POINT")] = ()
     """Points to pass on the way, in order."""
-    points: Path | None = None
+    points: Annotated[Path | None, Setting("Start, points to pass and goal (GeoJSON, GPX, CSV)", "FILE")] = None
     """File of points (GeoJSON, GPX, CSV), instead of the three above: start, points to pass, goal."""
-    visit: bool = False
+    visit: Annotated[bool, Setting("Pass the points in the best order")] = False
     """Pass the points in the best order instead of the given one; start and goal keep their
     places (on a round trip, only the start)."""
-    round_trip: bool = False
-    """Return to the start at the end."""
-    alternatives: int = 1
-    """Number of ways to propose."""
-    compare: tuple[Path, ...] = ()
+    round_trip: Annotated[bool, Setting("Return to the start", option="return")] = False
+    alternatives: Annotated[int, Setting("Number of ways to propose", "N", 1, 10)] = 1
+    compare: Annotated[tuple[Path, ...], Setting("Layers of the site for another vehicle", "DIR")] = ()
     """Maps of the same site for other vehicles: each plans its own way between the same points."""
-    snap: float = 0.0
+    snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m")] = 0.0
     """A start, goal or point to pass on ground that cannot be used is moved by this much at most, m."""
-    isochrones: tuple[float, ...] = ()
-    """Minutes of driving: outlines of what can be reached in this time."""
-    isocosts: tuple[float, ...] = ()
-    """Costs, m: outlines of what can be reached at this cost."""
-    out: Path | None = None
+    isochrones: Annotated[
+        tuple[float, ...],
+        Setting("Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True),
+    ] = ()
+    isocosts: Annotated[
+        tuple[float, ...],
+        Setting("Outlines of what is reached at these costs, m", "LIST", 0.0, unit="m", exclusive=True),
+    ] = ()
+    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH")] = None
     """Folder, or file of a format that its suffix names; None: only the summary."""
-    overwrite: bool = False
-    """Replace files of an earlier run."""
-    memory: str = "auto"
+    overwrite: Annotated[bool, Setting("Replace the files of an earlier run")] = False
+    memory: Annotated[str, Setting("Memory limit of the search", "SIZE", default="auto, a quarter of what is free")] = (
+        "auto"
+    )
     """Memory that the search may use, such as ``1GB``; ``auto``: a quarter of what is free, 512 MB to 8 GB."""
     cost: CostSettings = field(default_factory=CostSettings)
 
     def __post_init__(self) -> None:
+        check_settings(self)
         if not self.layers:
             raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
         if (self.start is None) == (self.points is None):
             raise UsageError("give either the `start` or a file of `points`")
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
-        if not 1 <= self.alternatives <= _MOST_ALTERNATIVES:
-            raise UsageError(
-                f"`alternatives` is {self.alternatives}; it must be a number from 1 to {_MOST_ALTERNATIVES}"
-            )
-        _number("snap", self.snap, 0.0)
         memory_limit(self.memory)
-        for name, values in (("isochrones", self.isochrones), ("isocosts", self.isocosts)):
-            if any(not (math.isfinite(value) and value > 0.0) for value in values):
-                given = ", ".join(map(repr, values))
-                raise UsageError(f"`{name}` is {given}; it must be a number above 0, or several")
         if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
             raise UsageError(
                 "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
@@ -104,16 +101,3 @@ class RouteConfig:
     def is_reach(self) -> bool:
         """Whether there is a start only, so that the run maps what can be reached from it."""
         return self.points is None and self.goal is None and not self.via
-
-
-_MOST_ALTERNATIVES = 10
-
-
-_MOST_COST = 1e9
-"""Weights beyond all ground, with which costs can still be added up."""
-
-
-def _number(name: str, value: float | None, least: float, most: float = math.inf) -> None:
-    if value is not None and not (math.isfinite(value) and least <= value <= most):
-        limit = "" if math.isinf(most) else f" and at most {most:g}"
-        raise UsageError(f"`{name}` is {value!r}; it must be a finite number of at least {least:g}{limit}")

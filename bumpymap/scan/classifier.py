@@ -18,6 +18,7 @@ from bumpymap.core import (
     ClassedSectors,
     Compat,
     PolarSettings,
+    Robot,
     Scan,
     ScanMethod,
     SectorBounds,
@@ -30,7 +31,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.readers import Robot, read_scan, scene_points
+from bumpymap.readers import read_scan, scene_points
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.methods import choose_method

@@ -3,11 +3,23 @@
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
-from bumpymap.core import RESUME_OR_OVERWRITE, Compat, NameOrFile, PolarSettings, ScanMethod, UsageError
-from bumpymap.layers import GridSettings
-from bumpymap.readers import BIN_COLUMNS, BagTopics, Robot, bags_at
+from bumpymap.core import (
+    RESUME_OR_OVERWRITE,
+    Compat,
+    GridSettings,
+    NameOrFile,
+    PolarSettings,
+    Robot,
+    ScanMethod,
+    Setting,
+    UsageError,
+    check_settings,
+)
+
+if TYPE_CHECKING:
+    from bumpymap.readers import BagTopics
 
 __all__ = ["SCAN_PRODUCTS", "ScanConfig", "ScanProduct"]
 
@@ -21,66 +33,67 @@ class ScanConfig:
 
     frames: tuple[Path, ...]
     """Files of scans, folders of them, or bags."""
-    out: Path
+    out: Annotated[Path, Setting("Folder for the output", "DIR")]
     """Folder for the products; of a fit, the file for the stripe classes."""
-    topic: str | None = None
-    """Topic of the scans in a bag; None: the only one of its type."""
-    odometry: str | None = None
-    """Topic of the odometry in a bag; None: the only one of its type, or else the transforms (tf)."""
-    bag: Path | None = None
-    """File (``.mcap``) for the grids of all frames, as messages of ROS 2."""
-    poses: Path | None = None
+    topic: Annotated[str | None, Setting("Topic of the scans in a bag", "NAME", default="the only PointCloud2")] = None
+    odometry: Annotated[
+        str | None, Setting("Topic of the poses in a bag", "NAME", default="the only Odometry, or tf")
+    ] = None
+    bag: Annotated[Path | None, Setting("Write grids of all frames to this bag of ROS 2 (.mcap)", "FILE")] = None
+    poses: Annotated[Path | None, Setting("Poses of the frames, to merge and map them like a survey", "FILE")] = None
     """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
-    crs: str | None = None
-    """CRS of the poses, in metres; None: local coordinates."""
-    deskew: bool = True
+    crs: Annotated[str | None, Setting("CRS of the poses, such as EPSG:32614", "CRS", default="none, local metres")] = (
+        None
+    )
+    deskew: Annotated[bool, Setting("Keep points as measured in motion", option="no-deskew")] = True
     """Move points to where they are seen at the time of the frame, if poses and points have times."""
-    columns: int | None = None
-    """Number of float32 columns of ``.bin`` files: 4, 5 or 6; None: told from their values."""
-    labels: NameOrFile | None = None
+    columns: Annotated[
+        Literal[4, 5, 6] | None, Setting("Columns of .bin files: 4, 5 or 6", "N", default="told from them")
+    ] = None
+    """Number of float32 columns of ``.bin`` files; None: told from their values."""
+    labels: Annotated[
+        NameOrFile | None,
+        Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME_OR_FILE"),
+    ] = None
     """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
-    method: ScanMethod | None = None
+    method: Annotated[ScanMethod | None, Setting("How sectors are classified", default="learned if available")] = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
-    model: Path | None = None
+    model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE")] = None
     """A scan network, instead of the included one."""
-    stripes: Path | None = None
+    stripes: Annotated[Path | None, Setting("Your own stripe classes, from --fit (filter)", "FILE")] = None
     """Stripe classes of the filter method, instead of the included ones."""
-    compat: Compat = "none"
+    compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="")] = "none"
     """``paper``: fit the stripe classes in every scan, as the paper does."""
-    products: tuple[ScanProduct, ...] = SCAN_PRODUCTS
-    """Which files are written for the frames."""
-    pictures: int = 0
+    products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST")] = SCAN_PRODUCTS
+    pictures: Annotated[int, Setting(low=0)] = 0
     """Draw a picture of every Nth frame; 0: of none."""
-    range_m: float = 40.0
+    range_m: Annotated[float, Setting("A picture reaches as far as this", "M", 1.0, 1000.0, "m", option="range")] = 40.0
     """Distance from the sensor to the edge of a picture, m."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
-    """Number of threads; each works on one frame at a time."""
-    vehicle: NameOrFile | None = None
+    threads: Annotated[int, Setting("Number of frames to work on at a time", "N", 1, default="all cores")] = field(
+        default_factory=lambda: os.cpu_count() or 1
+    )
+    vehicle: Annotated[NameOrFile | None, Setting("Vehicle whose ride is told: name or TOML file", "NAME_OR_FILE")] = (
+        None
+    )
     """Vehicle whose ride on each sector is told, and whose belly and height say what an obstacle is: a name or a TOML
     file, as for ``bumpymap map``. It is also that of the mapped layers; None: no ride, and the map of the default."""
-    calibration: Path | None = None
+    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE")] = None
     """A calibration file, instead of ``vehicle``."""
-    skip_bad: bool = False
-    """Skip frames that cannot be read."""
-    overwrite: bool = False
-    """Replace the products of an earlier run."""
-    resume: bool = False
-    """Continue an interrupted run."""
+    skip_bad: Annotated[bool, Setting("Skip frames that cannot be read (exit code 4)")] = False
+    overwrite: Annotated[bool, Setting("Replace the output of an earlier run")] = False
+    resume: Annotated[bool, Setting("Continue an interrupted run")] = False
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
     grid: GridSettings = field(default_factory=GridSettings)
     """Size of the grids in ``bag``."""
 
     def __post_init__(self) -> None:
-        unknown = sorted(set(self.products) - set(SCAN_PRODUCTS))
-        if unknown or not (self.products or self.poses or self.pictures):
+        check_settings(self)
+        if not (self.products or self.poses or self.pictures):
             raise UsageError(
-                f"`products` is {', '.join(self.products) or 'empty'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
-                "Pictures of frames are drawn with `pictures`"
+                f"`products` is empty; give one or more of {', '.join(SCAN_PRODUCTS)}. Pictures of frames are drawn "
+                "with `pictures`"
             )
-        self._check_numbers()
-        if self.columns not in {None, *BIN_COLUMNS}:
-            raise UsageError(f"`columns` is {self.columns}; .bin files have 4, 5 or 6 columns")
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
@@ -98,21 +111,18 @@ class ScanConfig:
         if not self.may_have_poses:
             self.refuse_map_settings()
 
-    def _check_numbers(self) -> None:
-        for name, least in (("pictures", 0), ("threads", 1)):
-            if getattr(self, name) < least:
-                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be a whole number, at least {least}")
-        if not 1.0 <= self.range_m <= 1000.0:
-            raise UsageError(f"`range_m` is {self.range_m:g}; it must be a number from 1 to 1000 m")
-
     @property
     def may_have_poses(self) -> bool:
         """Whether poses are given, or bags that may hold some."""
+        from bumpymap.readers import bags_at
+
         return self.poses is not None or any(map(bags_at, self.frames))
 
     @property
-    def bag_topics(self) -> BagTopics:
+    def bag_topics(self) -> "BagTopics":
         """Which topics of a bag are read."""
+        from bumpymap.readers import BagTopics
+
         return BagTopics(self.topic, self.odometry, poses=self.poses is None)
 
     @property

@@ -82,9 +82,10 @@ def map_survey(
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
-        ``compat``, ``vehicle``, ``calibration``, ``model``, ``crs``, ``force_crs``, ``z_unit``, ``local``,
-        ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``, ``resume``, ``threads``,
-        ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables of a settings file.
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
+        ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``,
+        ``resume``, ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
+        of a settings file.
 
     Returns
     -------

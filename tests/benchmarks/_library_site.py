@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.lab.simulate.plan import CalibrationSettings, library_terrain, library_terrains
+from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate.plan import library_terrain, library_terrains
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.lab.worlds.terrains import Terrain
 from bumpymap.rating import Calibration, Vehicle

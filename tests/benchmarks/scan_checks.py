@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarSettings, Scan, point_classes
 from bumpymap.lab.evaluate.report import number, table
-from bumpymap.lab.evaluate.scans import ScanEvaluateSettings, read_frames, simulated_scans
+from bumpymap.lab.evaluate.scans import read_frames, simulated_scans
+from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.lab.train.scan_sectors import UNSEEN
 from bumpymap.readers import find_frames
 from bumpymap.scan import (

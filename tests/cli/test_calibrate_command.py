@@ -8,10 +8,10 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
+from bumpymap.lab.settings import CalibrationSettings, LibraryJob
 from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, refit, ride_fit
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.jobs import SimulatorCheck
-from bumpymap.lab.simulate.plan import CalibrationSettings, LibraryJob
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration
 

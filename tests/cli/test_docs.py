@@ -11,7 +11,7 @@ import pytest
 
 from bumpymap.cli import main
 from bumpymap.core.config import MapConfig
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings import read_settings_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -54,6 +54,16 @@ def test_every_option_is_described_and_no_other(name):
     assert in_tables <= options(name)
     shown = set(re.findall(r"--[a-z][a-z-]*", section(name)))
     assert options(name) <= shown
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"batch", "vehicle"}))  # batch takes options as map does
+def test_the_tables_name_the_defaults_of_the_declaration(name):
+    rows = [line for line in section(name).splitlines() if line.startswith("|") and "as for `map`" not in line]
+    for option in command(name).params:
+        default = re.search(r"\[default: ([\d.]+)[\];]", getattr(option, "help", None) or "")
+        own = [row for row in rows if re.search(rf"{option.opts[0]}[ `]", row)]
+        if default and own:
+            assert any(re.search(rf"\b{re.escape(default[1])}\b", row) for row in own), f"{option.opts[0]}: {own}"
 
 
 def shown_commands():

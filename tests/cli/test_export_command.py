@@ -107,7 +107,7 @@ def test_the_other_formats(layers, tmp_path):
         (["--to", "nav2", "--every", "2"], "--every has no effect with --to nav2, only with graph"),
         (["--to", "plan", "--around", "1,2"], "--around has no effect with --to plan"),
         (["--to", "nav2", "--radius", "20"], "--radius has no effect without --around"),
-        (["--to", "nav2", "--comfort", "0"], "--comfort is 0.0; it must be a number greater than 0"),
+        (["--to", "nav2", "--comfort", "0"], "--comfort is 0.0; it must be a finite number greater than 0"),
         (["--to", "nav2", "--around", "here"], "'here' is not a point"),
         (["--to", "nav2", "--datum", ""], "'' is not a point"),
         ([], "Missing option '--to'"),

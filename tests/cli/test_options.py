@@ -2,6 +2,8 @@
 
 import importlib.util
 import re
+from dataclasses import dataclass
+from typing import Annotated
 
 import click
 import pytest
@@ -9,6 +11,9 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.cli import main
+from bumpymap.cli._options import given_options, settings_options
+from bumpymap.cli._text import as_options
+from bumpymap.core import Setting, check_settings
 
 COMMANDS = main.list_commands(click.Context(main))
 
@@ -83,7 +88,7 @@ MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
     ("evaluate", "seed", 0): lambda got: got[0]["seed"],
     ("train", "seed", 0): lambda got: got[0].seed,
-    ("scan", "robot_radius", 0): lambda got: got[0].robot.radius_m,
+    ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
     ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,
@@ -206,6 +211,42 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
     assert reached["calibrate"][4] == again
 
 
+@dataclass(frozen=True)
+class Walk:
+    origin: Annotated[str | None, Setting("Where to begin", "POINT", option="from-where")] = None
+    tile_size: Annotated[float, Setting("Side of a tile", "M", 0.5, 9.0, "m")] = 3.0
+    deskew: Annotated[bool, Setting("Keep points as measured", option="no-deskew")] = True
+    stops: Annotated[tuple[str, ...], Setting("Where to stop", "POINT")] = ()
+    speeds: Annotated[tuple[float, ...], Setting("Speeds", "LIST", default="all")] = (1.0, 2.5)
+    inner: Annotated[int, Setting(low=1)] = 1
+
+    def __post_init__(self):
+        check_settings(self)
+
+
+def test_options_follow_from_the_declaration():
+    walks = []
+
+    @click.command()
+    @settings_options(Walk, tile_size="Size")
+    def walk(**given):
+        walks.append(Walk(**given_options(given)))
+
+    shown = CliRunner().invoke(walk, ["--help"]).output
+    assert "--tile-size M" in shown
+    assert "Size [default: 3]." in shown
+    assert "Speeds [default: all]." in shown
+    assert "inner" not in shown
+    assert CliRunner().invoke(walk, []).exit_code == 0
+    words = ["--from-where=a", "--tile-size=1.5", "--no-deskew", "--stops=b", "--stops=c", "--speeds=1,2"]
+    assert CliRunner().invoke(walk, words).exit_code == 0
+    assert walks == [Walk(), Walk("a", 1.5, deskew=False, stops=("b", "c"), speeds=(1.0, 2.0))]
+    refused = CliRunner().invoke(walk, ["--tile-size", "10"]).exception
+    assert (
+        as_options(f"{refused}: `origin`") == "--tile-size is 10.0; it must be a number from 0.5 to 9 m: --from-where"
+    )
+
+
 def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
     done = run("mpa", "site.laz")
     assert done.exit_code == 2
@@ -231,27 +272,6 @@ def test_every_long_command_can_be_quiet_and_speak_json(name):
     given = {option.opts[0]: option.help for option in options(name)}
     assert {"--quiet", "--log-json"} <= set(given)
     assert given["--log-json"] == {option.opts[0]: option.help for option in options("map")}["--log-json"]
-
-
-SAME = {
-    "--patches": r"Patches per texture and z range .*",
-    "--starts": r"Drives per patch .*",
-    "--overwrite": r"Replace .*",
-}
-
-
-@pytest.mark.parametrize("word", SAME)
-def test_one_word_means_one_thing(word):
-    found = {name: option for name in COMMANDS for option in options(name) if word in option.opts}
-    assert found
-    for name, option in found.items():
-        assert re.fullmatch(SAME[word], option.help), name
-
-
-def test_rating_takes_the_same_words_everywhere():
-    found = [option.type.choices for name in COMMANDS for option in options(name) if "--rating" in option.opts]
-    assert len(found) == 3
-    assert found[0] == found[1] == found[2]
 
 
 @pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "--out", "o"]])

@@ -15,7 +15,7 @@ from rich.console import Console
 from bumpymap.cli import _progress, main
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.interrupts import SilentProgress, Steps, counted
+from bumpymap.core.interrupts import SilentProgress
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -113,22 +113,6 @@ class Waits:
         pass
 
 
-@pytest.mark.parametrize(("as_json", "seconds"), [(False, 30.0), (True, 10.0)])
-def test_it_is_told_again_and_again(capsys, monkeypatch, as_json, seconds):
-    waits = Waits(3)
-    monkeypatch.setattr(_progress, "Event", waits)
-    ticks = []
-
-    def note(progress):
-        ticks.append(progress)
-
-    monkeypatch.setattr(_progress.EventProgress if as_json else _progress.LineProgress, "tick", note)
-    with _progress.show_progress(as_json=as_json) as progress:
-        progress.start("reading", 10)
-    assert len(ticks) == 3
-    assert waits.run_spec == [seconds] * 4
-
-
 def test_without_threads_the_run_goes_on(capsys, monkeypatch):
     def refuse(_):
         raise RuntimeError("can't start new thread")
@@ -159,17 +143,6 @@ class Counting(SilentProgress):
 
     def advance(self, steps):
         self.stages[-1][2] += steps
-
-
-def test_things_and_drives_are_counted_as_steps():
-    told = Counting()
-    told.start("things", 3)
-    assert list(counted("abc", told)) == ["a", "b", "c"]
-    told.start("patches", 4)
-    steps = Steps(told, 16)
-    for done in (0, 16, 48, 64):
-        steps(done, 64)
-    assert told.stages == [["things", 3, 3], ["patches", 4, 4]]
 
 
 @pytest.mark.slow

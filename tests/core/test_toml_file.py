@@ -9,7 +9,7 @@ import pytest
 from hypothesis import assume, given, strategies as st
 
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import read_toml, short_names, short_repr
+from bumpymap.core.settings import read_toml
 
 
 def read(tmp_path, content):
@@ -79,12 +79,3 @@ def test_the_bound_refuses_nothing_that_has_few_dots(tmp_path_factory, text):
             read(folder, text.encode())
     else:
         assert read(folder, text.encode()) == wanted
-
-
-def test_values_and_names_are_shown_short():
-    assert len(short_repr("x" * 10_000)) < 100
-    assert len(short_repr([[["x" * 1000] * 1000] * 10] * 10)) < 10_000
-    assert short_repr(0.5) == "0.5"
-    assert short_names(["a", "b\n\x1b"]) == r"a, b\n\x1b"
-    assert len(short_names(["x" * 1000] * 1000)) < 1000
-    assert short_names(list("abcdefghij")).endswith("g, h, 2 more")

@@ -14,7 +14,7 @@ from pyproj import CRS
 from bumpymap.cli import main
 from bumpymap.core.config import CsfSettings, MapConfig
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings import read_settings_file
 from bumpymap.layers import PRODUCT_NAMES
 from bumpymap.patches import close_filter, mark_ground, require_filter
 from bumpymap.patches.ground import cloth

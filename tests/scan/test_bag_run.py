@@ -17,10 +17,9 @@ pytest.importorskip("rosbags")
 from bags import cloud, lidar_rows, odometry, transforms, write_bag
 
 from bumpymap.cli import main
-from bumpymap.core import OutputError, UsageError
+from bumpymap.core import OutputError, Robot, UsageError
 from bumpymap.layers import ExportSettings, GroundGrid, export_map, open_map
 from bumpymap.layers.scan.grid_bag import sector_occupancy
-from bumpymap.readers import Robot
 from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
 
 pytestmark = pytest.mark.slow

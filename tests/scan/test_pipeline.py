@@ -17,13 +17,13 @@ from ply_files import read_vertices
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import FrameSource, PolarSettings, point_classes
+from bumpymap.core import FrameSource, PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.run_folder import locked
 from bumpymap.layers import PRODUCT_NAMES, VIEW_NAMES, name_frames, write_frame
 from bumpymap.layers.products import NAMED_RASTERS
 from bumpymap.layers.scan.frame import write_polygons
-from bumpymap.readers import Robot, read_scan
+from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from jitted_helpers import jitted
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
@@ -13,7 +14,6 @@ from bumpymap.core.shared_kernels import fill_holes
 from bumpymap.scan import classify_filter, polar_sectors, turn_of
 from bumpymap.scan._sector_kernels import _heights_of, sector_scratch
 from bumpymap.scan.polar import anchor_of
-from bumpytiles.native import jitted
 
 FIXED = PolarSettings(anchored=False, ground_only=False)
 
@@ -238,16 +238,19 @@ def test_labels_beyond_semantic_ids_are_refused():
         ({"end_m": 50.0}, "grow outwards"),
         ({"end_m": math.inf}, "grow outwards"),
         ({"sectors": (24, 32)}, r"for 5 \(ending at 100 m\), 2 and 5"),
-        ({"rings": (2, 4, 4, 4, 0)}, "1 of `rings` or more"),
-        ({"sectors": (16, 2, 32, 48, 32)}, "3 `sectors` or more"),
+        ({"rings": (2, 4, 4, 4, 0)}, "`rings` is 2, 4, 4, 4, 0; it must be a list of whole numbers, at least 1"),
+        (
+            {"sectors": (16, 2, 32, 48, 32)},
+            "`sectors` is 16, 2, 32, 48, 32; it must be a list of whole numbers, at least 3",
+        ),
         ({"rings": (10_000, 4, 4, 4, 2)}, "160,480 cells; a polar grid has at most 32,767"),
         ({"rings": (2, 4, 4, 4, 40_000)}, "a polar grid has at most"),
         ({"sectors": (16, 24, 32, 10**9, 32)}, "a polar grid has at most"),
         ({"sectors": (16, 24, 32, 20_000, 32)}, "a polar grid has at most"),
         ({"least_points": 2}, "least_points is 2"),
-        ({"pixels": 2}, "pixels 2"),
-        ({"least_normal_z": 1.5}, "least_normal_z 1.5"),
-        ({"overhead_m": math.nan}, "overhead_m nan"),
+        ({"pixels": 2}, "pixels is 2; it must be a whole number from 3 to 64"),
+        ({"least_normal_z": 1.5}, "least_normal_z is 1.5; it must be a number from 0 to 1"),
+        ({"overhead_m": math.nan}, "overhead_m is nan"),
     ],
 )
 def test_settings_that_make_no_grid_are_refused(wrong, words):

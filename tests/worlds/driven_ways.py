@@ -3,7 +3,7 @@
 C_r is measured as in the drives of a calibration, after settling and acceleration: the integral of abs(omega_y) dt over
 the horizontal length of the path. The vehicle steers to a point ahead on the line. The more it has to turn, the slower
 it drives; at 90 degrees and more it turns on the spot. What it pitches while it turns counts, for so a gyroscope on
-board would measure it.
+board would measure it; how much that is, is recorded beside it. Length and pitch are recorded by tile too.
 
 Coordinates are metres east and north of a window's south-west corner: easting and northing themselves do not fit the
 single precision of a mesh. A recorded drive begins and ends with a standstill and may stop on its way.
@@ -13,6 +13,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,8 @@ _Floats = NDArray[np.float64]
 _STEP_M = 0.05
 _SEARCH_M = 3.0
 """How far ahead of its last place along the line a vehicle is looked for."""
+_SMOOTH_M = 1.0
+"""Length over which the normal of a line that is moved sideways is averaged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +43,8 @@ class GuideLine:
     """Distance between points along the line, m."""
 
     @classmethod
-    def along(cls, corners: _Floats) -> "GuideLine":
-        """Make the line through corners (m, 2), in m.
+    def along(cls, corners: _Floats, offset: float = 0.0) -> "GuideLine":
+        """Make the line through corners (m, 2), in m, moved to the left by ``offset`` m.
 
         Raises
         ------
@@ -55,11 +58,11 @@ class GuideLine:
         at = np.linspace(0.0, distance[-1], count + 1)
         points = np.stack([np.interp(at, distance, corners[:, axis]) for axis in (0, 1)], axis=1)
         step = float(distance[-1]) / count
-        return cls(points, step)
+        return cls(points + offset * _normals(points, step) if offset else points, step)
 
     @property
     def length(self) -> float:
-        """Length of the line, m."""
+        """Length of the line, m; of the one before it was moved sideways."""
         return self.step * (len(self.points) - 1)
 
     @property
@@ -84,6 +87,16 @@ class GuideLine:
             x_0, y_0 = self.points[last - 1].tolist()
             x, y = x + (wanted - last) * (x - x_0), y + (wanted - last) * (y - y_0)
         return x, y
+
+
+def _normals(points: _Floats, step: float) -> _Floats:
+    """Return the unit normals (n, 2) to the left, averaged along the line: at a corner they turn gradually."""
+    from scipy.ndimage import uniform_filter1d
+
+    forward = np.gradient(points, axis=0)
+    forward = uniform_filter1d(forward, max(round(_SMOOTH_M / step), 1), axis=0, mode="nearest")
+    forward /= np.maximum(np.hypot(forward[:, 0], forward[:, 1]), 1e-12)[:, None]
+    return np.stack([-forward[:, 1], forward[:, 0]], axis=1)
 
 
 _OBSTACLE_M = 1.0
@@ -244,6 +257,8 @@ _YAW_GAIN = 2.0
 """Yaw rate per angle between heading and that point, 1/s."""
 _MAX_STEERING = 0.5
 """Largest speed difference that steering may command, as a share of the profile's speed."""
+_TURNING_RAD = math.radians(15)
+"""At a larger angle to the point ahead, the vehicle counts as turning."""
 _STUCK_WINDOW_S = 10.0
 """A vehicle is stuck if it covers too little of the line in this time."""
 
@@ -271,12 +286,52 @@ class WayDrive:
     """Distance along the line at the end."""
     aside_m: float = 0.0
     """Largest distance from the line."""
+    turning_m: float = 0.0
+    """Part of ``path_m`` on which the vehicle was turning."""
+    turning_rad: float = 0.0
+    """Part of ``pitched_rad`` in which it was turning."""
     seconds: float = 0.0
+    tiles: list[tuple[int, int, float, float]] = field(default_factory=list)
+    """Column and row in the window, from the south-west, with the path [m] and the pitch motion [rad] in each tile."""
 
     @property
     def c_r(self) -> float:
         """Ride cost of the way, rad/m; NaN unless completed."""
         return self.pitched_rad / self.path_m if self.outcome == "completed" and self.path_m > 0 else math.nan
+
+    @classmethod
+    def from_record(cls, fields: dict[str, Any]) -> "WayDrive":
+        """Make it of the fields that a journal holds."""
+        tiles = [(int(col), int(row), float(path), float(pitch)) for col, row, path, pitch in fields["tiles"]]
+        return cls(**(fields | {"tiles": tiles}))
+
+
+def drive_way(
+    profile: Vehicle,
+    ground: ReliefGround,
+    corners: NDArray[np.float64],
+    tile_size: float,
+    offset: float = 0.0,
+    settings: DriveSettings | None = None,
+) -> WayDrive:
+    """Drive along a line in DART; the same arguments give the same bits in any process.
+
+    Parameters
+    ----------
+    profile : Vehicle
+    ground : ReliefGround
+    corners : array (n, 2)
+        The line, m east and north of the ground's south-west corner.
+    tile_size : float
+        Side of the tiles by which the pitch is recorded, m.
+    offset : float
+        The vehicle drives this far to the left of the line, m.
+    settings : DriveSettings, optional
+        ``measure_s`` has no effect: a drive ends with the line, or when the vehicle is stuck.
+    """
+    settings = settings or DriveSettings()
+    guide = GuideLine.along(corners, offset)
+    return follow_guide(vehicle_on_way(profile, ground, guide, settings), guide, profile, tile_size, settings)
 
 
 def vehicle_on_way(profile: Vehicle, ground: ReliefGround, guide: GuideLine, settings: DriveSettings) -> DartVehicle:
@@ -294,6 +349,7 @@ def follow_guide(
     vehicle: VehicleModel,
     guide: GuideLine,
     profile: Vehicle,
+    tile_size: float,
     settings: DriveSettings,
     stops: Sequence[Stop] = (),
 ) -> WayDrive:
@@ -304,6 +360,7 @@ def follow_guide(
     period = 1 / settings.sample_hz
     quiet = round((settings.settle_s + settings.ramp_s + settings.cruise_s) / period)
     made = WayDrive("completed")
+    tiles: dict[tuple[int, int], list[float]] = {}
     recent: deque[int] = deque(maxlen=round(_STUCK_WINDOW_S / period))
     least = settings.stuck_share * profile.speed_mps * _STUCK_WINDOW_S
     pose, speed, sample, at = vehicle.pose(), 0.0, 0, 0
@@ -319,8 +376,7 @@ def follow_guide(
         at, aside = guide.progress(pose.easting, pose.northing, at)
         made.aside_m = max(made.aside_m, aside)
         if sample > quiet:
-            made.path_m += math.hypot(pose.easting - before.easting, pose.northing - before.northing)
-            made.pitched_rad += (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
+            _record(made, tiles, before, pose, period, tile_size, turning=abs(angle) > _TURNING_RAD)
             recent.append(at)
         if held:
             recent.clear()
@@ -332,6 +388,7 @@ def follow_guide(
             made.outcome = "stuck"
             break
     made.reached_m, made.seconds = at * guide.step, sample * period
+    made.tiles = [(col, row, path, pitch) for (col, row), (path, pitch) in tiles.items()]
     return made
 
 
@@ -372,6 +429,33 @@ def _command(vehicle: VehicleModel, angle: float, speed: float, profile: Vehicle
     most = _MAX_STEERING * profile.speed_mps if speed > 0 or abs(angle) >= math.pi / 2 else 0.0
     difference = min(max(_YAW_GAIN * angle * profile.track_m / 2, -most), most)
     vehicle.command(speed - difference, speed + difference)
+
+
+def _record(
+    made: WayDrive,
+    tiles: dict[tuple[int, int], list[float]],
+    before: Pose,
+    pose: Pose,
+    period: float,
+    tile_size: float,
+    *,
+    turning: bool,
+) -> None:
+    """Add one sample to the sums."""
+    path = math.hypot(pose.easting - before.easting, pose.northing - before.northing)
+    pitched = (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
+    made.path_m += path
+    made.pitched_rad += pitched
+    if turning:
+        made.turning_m += path
+        made.turning_rad += pitched
+    sums = tiles.setdefault((int(pose.easting // tile_size), int(pose.northing // tile_size)), [0.0, 0.0])
+    sums[0] += path
+    sums[1] += pitched
+
+
+_TILE_M = 3.0
+"""Side of the tiles of ``WayDrive.tiles``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -467,7 +551,7 @@ def record_way(
     guide = GuideLine.along(corners)
     recorder = MotionRecorder(vehicle_on_way(profile, ground, guide, drive), round(drive.settle_s / physics.time_step))
     standing = replace(drive, settle_s=drive.settle_s + settings.stand_before_s)
-    result = follow_guide(recorder, guide, profile, standing, settings.stops)
+    result = follow_guide(recorder, guide, profile, _TILE_M, standing, settings.stops)
     brake = np.linspace(1.0, 0.0, max(round(drive.ramp_s * drive.sample_hz), 1))
     for share in np.append(brake, np.zeros(round(settings.stand_after_s * drive.sample_hz))):
         recorder.command(share * profile.speed_mps, share * profile.speed_mps)

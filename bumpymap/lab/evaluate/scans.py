@@ -21,28 +21,12 @@ from bumpymap.core import (
     Progress,
     Scan,
     SectorStack,
-    UsageError,
 )
 from bumpymap.lab.evaluate.agreement import confusion
+from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.lab.train.scan_sectors import UNSEEN, crowns_as_bushes, scene_scan
 from bumpymap.readers import LABEL_SETS, LabelSet, label_set, read_scan, require_label_set, tell_label_set
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
-
-
-@dataclass(frozen=True, slots=True)
-class ScanEvaluateSettings:
-    """All settings that affect the numbers, apart from the scans."""
-
-    scenes: int = 44
-    """Number of synthetic scenes if no scans are given; none of them is used in training."""
-    seed: int = 7
-    """Seed of the scenes."""
-
-    def __post_init__(self) -> None:
-        for name, least in (("scenes", 1), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")
-
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

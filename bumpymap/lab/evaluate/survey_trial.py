@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     REASON_TEXT,
     BadInputError,
-    FeatureSettings,
     Ground,
     PatchStack,
     Progress,
-    Rating,
     Reason,
     Steps,
     UsageError,
@@ -33,44 +31,15 @@ from bumpymap.lab.evaluate.agreement import (
     plain_predictors,
 )
 from bumpymap.lab.evaluate.rated_survey import MAPPED, MeasuredSurvey, Subject, Verdict, load_survey
-from bumpymap.lab.simulate.drive import DriveSettings, Effort, PatchDrives, drive_patch
+from bumpymap.lab.settings import EvaluateSettings
+from bumpymap.lab.simulate.drive import PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, Key, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.rating import Vehicle
 from bumpymap.readers import ReadOptions, SurveyReader, identity
 from bumpytiles import Grid
 
-
-@dataclass(frozen=True, slots=True)
-class EvaluateSettings:
-    """All settings that affect the numbers, apart from survey and vehicles."""
-
-    total_patches: int = 300
-    """Number of patches to drive over."""
-    min_starts: int = 16
-    """Minimum number of drives per patch."""
-    max_starts: int = 48
-    """Maximum number of drives per patch; they stop once the standard error of the mean C_r is below 5 % of it."""
-    seed: int = 7
-    rating: Rating = "ride"
-    """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
-    drive: DriveSettings = field(default_factory=DriveSettings)
-    features: FeatureSettings = field(default_factory=FeatureSettings)
-
-    def __post_init__(self) -> None:
-        for name, least in (("total_patches", 10), ("min_starts", 2), ("seed", 0)):
-            if getattr(self, name) < least:
-                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be {least} or more")
-        if self.min_starts > self.max_starts:
-            raise UsageError(
-                f"`min_starts` is {self.min_starts}, more than `max_starts`, which is {self.max_starts}: give fewer, "
-                "or raise `max_starts`"
-            )
-
-    @property
-    def effort(self) -> Effort:
-        """Bounds on the number of drives per patch."""
-        return Effort(self.min_starts, self.max_starts)
+__all__ = ["ComparedPatches", "Findings", "TrialOptions", "evaluate_survey"]
 
 
 Floats = NDArray[np.float64]

@@ -18,16 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
-from bumpymap.lab.simulate.plan import (
-    CalibrationSettings,
-    driven_library,
-    library_ground,
-    library_record,
-    run_job,
-)
+from bumpymap.lab.simulate.plan import driven_library, library_ground, library_record, run_job
 from bumpymap.lab.worlds.terrains import Terrain
 from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, Vehicle
 

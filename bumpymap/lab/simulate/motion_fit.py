@@ -20,16 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import atomic
+from bumpymap.lab.settings import CalibrationSettings, LibraryJob
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, drive_strip, follow
 from bumpymap.lab.simulate.jobs import JobJournal, Progress, drive_jobs
 from bumpymap.lab.simulate.model import DartVehicle, Pose, require_dart
-from bumpymap.lab.simulate.plan import (
-    CalibrationSettings,
-    LibraryJob,
-    calibrated_settings,
-    library_terrain,
-    six_digits,
-)
+from bumpymap.lab.simulate.plan import calibrated_settings, library_terrain, six_digits
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
 from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround
 from bumpymap.lab.worlds.terrains import KINDS

@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import UsageError, atomic
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
-from bumpymap.lab.simulate.plan import CalibrationSettings, calibrated_settings, read_library
+from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over

@@ -19,6 +19,7 @@ from torch import nn
 
 import bumpymap
 from bumpymap.core import OutputError, UsageError, atomic, locked
+from bumpymap.lab.settings import LoopSettings
 
 _log = logging.getLogger(__name__)
 
@@ -44,19 +45,6 @@ def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer:
 
 
 Net = TypeVar("Net", bound=nn.Module)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopSettings:
-    """Settings of the training loop."""
-
-    seed: int = 1
-    epochs: int
-    learning_rate: float
-    """Peak, after the warm-up."""
-    weight_decay: float
-    threads: int = 1
-    """CPU threads; their number affects the last bits of the result."""
 
 
 @dataclass(frozen=True, slots=True)

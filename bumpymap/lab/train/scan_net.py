@@ -3,7 +3,7 @@
 import math
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from bumpymap.core import CLASSES, PolarSettings, UsageError
+from bumpymap.core import CLASSES, PolarSettings
+from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
-    LoopSettings,
     OnnxGraph,
     Score,
     TrainedModel,
@@ -42,21 +42,7 @@ from bumpymap.lab.train.textures import predict
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
 
-
-@dataclass(frozen=True, slots=True)
-class ScanNetSettings:
-    """Architecture of the network."""
-
-    stem: int = 16
-    """Filters of the first convolution, which halves the resolution."""
-    widths: tuple[int, ...] = (16, 24, 24, 24)
-    """Channels after each inverted residual; where they increase, the resolution is halved."""
-    expansion: int = 4
-    """Expansion factor inside an inverted residual."""
-    measure_channels: int = 16
-    """Channels of the layer that takes the measures."""
-    hidden: int = 48
-    """Channels of the last hidden layer."""
+__all__ = ["make_scan_model"]
 
 
 def convolution(source: int, target: int, size: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
@@ -114,38 +100,6 @@ class ScanNet(nn.Module):
     def parameter_count(self) -> int:
         """Return the number of trained parameters."""
         return sum(p.numel() for p in self.parameters())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ScanTrainSettings(LoopSettings):
-    """All settings that affect a training; the scans come in addition."""
-
-    epochs: int = 20
-    scenes: int = 440
-    """Number of synthetic training scenes; not used with a data set on disk."""
-    turns: int = 2
-    """Number of additional cuts of each scan, each after a random rotation."""
-    sectors_per_class: int = 10_000
-    """Sectors of each class in every epoch."""
-    batch: int = 128
-    learning_rate: float = 4e-3
-    weight_decay: float = 2e-2
-    smoothing: float = 0.05
-    """Label smoothing: share of each label that is spread over the other classes; labels at margins are uncertain."""
-    network: ScanNetSettings = field(default_factory=ScanNetSettings)
-
-    def __post_init__(self) -> None:
-        for name in ("epochs", "scenes", "sectors_per_class", "batch", "threads"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be at least 1")
-        if min(self.seed, self.turns) < 0:
-            raise UsageError(f"`seed` is {self.seed} and turns {self.turns}; they must be 0 or more")
-
-    @property
-    def options(self) -> str:
-        """The options of the command that repeats this training."""
-        names = ("seed", "epochs", "scenes", "sectors_per_class", "threads")
-        return " ".join(f"--{name.replace('_', '-')} {getattr(self, name)}" for name in names)
 
 
 def train(

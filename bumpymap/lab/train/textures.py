@@ -6,7 +6,7 @@ The ONNX graph has no operator whose result for a patch depends on its position 
 
 import math
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from string import ascii_lowercase
 
@@ -15,11 +15,11 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from bumpymap.core import TEXTURES, UsageError
+from bumpymap.core import TEXTURES
+from bumpymap.lab.settings import NetworkSettings, TrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
-    LoopSettings,
     OnnxGraph,
     Score,
     TrainedModel,
@@ -46,18 +46,7 @@ from bumpymap.lab.train.texture_data import (
 )
 from bumpymap.rating import FEATURE_VERSION
 
-
-@dataclass(frozen=True, slots=True)
-class NetworkSettings:
-    """Architecture of the network."""
-
-    pixels: int = 15
-    """Pixels along a side of a patch, at least 9."""
-    channels: tuple[int, int, int, int] = (16, 32, 64, 96)
-    """Filters of the four convolutions."""
-    hidden: int = 128
-    """Units of the hidden layer between the averages over the patch and the output."""
-    classes: tuple[str, ...] = TEXTURES
+__all__ = ["make_model", "predict"]
 
 
 class TextureNet(nn.Module):
@@ -93,46 +82,6 @@ class TextureNet(nn.Module):
     def parameter_count(self) -> int:
         """Return the number of trained parameters."""
         return sum(p.numel() for p in self.parameters())
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TrainSettings(LoopSettings):
-    """All settings that affect a training."""
-
-    epochs: int = 30
-    patches_per_texture: int = 6534
-    """As in the paper: 26,136 patches in total."""
-    batch: int = 256
-    """Minimum number of patches per optimizer step; batches are as equal in size as possible."""
-    learning_rate: float = 5e-3
-    weight_decay: float = 1e-2
-    tile_size: float = 3.0
-    """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
-    network: NetworkSettings = field(default_factory=NetworkSettings)
-
-    def __post_init__(self) -> None:
-        for name, least in {"epochs": 1, "patches_per_texture": 1, "batch": 2, "threads": 1}.items():
-            if getattr(self, name) < least:
-                raise UsageError(f"`{name}` is {getattr(self, name)}; it must be at least {least}")
-        if self.seed < 0:
-            raise UsageError(f"`seed` is {self.seed}; it must be 0 or more")
-        if not (math.isfinite(self.tile_size) and self.tile_size > 0):
-            raise UsageError(f"`tile_size` is {self.tile_size}; it must be a positive number of metres")
-        if self.network.pixels < 9:
-            raise UsageError(f"`pixels` is {self.network.pixels}; the network needs at least 9")
-
-    @property
-    def command(self) -> str:
-        """The command line of this training, without ``--out``."""
-        options = {
-            "seed": self.seed,
-            "epochs": self.epochs,
-            "patches-per-texture": self.patches_per_texture,
-            "tile-size": f"{self.tile_size:g}",
-            "pixels": self.network.pixels,
-            "threads": self.threads,
-        }
-        return "bumpymap train " + " ".join(f"--{name} {value}" for name, value in options.items())
 
 
 def train(

@@ -1,5 +1,8 @@
+from .settings import (
+    ExportFormat as ExportFormat,
+    ExportSettings as ExportSettings,
+)
 from .write import (
     Export as Export,
-    ExportSettings as ExportSettings,
     export_map as export_map,
 )

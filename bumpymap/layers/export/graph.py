@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from bumpymap.core import BadInputError
 from bumpymap.layers.export.area import FRAME, ExportArea, passable_cost, write_file
+from bumpymap.layers.export.settings import NodeSquare
 
 __all__ = [
     "SQUARES",
@@ -104,7 +105,7 @@ def _crossings(move: NDArray[np.integer]) -> NDArray[np.float64]:
         return np.asarray(np.where(number < count, (number + 0.5) / count, 1.0))
 
 
-SQUARES = (1, 3, 9, 27)
+SQUARES: tuple[NodeSquare, ...] = get_args(NodeSquare)
 """Sides of squares, tiles."""
 _ALIKE = 1.5
 """Largest ratio of the costs of tiles in one square: ways still bend around dearer ground."""

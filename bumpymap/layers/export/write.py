@@ -4,12 +4,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, ExportFormat, ExportResolution, UsageError, parse_json, read_regular
+from bumpymap.core import BadInputError, parse_json, read_regular
 from bumpymap.layers.export.area import (
     DATUM_NAME,
     EXPORT_FILES,
@@ -21,14 +21,15 @@ from bumpymap.layers.export.area import (
     write_json,
     write_pixel_cost,
 )
-from bumpymap.layers.export.graph import SQUARES, make_graph, write_graph
+from bumpymap.layers.export.graph import make_graph, write_graph
 from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_gridmap
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
+from bumpymap.layers.export.settings import ExportSettings
 from bumpymap.layers.placement import check_extent
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import TileWindow
 
-__all__ = ["Export", "ExportSettings", "Mission", "export_map", "make_mission", "read_route_line", "write_plan"]
+__all__ = ["Export", "Mission", "export_map", "make_mission", "read_route_line", "write_plan"]
 
 _WAYPOINT = 16
 """MAV_CMD_NAV_WAYPOINT."""
@@ -198,46 +199,6 @@ def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
 _FORMAT, _VERSION = "bumpymap-export", 1
 
 _Writer = Callable[[Path], dict[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class ExportSettings:
-    """What to export, and how."""
-
-    to: ExportFormat = "nav2"
-    around: tuple[float, float] | None = None
-    """Easting and northing on the grid, m: export the tiles within ``radius`` to each side of it; else all."""
-    radius: float = 100.0
-    """m."""
-    datum: tuple[float, float] | None = None
-    """Easting and northing of the local frame's origin, m; else a corner of a tile near the middle."""
-    resolution: ExportResolution = "tile"
-    """``pixel`` (0.2 m) shows obstacles; nav2 and gridmap."""
-    comfort: float = 0.3
-    """nav2: most pitch motion for the speed mask, rad/s."""
-    dearest: float | None = None
-    """nav2: cost per metre of the highest value; else that of the dearest passable tile of the area."""
-    every: int | None = None
-    """graph: side of the largest squares of tiles with one node each: 1, 3, 9 or 27; else by the size of the area."""
-    route: Path | None = None
-    """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
-    through_obstacles: bool = False
-    """plan: take a route that touches obstacles too."""
-
-    def __post_init__(self) -> None:
-        for name, allowed in (("to", get_args(ExportFormat)), ("resolution", get_args(ExportResolution))):
-            if getattr(self, name) not in allowed:
-                raise UsageError(f"`{name}` is {getattr(self, name)!r}; it must be one of {', '.join(allowed)}")
-        for name, least in (("radius", 0.0), ("comfort", 0.0), ("dearest", 1.0)):
-            value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > least):
-                raise UsageError(f"`{name}` is {value}; it must be a number greater than {least:g}")
-        if self.every is not None and self.every not in SQUARES:
-            raise UsageError(f"`every` is {self.every}; it must be one of {', '.join(map(str, SQUARES))}")
-        for name in ("around", "datum"):
-            place = getattr(self, name)
-            if place is not None and not np.isfinite(place).all():
-                raise UsageError(f"`{name}` is {place}; it must be two numbers, easting and northing in metres")
 
 
 @dataclass(frozen=True, slots=True)

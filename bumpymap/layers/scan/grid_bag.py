@@ -10,7 +10,6 @@ import struct
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
-from numbers import Real
 from os.path import lexists
 from pathlib import Path
 from typing import Any, TypeVar
@@ -21,49 +20,25 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     NOT_TRAVERSABLE,
     ClassedSectors,
+    GridSettings,
     OutputError,
     PolarSettings,
     Scan,
     SectorStack,
-    UsageError,
     atomic,
     remove_path,
-    short_repr,
 )
 from bumpymap.layers.export.gridmap import GRID_MAP, GridLayers, grid_map_message, require_rosbags, typestore
 from bumpymap.layers.scan.folder import Frame
 
-__all__ = ["GridBag", "GridSettings", "GroundGrid", "check_bag_file", "sector_occupancy"]
+__all__ = ["GridBag", "GroundGrid", "check_bag_file", "sector_occupancy"]
 
 OCCUPANCY = (0, 33, 66, 100)
 """Occupancy of sectors of class 0 (smooth), 1 (fair) and 2 (rough), and of those that must not be entered."""
 UNKNOWN_OCCUPANCY = -1
 GRID_LAYERS = ("class", "elevation", "obstacle_height", "ground")
-_MOST_CELLS = 4_000_000
 
 Message = TypeVar("Message")
-
-
-@dataclass(frozen=True, slots=True)
-class GridSettings:
-    """Size of the grids of scans."""
-
-    resolution_m: float = 0.25
-    """Side of a cell."""
-    reach_m: float = 30.0
-    """Distance from the sensor to each side of the grid."""
-
-    def __post_init__(self) -> None:
-        resolution, reach = self.resolution_m, self.reach_m
-        if not all(isinstance(size, Real) and not isinstance(size, bool) for size in (resolution, reach)):
-            raise UsageError(
-                f"a grid reaches {short_repr(reach)} m with cells of {short_repr(resolution)} m; both are numbers"
-            )
-        if not (0.0 < resolution <= reach < math.inf) or (2.0 * reach / resolution) ** 2 > _MOST_CELLS:
-            raise UsageError(
-                f"a grid reaches {reach} m with cells of {resolution} m; both are above 0, and there are at most "
-                f"{_MOST_CELLS:,} cells"
-            )
 
 
 @dataclass(frozen=True, slots=True)

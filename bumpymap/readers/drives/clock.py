@@ -63,16 +63,11 @@ def _parts(column: Any, pattern: str) -> dict[str, Floats] | None:
     if found.null_count > words.null_count:
         return None
     names = [field.name for field in found.type]
-    flat = found.combine_chunks().flatten() if isinstance(found, pa.Array) else _flat(found)
     numbers = {}
-    for name, values in zip(names, flat, strict=True):
+    for name, values in zip(names, found.flatten(), strict=True):
         filled = compute.if_else(compute.equal(values, ""), None, values)
         numbers[name] = np.asarray(filled.cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
     return numbers
-
-
-def _flat(found: Any) -> list[Any]:
-    return [each.combine_chunks() for each in found.flatten()]
 
 
 def _clock(parts: dict[str, Floats]) -> Floats:
@@ -168,7 +163,7 @@ def seconds_of_numbers(
         unit = _unit_of(finite, kind)
         if unit is None:
             raise BadInputError(
-                f"the unit of the times of {source} (column {name}) cannot be told: between two samples it "
+                f"the unit of the times of {source} (column {name}) cannot be determined: between two samples it "
                 f"rises by {_median_step(finite):g} (median). State it: `columns='time={name}[ms]'` (s, ms, us or ns)"
             )
         note = f"times of {source} (column {name}) are taken as {unit}" if unit != "s" else None

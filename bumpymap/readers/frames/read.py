@@ -11,13 +11,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Scan, UsageError
-from bumpymap.readers.frames.kitti import POINT_FOLDERS
+from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Robot, Scan, UsageError
+from bumpymap.readers.frames.kitti import POINT_FOLDERS, read_kitti
 from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
-from bumpymap.readers.frames.raw import BAG_SUFFIXES, CLOUD, BagReader, BagRecord, RawScan, is_bag, read_cloud
+from bumpymap.readers.frames.raw import (
+    BAG_SUFFIXES,
+    CLOUD,
+    BagReader,
+    BagRecord,
+    RawScan,
+    is_bag,
+    read_cloud,
+    read_table,
+)
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
-__all__ = ["BagTopics", "Robot", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
+__all__ = ["BagTopics", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
 
 _log = logging.getLogger(__name__)
 
@@ -327,27 +336,6 @@ def _scans(folder: Path) -> list[Path]:
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class Robot:
-    """The region, in the sensor frame, in which returns are from the robot that carries the sensor."""
-
-    radius_m: float = 0.5
-    """Returns closer than this, horizontally, are on the robot; 0: none are. The default covers the robot's deck: from
-    a roof or a mast, no beam hits the ground as close."""
-    box_m: tuple[float, float, float, float] | None = None
-    """Rear, front, right and left end (x from, x to, y from, y to) of a longer robot, m; at any height."""
-
-    def __post_init__(self) -> None:
-        rear, front, right, left = self.box_m or (0.0, 1.0, 0.0, 1.0)
-        if not self.radius_m >= 0.0:
-            raise UsageError(f"`radius_m` is {self.radius_m}; the radius of the robot must be 0 m or more")
-        if not (rear < front and right < left):
-            raise UsageError(
-                f"box_m is {self.box_m}; the box of the robot goes from rear to front and from right to left, in "
-                "metres: x from, x to, y from, y to"
-            )
-
-
 def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None) -> Scan:
     """Read one scan: PLY, PCD, or KITTI-style ``.bin`` with its labels.
 
@@ -372,7 +360,7 @@ def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None
     """
     version = version_of(path)
     with pinned_version(path, version):
-        raw = _read(path, columns)
+        raw = read_kitti(path, columns) if path.suffix.lower() == ".bin" else read_table(path)
     require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
@@ -385,16 +373,6 @@ def read_message(bag: BagReader, message: BagMessage, robot: Robot, name: str) -
         raise BadInputError(
             f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}"
         ) from error
-
-
-def _read(path: Path, columns: int | None) -> RawScan:
-    if path.suffix.lower() == ".bin":
-        from bumpymap.readers.frames.kitti import read_kitti
-
-        return read_kitti(path, columns)
-    from bumpymap.readers.frames.raw import read_table
-
-    return read_table(path)
 
 
 def scene_points(points: NDArray[np.float32], robot: Robot) -> NDArray[np.bool_]:

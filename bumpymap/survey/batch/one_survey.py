@@ -49,11 +49,10 @@ from bumpymap.layers import (
     read_thumbnail,
     write_manifest,
 )
-from bumpymap.survey.batch.settings import naming_remote
 from bumpymap.survey.run_record import MapResult, WarningCollector
 from bumpytiles import compile_packages
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
+__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
 
 _MOST_WAIT_S = 5.0
 _NOT_RESUME = " instead of `resume=True`"
@@ -81,7 +80,7 @@ class MapTask:
 
 @dataclass(frozen=True, slots=True)
 class TaskEnd:
-    """What became of it."""
+    """Result of mapping one survey."""
 
     row: SurveyRow
     events: tuple[dict[str, Any], ...]
@@ -137,6 +136,15 @@ def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyVie
         raise OutputError(f"{error}. The layers are in {out}; the next start uploads them") from error
     remove_path(out)
     return replace(row, status="done" if row.status == "already done" else row.status), view
+
+
+@contextmanager
+def naming_remote(remote: RemoteFolder, folder: Path) -> Iterator[None]:
+    """Name the URL instead of a folder of this machine in the message of an error of the body."""
+    try:
+        yield
+    except OutputError as error:
+        raise OutputError(str(error).replace(str(folder), remote.url)) from error
 
 
 def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> SurveyRow:
@@ -207,7 +215,7 @@ def _run(task: MapTask) -> MapResult:
 
 
 def _wait_for_killed(out: Path) -> None:
-    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to notice it."""
+    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to end."""
     end = time.monotonic() + _MOST_WAIT_S
     while out.is_dir() and time.monotonic() < end:
         try:
@@ -263,7 +271,7 @@ _MODULE = "bumpymap.survey.batch.one_survey"
 def map_tasks(
     tasks: Sequence[MapTask], jobs: int, started: Callable[[MapTask], None]
 ) -> Generator[TaskEnd, None, None]:
-    """Map surveys, up to ``jobs`` at a time; yield what became of each as soon as it is known.
+    """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
     Parameters
     ----------
@@ -278,7 +286,7 @@ def map_tasks(
     UsageError
         No process can be started.
     """
-    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is told, and not done by each worker
+    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is shown, and not done by each worker
     workers = _Workers()
     waiting = deque(tasks)
     try:
@@ -318,7 +326,7 @@ class _Workers:
             return
 
     def ended(self) -> Iterator[TaskEnd]:
-        """Wait until at least one task has ended, and yield what became of it."""
+        """Wait until at least one task has ended, and yield its result."""
         links = {child.link: child for child in self.busy}
         for link in wait(list(links)):
             child = links[link]  # type: ignore[index]

@@ -1,5 +1,7 @@
 """Map the surveys of a batch: find them, map what is not done, note what fails, and summarise.
 
+Layers that go to a server are made in a working folder of this machine, uploaded, and then removed there.
+
 ``log.jsonl`` says what happened and when, one JSON object per line; every start appends to it.
 """
 
@@ -7,10 +9,12 @@ import json
 import logging
 import os
 import stat
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from os.path import lexists
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias, Unpack
@@ -21,8 +25,10 @@ from bumpymap.core import (
     MapConfig,
     OutputError,
     UsageError,
+    atomic,
     brief_repr,
     count_text,
+    is_own_folder,
     locked,
     path_of_call,
     refuse_faults,
@@ -30,9 +36,12 @@ from bumpymap.core import (
     remove_empty_on_error,
     short_repr,
     without_keys,
+    writing_to,
 )
 from bumpymap.layers import (
     BATCH_LOG,
+    BATCH_NAMES,
+    RemoteFolder,
     SurveyRow,
     SurveyStatus,
     SurveyView,
@@ -43,12 +52,18 @@ from bumpymap.layers import (
     write_catalog,
 )
 from bumpymap.survey.api import EachSettings, PathLike, map_settings
-from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks
-from bumpymap.survey.batch.settings import BatchConfig, SurveyPer, check_remote_out, fetch_log, upload_summary
+from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks, naming_remote
+from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 from bumpymap.survey.batch.source import ListedSurvey, SettingsCheck, list_surveys
 from bumpymap.survey.engine import connect
 
 __all__ = ["BatchLog", "BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
+
+
+INDEX_NAME = "index.html"
+"""The last file of a batch that is uploaded."""
+_SUMMARY = "summary.csv"
+_MAP = "run.json"
 
 
 class BatchLog:
@@ -128,7 +143,7 @@ class Results:
         return tuple(self._rows[name] for name in sorted(self._rows))
 
     def add(self, row: SurveyRow, view: SurveyView) -> None:
-        """Note what became of a survey; write the files if that is long ago."""
+        """Note the result of a survey; write the files if that is long ago."""
         self._rows[row.name], self._views[row.name] = row, view
         self._ended.add(row.name)
         if monotonic() - self._written > _EVERY_S:
@@ -174,7 +189,7 @@ BatchReport: TypeAlias = Callable[[SurveyRow], None]
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """What became of the surveys of a batch."""
+    """Results of the surveys of a batch."""
 
     __repr__ = brief_repr
 
@@ -331,6 +346,55 @@ def _note(log: BatchLog, end: TaskEnd) -> None:
         _log.warning("%s: %s", row.name, warning)
     if row.status in {"failed", "incomplete"}:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
+
+
+def check_remote_out(remote: RemoteFolder, folder: Path) -> None:
+    """Make the working folder, and check that no files but those of a batch are where its own would be uploaded.
+
+    Raises
+    ------
+    OutputError
+        There are; or the server or the working folder cannot be used.
+    """
+    with writing_to(folder, "`scratch`"):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not is_own_folder(folder, folder.parent):
+            raise OutputError(
+                f"{folder} is a link or belongs to another user, and was not touched: layers are made there before "
+                "they are uploaded. Remove it, or choose another `scratch`"
+            )
+    present = remote.sizes()
+    with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
+        copy = Path(name)
+        for known in {*BATCH_NAMES, _MAP} & set(present):
+            data = remote.read(known) if known in {BATCH_LOG, _SUMMARY} else b""
+            (copy / known).write_bytes(data or b"")
+        check_batch_out(copy)
+
+
+def fetch_log(remote: RemoteFolder, folder: Path) -> None:
+    """Download the log of earlier starts, unless one that was interrupted has left it here."""
+    log = folder / BATCH_LOG
+    if not lexists(log) and (data := remote.read(BATCH_LOG)) is not None:
+        with atomic(log) as temporary:
+            temporary.write_bytes(data)
+
+
+def upload_summary(remote: RemoteFolder, folder: Path) -> None:
+    """Upload the summary, the page and the log, and remove them here.
+
+    Raises
+    ------
+    OutputError
+        The server cannot be used; the files stay here.
+    """
+    try:
+        remote.upload(folder, INDEX_NAME)
+    except OutputError as error:
+        raise OutputError(f"{error}. The summary is in {folder}; the next start uploads it") from error
+    for name in BATCH_NAMES:
+        with suppress(FileNotFoundError):
+            (folder / name).unlink()
 
 
 _OF_BATCH = ("survey_per", "jobs")

@@ -1,116 +1,37 @@
-"""Settings of a batch, and those of the map of each survey: command line over CSV over TOML.
-
-Layers that go to a server are made in a working folder of this machine, uploaded, and then removed there.
-"""
+"""Settings of a batch, and those of the map of each survey: command line over CSV over TOML."""
 
 import hashlib
 import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from os.path import lexists
 from pathlib import Path
-from typing import Any, Literal, TypeAlias, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
 from bumpymap.core import (
     CLASHES,
     LEAST_MEMORY,
     MapConfig,
-    OutputError,
+    Setting,
     UsageError,
-    atomic,
     auto_memory,
+    check_settings,
     is_auto,
-    is_own_folder,
     memory_bytes,
     override_settings,
     read_settings_file,
     refuse_clashes,
-    writing_to,
 )
-from bumpymap.layers import BATCH_LOG, BATCH_NAMES, RemoteFolder, check_batch_out
 
-__all__ = [
-    "INDEX_NAME",
-    "OWN_SETTINGS",
-    "BatchConfig",
-    "SurveyPer",
-    "check_remote_out",
-    "fetch_log",
-    "naming_remote",
-    "read_batch_settings",
-    "upload_summary",
-    "working_folder",
-]
+if TYPE_CHECKING:
+    from bumpymap.layers import RemoteFolder
 
-INDEX_NAME = "index.html"
-"""The last file of a batch that is uploaded."""
-_SUMMARY = "summary.csv"
-_MAP = "run.json"
+__all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
 
 
 def working_folder(url: str, scratch: Path | None) -> Path:
     """Return the folder for the layers of a URL until they are uploaded: the same for every start of a batch."""
     digest = hashlib.sha256(url.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:16]
     return Path(scratch or tempfile.gettempdir()) / f"bumpymap-batch-{digest}"
-
-
-def check_remote_out(remote: RemoteFolder, folder: Path) -> None:
-    """Make the working folder, and check that no files but those of a batch are where its own would be uploaded.
-
-    Raises
-    ------
-    OutputError
-        There are; or the server or the working folder cannot be used.
-    """
-    with writing_to(folder, "`scratch`"):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not is_own_folder(folder, folder.parent):
-            raise OutputError(
-                f"{folder} is a link or belongs to another user, and was not touched: layers are made there before "
-                "they are uploaded. Remove it, or choose another `scratch`"
-            )
-    present = remote.sizes()
-    with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
-        copy = Path(name)
-        for known in {*BATCH_NAMES, _MAP} & set(present):
-            data = remote.read(known) if known in {BATCH_LOG, _SUMMARY} else b""
-            (copy / known).write_bytes(data or b"")
-        check_batch_out(copy)
-
-
-def fetch_log(remote: RemoteFolder, folder: Path) -> None:
-    """Download the log of earlier starts, unless one that was interrupted has left it here."""
-    log = folder / BATCH_LOG
-    if not lexists(log) and (data := remote.read(BATCH_LOG)) is not None:
-        with atomic(log) as temporary:
-            temporary.write_bytes(data)
-
-
-def upload_summary(remote: RemoteFolder, folder: Path) -> None:
-    """Upload the summary, the page and the log, and remove them here.
-
-    Raises
-    ------
-    OutputError
-        The server cannot be used; the files stay here.
-    """
-    try:
-        remote.upload(folder, INDEX_NAME)
-    except OutputError as error:
-        raise OutputError(f"{error}. The summary is in {folder}; the next start uploads it") from error
-    for name in BATCH_NAMES:
-        with suppress(FileNotFoundError):
-            (folder / name).unlink()
-
-
-@contextmanager
-def naming_remote(remote: RemoteFolder, folder: Path) -> Iterator[None]:
-    """Name the URL instead of a folder of this machine in the message of an error of the body."""
-    try:
-        yield
-    except OutputError as error:
-        raise OutputError(str(error).replace(str(folder), remote.url)) from error
 
 
 SurveyPer: TypeAlias = Literal["file", "folder"]
@@ -134,22 +55,21 @@ class BatchConfig:
 
     source: Path
     """A folder of surveys, a text file with a path in each line, or a CSV."""
-    out: Path | str
+    out: Annotated[
+        Path | str,
+        Setting("Folder for the layers, a folder for each survey; or a URL, such as s3://bucket/night", "DIR"),
+    ]
     """Folder that gets a folder of layers for each survey; a string is an fsspec URL such as ``s3://bucket/night``."""
     given: Mapping[str, Any] = field(default_factory=dict)
     """Settings of `MapConfig` for all surveys; they override those of the CSV."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
     """The same, of a settings file; the CSV overrides them."""
-    survey_per: SurveyPer = "file"
-    """Whether each file of the source folder is a survey, or each folder in it."""
-    jobs: int = 1
-    """Surveys that are mapped at a time."""
+    survey_per: Annotated[SurveyPer, Setting("What in the folder SOURCE is one survey")] = "file"
+    """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
+    jobs: Annotated[int, Setting("Number of surveys mapped at a time", "N", 1)] = 1
 
     def __post_init__(self) -> None:
-        if isinstance(self.jobs, bool) or not isinstance(self.jobs, int) or self.jobs < 1:
-            raise UsageError(f"`jobs` is {self.jobs!r}; it must be a whole number, at least 1")
-        if self.survey_per not in get_args(SurveyPer):
-            raise UsageError(f"`survey_per` is {self.survey_per!r}; it must be one of {', '.join(get_args(SurveyPer))}")
+        check_settings(self)
         refuse_clashes(self.defaults, CLASHES)
         config = self.of_survey({})
         if self.jobs > 1 and config.scheduler is not None:
@@ -160,8 +80,10 @@ class BatchConfig:
         self.share(config, self.jobs)
 
     @property
-    def remote(self) -> RemoteFolder | None:
+    def remote(self) -> "RemoteFolder | None":
         """Where the layers go, if that is a server."""
+        from bumpymap.layers import RemoteFolder
+
         return RemoteFolder(self.out) if isinstance(self.out, str) else None
 
     @property
@@ -174,7 +96,7 @@ class BatchConfig:
 
     @property
     def overwrite(self) -> bool:
-        """Whether layers that were made from other inputs or settings are replaced."""
+        """True: layers that were made from other inputs or settings are replaced."""
         return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import pytest
 
 from bumpymap.lab.evaluate import survey_trial
 from bumpymap.lab.evaluate.rated_survey import Subject, Verdict
-from bumpymap.lab.evaluate.survey_trial import EvaluateSettings
+from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.calibration import Calibration

@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 
 from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.lab.settings import CalibrationSettings, LibraryJob, TableJob
 from bumpymap.lab.simulate import calibrate as calibrate_module
 from bumpymap.lab.simulate.calibrate import calibrate_vehicle, class_limits
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
 from bumpymap.lab.simulate.jobs import Journal
-from bumpymap.lab.simulate.plan import (
-    CalibrationSettings,
-    LibraryJob,
-    TableJob,
-    library_terrains,
-    run_job,
-)
+from bumpymap.lab.simulate.plan import library_terrains, run_job
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile
@@ -58,7 +53,7 @@ def fake_drives(monkeypatch):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"patches": 1}, "`patches` is 1; it must be 2"),
+        ({"patches": 1}, "`patches` is 1; it must be a whole number, at least 2"),
         ({"tile_size": 0.0}, "`tile_size` is 0.0"),
         ({"z_range": (0.2, 0.1)}, "rise"),
     ],

@@ -6,7 +6,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.survey_trial import EvaluateSettings, _PatchJob, drive_job
+from bumpymap.lab.evaluate.survey_trial import _PatchJob, drive_job
+from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.rating.vehicle_profile import load_profile

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import UsageError
-from bumpymap.lab.simulate.plan import CalibrationSettings
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.refit import CrossingJob, WallGround, add_steps, run_crossing, step_tile
 from bumpymap.rating import Calibration, load_profile
 

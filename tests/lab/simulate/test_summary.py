@@ -7,10 +7,10 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError
 from bumpymap.core.types import TEXTURES
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate
 from bumpymap.lab.simulate.calibrate import class_limits, natural_breaks
 from bumpymap.lab.simulate.drive import PatchDrives
-from bumpymap.lab.simulate.plan import CalibrationSettings
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import DrivenTerrain
 from bumpymap.rating.vehicle_profile import load_profile

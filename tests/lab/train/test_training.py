@@ -15,16 +15,11 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'"
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.cli import main  # noqa: E402
+from bumpymap.core.errors import UsageError  # noqa: E402
+from bumpymap.lab.settings import NetworkSettings, TrainSettings  # noqa: E402
 from bumpymap.lab.train import textures  # noqa: E402
 from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
-from bumpymap.lab.train.textures import (  # noqa: E402
-    NetworkSettings,
-    TrainSettings,
-    predict,
-    score,
-    to_onnx,
-    train,
-)
+from bumpymap.lab.train.textures import predict, score, to_onnx, train  # noqa: E402
 from bumpymap.rating.textures import TextureModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
@@ -81,6 +76,26 @@ def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
     resumed = train(SMALL, checkpoint, reports.append)
     assert [report.epoch for report in reports] == [2]
     _assert_same(resumed, small)
+
+
+def test_a_batch_of_one_patch_is_refused():
+    with pytest.raises(UsageError, match="batch is 1; it must be a whole number, at least 2"):
+        replace(SMALL, batch=1)
+
+
+def test_a_foreign_checkpoint_is_refused(tmp_path):
+    (tmp_path / "c").write_bytes(b"something else")
+    with pytest.raises(UsageError, match="cannot be read"):
+        train(SMALL, tmp_path / "c")
+
+
+def test_training_leaves_global_state_alone():
+    torch.manual_seed(123)
+    threads, expected = torch.get_num_threads(), torch.rand(1)
+    torch.manual_seed(123)
+    train(replace(SMALL, epochs=1, threads=2))
+    assert torch.rand(1) == expected
+    assert torch.get_num_threads() == threads
 
 
 @pytest.mark.parametrize("pixels", [9, 15])

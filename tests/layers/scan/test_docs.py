@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.core.settings_file import read_settings_file
+from bumpymap.core.settings import read_settings_file
 from bumpymap.layers import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan.table import COLUMNS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig

@@ -141,9 +141,18 @@ def test_a_message_is_filled_by_its_attributes(classed):
     np.testing.assert_array_equal(np.array(message.data, np.int8).reshape(50, 50), grid.occupancy(classed))
 
 
-@pytest.mark.parametrize(("resolution", "reach"), [(0.0, 5.0), (np.nan, 5.0), (1.0, np.inf), (2.0, 1.0), (0.01, 50.0)])
-def test_grids_without_cells_or_with_too_many(resolution, reach):
-    with pytest.raises(UsageError, match="at most 4,000,000"):
+@pytest.mark.parametrize(
+    ("resolution", "reach", "said"),
+    [
+        (0.0, 5.0, "resolution_m is 0.0; it must be a finite number greater than 0 m"),
+        (np.nan, 5.0, "resolution_m is nan"),
+        (1.0, np.inf, "reach_m is inf; it must be a finite number"),
+        (2.0, 1.0, "at most 4,000,000"),
+        (0.01, 50.0, "at most 4,000,000"),
+    ],
+)
+def test_grids_without_cells_or_with_too_many(resolution, reach, said):
+    with pytest.raises(UsageError, match=said):
         GroundGrid(resolution, reach)
 
 

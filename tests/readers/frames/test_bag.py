@@ -16,8 +16,8 @@ pytest.importorskip("rosbags")
 
 from bags import LIDAR, cloud, lidar_rows, odometry, transforms, write_bag
 
-from bumpymap.core import BadInputError, UsageError
-from bumpymap.readers import BagReader, BagTopics, Robot, find_sources, read_message
+from bumpymap.core import BadInputError, Robot, UsageError
+from bumpymap.readers import BagReader, BagTopics, find_sources, read_message
 
 T0 = 1_700_000_000_000_000_000
 STEP = 100_000_000
@@ -356,7 +356,8 @@ def test_memory_does_not_grow_with_the_bag(tmp_path):
     scans = (("/points", T0 + n, cloud(rows, T0 + n)) for n in range(80))
     folder = write_bag(tmp_path / "drive", scans, compression="STORAGE")
     code = (
-        "import resource, sys; from pathlib import Path; from bumpymap.readers import *;"
+        "import resource, sys; from pathlib import Path; from bumpymap.core import Robot;"
+        "from bumpymap.readers import *;"
         "path = Path(sys.argv[1]); before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss;"
         "found = find_sources([path], BagTopics()); bag = BagReader(path);"
         "[read_message(bag, each.message, Robot(), '') for each in found];"

@@ -13,8 +13,9 @@ from bumpymap.core import OutputError
 from bumpymap.core.config import MapConfig
 from bumpymap.layers import RemoteFolder
 from bumpymap.survey import BatchConfig, map_surveys
-from bumpymap.survey.batch import one_survey, settings
+from bumpymap.survey.batch import one_survey
 from bumpymap.survey.batch.one_survey import MapTask, map_one
+from bumpymap.survey.batch.run import fetch_log, upload_summary
 
 fsspec = pytest.importorskip("fsspec")
 pytestmark = pytest.mark.slow
@@ -139,11 +140,11 @@ def test_a_log_is_fetched_whole_or_not_at_all_and_through_no_link(server, tmp_pa
     server.files.pipe_file("/night/log.jsonl", b'{"time": "", "event": ""}\n' * 9)
     log = tmp_path / "log.jsonl"
     log.symlink_to(tmp_path / "elsewhere")
-    settings.fetch_log(RemoteFolder("memory://night"), tmp_path)
+    fetch_log(RemoteFolder("memory://night"), tmp_path)
     assert log.is_symlink()
     assert not (tmp_path / "elsewhere").exists()
     log.unlink()
-    settings.fetch_log(RemoteFolder("memory://night"), tmp_path)
+    fetch_log(RemoteFolder("memory://night"), tmp_path)
     assert len(log.read_text().splitlines()) == 9
 
 
@@ -258,8 +259,6 @@ def test_a_survey_is_not_uploaded_to_the_folder_of_another(server, tmp_path):
 def test_a_failed_upload_of_the_summary_keeps_it(server, tmp_path):
     (tmp_path / "index.html").write_text("page")
     server.refuses = "index.html"
-    from bumpymap.survey.batch.settings import upload_summary
-
     with pytest.raises(OutputError, match=f"The summary is in {tmp_path}"):
         upload_summary(RemoteFolder("memory://night"), tmp_path)
     assert (tmp_path / "index.html").exists()

@@ -11,8 +11,9 @@ from bumpymap.core.errors import BadInputError, OutputError, UsageError
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
+from bumpymap.lab.settings import ScanTrainSettings  # noqa: E402
 from bumpymap.lab.train import scan_net  # noqa: E402
-from bumpymap.lab.train.scan_net import ScanTrainSettings, evaluate, make_scan_model, to_onnx, train  # noqa: E402
+from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, train  # noqa: E402
 from bumpymap.lab.train.scan_sectors import Sectors  # noqa: E402
 from bumpymap.lab.train.textures import predict  # noqa: E402
 from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, infer  # noqa: E402

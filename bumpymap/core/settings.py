@@ -1,30 +1,39 @@
-"""Parse TOML files into dataclasses by the types of their fields: settings of a run and vehicle profiles.
+"""Settings are declared once, as fields of a dataclass; values from files, calls and options are checked against that.
+
+A field's type says what a value is, a `Setting` in it what is allowed and how the command line shows it. From this come
+the options of a command (`bumpymap.cli`), the keys of a TOML file (`read_settings_file`), the keywords of a Python call
+(`settings_of_call`), and what ``__post_init__`` checks (`check_settings`). Vehicle profiles are parsed in the same way.
 
 The time and memory of ``tomllib`` grow with the square of the number of parts of a dotted key: a key of 40 kB took 11 s
 and 0.4 GB. Everything else that was tried grows linearly (nested lists the fastest, 7 s for 1 MB), so two limits
 suffice: the size of the file, and the number of parts of a key.
 """
 
+import math
 import os
 import re
 import tomllib
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, Field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from functools import cache
 from numbers import Integral, Real
 from pathlib import Path
 from reprlib import Repr
-from types import NoneType
-from typing import Annotated, Any, Literal, Protocol, get_args, get_origin, runtime_checkable
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin, runtime_checkable
 
-from bumpymap.core.config import NameOrFile, names_a_file
 from bumpymap.core.errors import BumpymapError, UsageError
 from bumpymap.core.files import read_regular
 
 __all__ = [
     "UNFILLED",
     "FieldRule",
+    "NameOrFile",
+    "Setting",
     "brief_repr",
+    "check_settings",
     "field_rule",
+    "names_a_file",
     "parse_record",
     "parse_share",
     "path_fault",
@@ -34,6 +43,7 @@ __all__ = [
     "refuse_faults",
     "refuse_unknown",
     "settings_of_call",
+    "settings_with_options",
     "short_names",
     "short_repr",
 ]
@@ -134,6 +144,9 @@ _MOST_FAULTS = 40
 _LONGEST_NAME = 255
 """Bytes of one component of a path: the limit of common file systems."""
 
+NameOrFile = Annotated[str, "a name, or the path of a file"]
+"""A relative path in a settings file starts at the folder of that file."""
+
 _WORDS = {
     bool: ("true or false", "true or false"),
     int: ("a whole number", "whole numbers"),
@@ -155,6 +168,115 @@ class FieldRule(Protocol):
 
     def fault(self, value: Any) -> str:
         """Return what is wrong with a value of the field's type, such as *it must be positive*; empty if valid."""
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """What a field of a settings class may be beyond its type, and how the command line shows it.
+
+    It stands in the field's type, such as ``Annotated[float, Setting("Tile size in metres", "M", 0.05, 1000.0, "m")]``.
+    """
+
+    help: str = ""
+    """Text of the option, without its full stop; empty: there is no option."""
+    metavar: str | None = None
+    """Name of the option's value, such as ``FILE``."""
+    low: float = -math.inf
+    high: float = math.inf
+    """Bounds of a number, or of each number of a list."""
+    unit: str = ""
+    """Of the bounds."""
+    exclusive: bool = False
+    """The bounds themselves are not allowed."""
+    why: str = ""
+    """Continues the message about a value out of bounds."""
+    default: str | None = None
+    """The default as the option's text shows it; None: that of the field; empty: none is shown."""
+    option: str = ""
+    """Name of the option, without dashes, where it is not that of the field."""
+
+    def holds(self, value: float) -> bool:
+        """Return whether a number is finite and within the bounds."""
+        within = self.low < value < self.high if self.exclusive else self.low <= value <= self.high
+        return within and abs(value) < math.inf
+
+    @property
+    def bounds(self) -> str:
+        """Description of the bounds; continues *a number*."""
+        unit = self.unit and f" {self.unit}"
+        if self.high < math.inf:
+            low, high = ("between", "and") if self.exclusive else ("from", "to")
+            return f" {low} {self.low:g} {high} {self.high:g}{unit}{self.why}"
+        if self.low > -math.inf:
+            return f"{' greater than' if self.exclusive else ', at least'} {self.low:g}{unit}{self.why}"
+        return f"{unit and f' ({self.unit})'}{self.why}"
+
+
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """A field of a settings class."""
+
+    name: str
+    kind: Any
+    """Its type, without None and without the `Setting`."""
+    optional: bool
+    setting: Setting
+    default: Any
+    """None if it has none, or one that is made anew for each object."""
+
+
+def _setting_of(kind: Any) -> Setting | None:
+    return next((item for item in get_args(kind)[1:] if isinstance(item, Setting)), None)
+
+
+@cache
+def _declared(owner: type) -> tuple[Declared, ...]:
+    found = []
+    for each in fields(owner):
+        setting = _setting_of(each.type)
+        if setting is not None:
+            kind, default = _plain_type(each.type), None if each.default is MISSING else each.default
+            found.append(Declared(each.name, kind, _is_optional(each.type), setting, default))
+    return tuple(found)
+
+
+def settings_with_options(owner: type) -> tuple[Declared, ...]:
+    """Return the fields of a settings class that are options of a command, in their order."""
+    return tuple(each for each in _declared(owner) if each.setting.help)
+
+
+def check_settings(settings: object) -> None:
+    """Check the fields of a settings object against their declaration; to be called by its ``__post_init__``.
+
+    Raises
+    ------
+    UsageError
+        A number is out of bounds, or a value is none of those to choose from.
+    """
+    owner: type = type(settings)
+    for each in _declared(owner):
+        value = getattr(settings, each.name)
+        if not (each.optional and value is None) and not _is_allowed(value, each.kind, each.setting):
+            name = f"`{each.name}`" if each.setting.help else each.name
+            shown = ", ".join(map(str, value))[:_BRIEF] if isinstance(value, tuple) else short_repr(value)
+            raise UsageError(f"{name} is {shown}; it must be {_allowed_of(each.kind, each.setting)}")
+
+
+def _is_allowed(value: Any, kind: Any, setting: Setting) -> bool:
+    """Return whether a value is a number within bounds, or one of those to choose from; other types are not checked."""
+    if get_origin(kind) is tuple:
+        return isinstance(value, list | tuple) and all(_is_allowed(item, get_args(kind)[0], setting) for item in value)
+    if get_origin(kind) is Literal:
+        return type(value) in {str, int} and value in get_args(kind)
+    if kind not in (int, float):
+        return True
+    is_number = isinstance(value, int if kind is int else int | float) and not isinstance(value, bool)
+    return is_number and setting.holds(value)
+
+
+def names_a_file(text: str) -> bool:
+    """Return whether a `NameOrFile` is a file: it ends in ``.toml`` or ``.csv``, or contains a slash."""
+    return text.endswith((".toml", ".csv")) or "/" in text
 
 
 def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
@@ -322,19 +444,21 @@ class _Parser:
     def _value(self, value: Any, kind: Any, name: str) -> Any:
         """Convert a value to the type of its field and check its rule."""
         rule, before = field_rule(kind), len(self.faults)
-        found = self._converted(value, kind, name)
+        setting = _setting_of(kind)
+        found = self._converted(value, _plain_type(kind), name)
         if len(self.faults) > before:
             return found
-        if rule is not None and value == UNFILLED:
+        if rule is not None and isinstance(value, str) and value == UNFILLED:
             self.faults.append(f"{name} is not filled in: {rule.allowed}")
         elif found is _WRONG_TYPE:
             self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
         elif rule is not None and (fault := rule.fault(found)):
             self.faults.append(f"{name} is {short_repr(value)}; {fault}")
+        elif setting is not None and not _is_allowed(found, _plain_type(kind), setting):
+            self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
         return found
 
     def _converted(self, value: Any, kind: Any, name: str) -> Any:
-        kind = _plain_type(kind)
         items = get_args(kind)
         if is_dataclass(kind) and isinstance(value, dict):
             return self._built(value, kind, name)
@@ -346,7 +470,7 @@ class _Parser:
             return self._placed(value, kind, name)
         if kind is float and type(value) is int and abs(value) < 2**1023:
             return float(value)
-        of_kind = isinstance(value, str) and value in items if get_origin(kind) is Literal else type(value) is kind
+        of_kind = _is_allowed(value, kind, Setting()) if get_origin(kind) is Literal else type(value) is kind
         return value if of_kind else _WRONG_TYPE
 
     def _built(self, record: dict[str, Any], kind: Any, name: str) -> Any:
@@ -393,10 +517,18 @@ def path_fault(text: str) -> str:
 
 
 def _plain_type(kind: Any) -> Any:
-    """Return the type without None (which means that the setting is left out) and without its rule."""
-    if get_args(kind)[1:] == (NoneType,):
-        kind = get_args(kind)[0]
-    return get_args(kind)[0] if get_origin(kind) is Annotated and field_rule(kind) else kind
+    """Return the type without None (which means that the setting is left out), its rule and its `Setting`."""
+    if get_origin(kind) is Annotated:
+        base, *notes = get_args(kind)
+        kept = tuple(note for note in notes if isinstance(note, str))
+        kind = Annotated[base, *kept] if kept else base
+    return Union[tuple(item for item in get_args(kind) if item is not NoneType)] if _is_optional(kind) else kind  # noqa: UP007
+
+
+def _is_optional(kind: Any) -> bool:
+    """Return whether a type, or the one that is annotated, is a union with None."""
+    base = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+    return get_origin(base) in (Union, UnionType) and NoneType in get_args(base)
 
 
 def _fits(value: Any, items: tuple[Any, ...]) -> bool:
@@ -415,13 +547,19 @@ def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
+    setting = _setting_of(kind)
     kind = _plain_type(kind)
-    items = get_args(kind)
-    if is_dataclass(kind):
-        return f"a table, [{name}], with {_names(kind)}"
+    return f"a table, [{name}], with {_names(kind)}" if is_dataclass(kind) else _allowed_of(kind, setting)
+
+
+def _allowed_of(kind: Any, setting: Setting | None) -> str:
+    items, bounds = get_args(kind), setting.bounds if setting else ""
+    article = "a finite number" if setting and setting.high == math.inf else "a number"
     if get_origin(kind) is tuple:
         count = "" if items[-1] is Ellipsis else f"{len(items)} "
-        return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}"
+        if get_origin(items[0]) is Literal:
+            return f"a list of {count}{_TEXT[1]}: {', '.join(get_args(items[0]))}"
+        return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}{bounds}"
     if get_origin(kind) is Literal:
-        return f"one of {', '.join(items)}"
-    return _WORDS.get(kind, _TEXT)[0]
+        return f"one of {', '.join(map(str, items))}"
+    return f"{article if kind is float else _WORDS.get(kind, _TEXT)[0]}{bounds}"

@@ -9,9 +9,9 @@ from typing import Annotated, Literal
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.core.config import MapConfig
+from bumpymap.core.config import FeatureSettings, MapConfig
 from bumpymap.core.errors import UsageError
-from bumpymap.core.settings_file import parse_record, read_settings_file
+from bumpymap.core.settings import Setting, check_settings, parse_record, read_settings_file, settings_of_call
 
 Colour = Literal["red", "blue"]
 
@@ -174,13 +174,6 @@ def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
     assert len(caught.value.args) == 42
 
 
-def test_what_a_dataclass_refuses_is_said_with_file_and_table(tmp_path):
-    file = tmp_path / "a.toml"
-    file.write_text("[features]\nmin_points = 2\n")
-    with pytest.raises(UsageError, match=r"a\.toml: \[features\]: min_points is 2; it must be a whole number"):
-        read_settings_file(file, MapConfig)
-
-
 def test_rules_and_missing_fields(tmp_path):
     assert parse_record({"share": 1}, Ruled, tmp_path, complete=True) == ({"share": 1.0}, [])
     for record, fault in (
@@ -200,3 +193,65 @@ def test_a_file_that_is_none_is_refused(tmp_path):
     for path in (tmp_path / "a.toml", tmp_path / "none.toml", tmp_path):
         with pytest.raises(UsageError, match="cannot read settings"):
             read_settings_file(path, Outer)
+
+
+def test_defaults_need_no_file():
+    config = MapConfig(surveys=(Path("a.laz"),), out=Path("out"))
+    assert (config.tile_size, config.pixels, config.features.min_points) == (3.0, 15, 30)
+    assert config.threads >= 1
+
+
+def test_settings_from_a_file(tmp_path):
+    file = tmp_path / "site.toml"
+    file.write_text(
+        'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
+        'scheduler = "tcp://a:1"\nscratch = "tmp"\n[features]\nmin_points = 50\n'
+    )
+    config = MapConfig(**read_settings_file(file, MapConfig))
+    assert (config.scheduler, config.scratch) == ("tcp://a:1", tmp_path / "tmp")
+    assert config.surveys == (tmp_path / "a.laz",)
+    assert config.out == tmp_path / "layers"
+    assert config.features == FeatureSettings(min_points=50)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    side: Annotated[float, Setting("Side of a tile", "M", 0.0, 10.0, "m", exclusive=True)] = 3.0
+    count: Annotated[int, Setting("How many", "N", 1, why=", or there is nothing to do")] = 1
+    offset: Annotated[float | None, Setting("Height", "M", unit="m")] = None
+    speeds: Annotated[tuple[float, ...], Setting("Speeds", "LIST", 0.5, 9.0, "m/s")] = ()
+    width: Annotated[Literal[4, 5], Setting("Columns", "N")] = 4
+
+    def __post_init__(self):
+        check_settings(self)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "allowed"),
+    [
+        ("side", 0.0, "a number between 0 and 10 m"),
+        ("side", 10.0, "a number between 0 and 10 m"),
+        ("count", 0, "a whole number, at least 1, or there is nothing to do"),
+        ("count", 1.5, "a whole number, at least 1"),
+        ("count", True, "a whole number, at least 1"),
+        ("offset", math.inf, r"a finite number \(m\)"),
+        ("offset", math.nan, r"a finite number \(m\)"),
+        ("speeds", (1.0, 9.5), "a list of numbers from 0.5 to 9 m/s"),
+        ("width", 6, "one of 4, 5"),
+    ],
+)
+def test_one_declaration_checks_objects_files_and_calls(tmp_path, name, value, allowed):
+    text = toml(value) if isinstance(value, tuple | bool) else str(value)
+    (tmp_path / "a.toml").write_text(f"{name} = {text}\n")
+    for make in (
+        lambda: Job(**{name: value}),
+        lambda: read_settings_file(tmp_path / "a.toml", Job),
+        lambda: settings_of_call({name: value}, Job, "call"),
+    ):
+        with pytest.raises(UsageError, match=f"{name}.* is .*; it must be {allowed}"):
+            make()
+
+
+def test_what_is_allowed_passes_as_it_is():
+    values = {"side": 9.5, "count": 1, "offset": -1e9, "speeds": (0.5, 9.0), "width": 5}
+    assert Job(**settings_of_call(values, Job, "call")) == Job(**values)

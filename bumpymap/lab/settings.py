@@ -1,0 +1,285 @@
+"""Settings of calibrations, evaluations and trainings, declared once, and the drive jobs of a calibration."""
+
+import platform
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, fields, replace
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Annotated, Any
+
+from bumpymap.core import FeatureSettings, Rating, Setting, UsageError, check_settings
+
+if TYPE_CHECKING:
+    from bumpymap.lab.simulate.drive import DriveSettings, Effort
+    from bumpymap.lab.simulate.jobs import Key
+    from bumpymap.rating import Vehicle
+
+__all__ = [
+    "CalibrationSettings",
+    "EvaluateSettings",
+    "LibraryJob",
+    "LoopSettings",
+    "NetworkSettings",
+    "ScanEvaluateSettings",
+    "ScanNetSettings",
+    "ScanTrainSettings",
+    "TableJob",
+    "TrainSettings",
+]
+
+_LIBRARY_WHEEL_M = 0.3
+"""The library's heights suit wheels of this radius; for other radii they are scaled."""
+
+
+def log_spaced(lowest: float, highest: float, count: int) -> tuple[float, ...]:
+    """Return ``count`` values from ``lowest`` to ``highest`` in equal ratios, rounded to three digits."""
+    ratio = (highest / lowest) ** (1.0 / (count - 1))
+    return tuple(float(f"{lowest * ratio**step:.3g}") for step in range(count))
+
+
+def _drive_settings() -> "DriveSettings":
+    from bumpymap.lab.simulate.drive import DriveSettings
+
+    return DriveSettings()
+
+
+def _textures() -> tuple[str, ...]:
+    from bumpymap.core import TEXTURES
+
+    return TEXTURES
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSettings:
+    """All settings that affect the numbers of a calibration."""
+
+    profile: "Vehicle"
+    seed: Annotated[int, Setting("Random seed", "N", 0)] = 1
+    patches: Annotated[int, Setting("Patches per texture and z range", "N", 2, default="8; quick: 4")] = 8
+    """Patches per cell of the table (texture and z range)."""
+    starts: Annotated[int, Setting("Drives per patch", "N", 1, default="3; quick: 1")] = 3
+    """Drives per patch of the table, each with its own start and heading."""
+    z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
+    """max - min of the table's plane-removed patches, m."""
+    terrains: Annotated[int, Setting("Library terrains of each kind", "N", 1, default="24; quick: 16")] = 24
+    terrain_starts: Annotated[int, Setting("Drives per terrain", "N", 2, default="8; quick: 4")] = 8
+    tile_size: Annotated[float, Setting("Patch size in metres", "M", 0.0, unit="m", exclusive=True)] = 3.0
+    pixels: Annotated[int, Setting("Heightmap pixels along a side of a patch", "N", 4)] = 15
+    drive: "DriveSettings" = field(default_factory=_drive_settings)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if list(self.z_range) != sorted(set(self.z_range)) or not self.z_range or self.z_range[0] <= 0:
+            raise UsageError(f"z ranges are {self.z_range}; they must be positive and rise from one to the next")
+
+    def quick(self) -> "CalibrationSettings":
+        """Return a copy with a quarter of the drives: enough for a ride model, coarse for the table."""
+        z_range = log_spaced(self.z_range[0], self.z_range[-1], 6)
+        return replace(self, patches=4, starts=1, z_range=z_range, terrains=16, terrain_starts=4)
+
+    @property
+    def height_scale(self) -> float:
+        """Factor on the library's heights: the height that a wheel climbs is proportional to its radius."""
+        return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
+
+    @property
+    def total_drives(self) -> int:
+        """Number of drives of the whole calibration."""
+        return sum(job.starts for job in self.jobs())
+
+    def jobs(self) -> Iterator["TableJob | LibraryJob"]:
+        """Yield all jobs: the table cell by cell, then the library kind by kind."""
+        from bumpymap.core import TEXTURES
+        from bumpymap.lab.worlds.terrains import KINDS
+
+        for texture in range(len(TEXTURES)):
+            for z in range(len(self.z_range)):
+                for patch in range(self.patches):
+                    yield TableJob(texture, z, patch, self.starts)
+        for kind in KINDS:
+            for index in range(self.terrains):
+                yield LibraryJob(kind, index, self.terrain_starts)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings that affect the numbers and the library versions, as plain JSON values."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("profile", "drive")}
+        versions = {name: version(name) for name in ("bumpymap", "dartpy", "numpy")}
+        return {
+            "vehicle": self.profile.to_dict(),
+            **own | {"z_range": list(self.z_range)},
+            "drive": asdict(self.drive),
+            "versions": {**versions, "python": platform.python_version(), "machine": platform.machine()},
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class TableJob:
+    """Drives over one patch of the table: indices of texture, z range and patch."""
+
+    texture: int
+    z: int
+    patch: int
+    starts: int
+
+    @property
+    def key(self) -> "Key":
+        """Name of the job in a journal."""
+        return ("table", self.texture, self.z, self.patch)
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryJob:
+    """Drives over one terrain of the library, for the ``purpose`` that its key begins with."""
+
+    kind: str
+    index: int
+    starts: int
+    purpose: str = "library"
+
+    @property
+    def key(self) -> "Key":
+        """Name of the job in a journal."""
+        return (self.purpose, self.kind, self.index)
+
+
+@dataclass(frozen=True, slots=True)
+class EvaluateSettings:
+    """All settings that affect the numbers, apart from survey and vehicles."""
+
+    total_patches: Annotated[int, Setting("Patches to drive over", "N", 10)] = 300
+    min_starts: Annotated[int, Setting("Minimum number of drives per patch", "N", 2)] = 16
+    max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N")] = 48
+    """They stop once the standard error of the mean C_r is below 5 % of it."""
+    seed: Annotated[int, Setting("Random seed", "N", 0)] = 7
+    rating: Annotated[Rating, Setting("table: evaluate without the ride model")] = "ride"
+    """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
+    drive: "DriveSettings" = field(default_factory=_drive_settings)
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        if self.min_starts > self.max_starts:
+            raise UsageError(
+                f"`min_starts` is {self.min_starts}, more than `max_starts`, which is {self.max_starts}: give fewer, "
+                "or raise `max_starts`"
+            )
+
+    @property
+    def effort(self) -> "Effort":
+        """Bounds on the number of drives per patch."""
+        from bumpymap.lab.simulate.drive import Effort
+
+        return Effort(self.min_starts, self.max_starts)
+
+
+@dataclass(frozen=True, slots=True)
+class ScanEvaluateSettings:
+    """All settings that affect the numbers, apart from the scans."""
+
+    scenes: Annotated[int, Setting("With --scans: number of simulated scenes", "N", 1)] = 44
+    """Number of synthetic scenes if no scans are given; none of them is used in training."""
+    seed: Annotated[int, Setting("Random seed", "N", 0)] = 7
+    """Seed of the scenes."""
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopSettings:
+    """Settings of the training loop."""
+
+    seed: Annotated[int, Setting("Random seed of the training data and initial weights", "N", 0)] = 1
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1, default="30; with --scans 20")]
+    learning_rate: float
+    """Peak, after the warm-up."""
+    weight_decay: float
+    threads: Annotated[int, Setting("CPU threads; the last bits of the result depend on it", "N", 1)] = 1
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkSettings:
+    """Architecture of the network."""
+
+    pixels: Annotated[int, Setting("Texture network: pixels along a side of a tile", "N", 9)] = 15
+    channels: tuple[int, int, int, int] = (16, 32, 64, 96)
+    """Filters of the four convolutions."""
+    hidden: int = 128
+    """Units of the hidden layer between the averages over the patch and the output."""
+    classes: tuple[str, ...] = field(default_factory=_textures)
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainSettings(LoopSettings):
+    """All settings that affect a training."""
+
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1)] = 30
+    patches_per_texture: Annotated[int, Setting("Texture network: training patches per texture", "N", 1)] = 6534
+    """As in the paper: 26,136 patches in total."""
+    batch: Annotated[int, Setting(low=2)] = 256
+    """Minimum number of patches per optimizer step; batches are as equal in size as possible."""
+    learning_rate: float = 5e-3
+    weight_decay: float = 1e-2
+    tile_size: Annotated[float, Setting("Texture network: tile size in metres", "M", 0.0, unit="m", exclusive=True)] = (
+        3.0
+    )
+    """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
+    network: NetworkSettings = field(default_factory=NetworkSettings)
+
+    @property
+    def command(self) -> str:
+        """The command line of this training, without ``--out``."""
+        options = {
+            "seed": self.seed,
+            "epochs": self.epochs,
+            "patches-per-texture": self.patches_per_texture,
+            "tile-size": f"{self.tile_size:g}",
+            "pixels": self.network.pixels,
+            "threads": self.threads,
+        }
+        return "bumpymap train " + " ".join(f"--{name} {value}" for name, value in options.items())
+
+
+@dataclass(frozen=True, slots=True)
+class ScanNetSettings:
+    """Architecture of the network."""
+
+    stem: int = 16
+    """Filters of the first convolution, which halves the resolution."""
+    widths: tuple[int, ...] = (16, 24, 24, 24)
+    """Channels after each inverted residual; where they increase, the resolution is halved."""
+    expansion: int = 4
+    """Expansion factor inside an inverted residual."""
+    measure_channels: int = 16
+    """Channels of the layer that takes the measures."""
+    hidden: int = 48
+    """Channels of the last hidden layer."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScanTrainSettings(LoopSettings):
+    """All settings that affect a training; the scans come in addition."""
+
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1)] = 20
+    scenes: Annotated[int, Setting("With --scans simulated: training scenes", "N", 1)] = 440
+    """Number of synthetic training scenes; not used with a data set on disk."""
+    turns: Annotated[int, Setting(low=0)] = 2
+    """Number of additional cuts of each scan, each after a random rotation."""
+    sectors_per_class: Annotated[int, Setting("With --scans: sectors per class and epoch", "N", 1)] = 10_000
+    batch: Annotated[int, Setting(low=1)] = 128
+    learning_rate: float = 4e-3
+    weight_decay: float = 2e-2
+    smoothing: float = 0.05
+    """Label smoothing: share of each label that is spread over the other classes; labels at margins are uncertain."""
+    network: ScanNetSettings = field(default_factory=ScanNetSettings)
+
+    @property
+    def options(self) -> str:
+        """The options of the command that repeats this training."""
+        names = ("seed", "epochs", "scenes", "sectors_per_class", "threads")
+        return " ".join(f"--{name.replace('_', '-')} {getattr(self, name)}" for name in names)

@@ -1,0 +1,58 @@
+"""Settings of an export for robots: declared once, checked when they are created."""
+
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from typing import Annotated, Literal
+
+from bumpymap.core import Setting, UsageError, check_settings
+
+__all__ = ["ExportFormat", "ExportResolution", "ExportSettings", "NodeSquare"]
+
+ExportFormat = Literal["nav2", "gridmap", "graph", "plan", "cost"]
+"""Maps and masks for Nav2; a grid_map message; a graph for Nav2's route server; a mission for QGroundControl."""
+ExportResolution = Literal["tile", "pixel"]
+"""One cell a tile, or one a pixel of the heightmap, which shows obstacles."""
+NodeSquare = Literal[1, 3, 9, 27]
+"""Sides of the squares of tiles that hold one node of a graph."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportSettings:
+    """What to export, and how."""
+
+    to: Annotated[ExportFormat, Setting("Format; see above", default="")] = "nav2"
+    around: tuple[float, float] | None = None
+    """Easting and northing on the grid, m: export the tiles within ``radius`` to each side of it; else all."""
+    radius: Annotated[float, Setting("How far around, to each side, in metres", "M", 0.0, unit="m", exclusive=True)] = (
+        100.0
+    )
+    datum: tuple[float, float] | None = None
+    """Easting and northing of the local frame's origin, m; else a corner of a tile near the middle."""
+    resolution: Annotated[
+        ExportResolution, Setting("nav2, gridmap: one cell a tile, or a pixel (0.2 m) with obstacles")
+    ] = "tile"
+    comfort: Annotated[
+        float,
+        Setting("nav2: most pitch motion for the speed mask, rad/s", "RAD_S", 0.0, unit="rad/s", exclusive=True),
+    ] = 0.3
+    dearest: Annotated[
+        float | None,
+        Setting("nav2: cost per metre of the highest value", "COST", 1.0, exclusive=True, default="the highest"),
+    ] = None
+    """nav2: cost per metre of the highest value; else that of the dearest passable tile of the area."""
+    every: Annotated[
+        NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto")
+    ] = None
+    """graph: side of the largest squares of tiles with one node each; else by the size of the area."""
+    route: Annotated[Path | None, Setting("plan: folder of the route, or a GeoJSON file", "PATH", default="LAYERS")] = (
+        None
+    )
+    """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
+    through_obstacles: Annotated[bool, Setting("plan: take a route that touches obstacles too")] = False
+
+    def __post_init__(self) -> None:
+        check_settings(self)
+        for name, place in (("around", self.around), ("datum", self.datum)):
+            if place is not None and not all(map(isfinite, place)):
+                raise UsageError(f"`{name}` is {place}; it must be two numbers, easting and northing in metres")
