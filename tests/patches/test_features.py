@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from jitted_helpers import jitted
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches.kernels.heightmap import LANES, pixel_index
 from bumpymap.patches.kernels.measure import SUMS, fit_plane, stray_bounds
 from bumpytiles import Grid
-from bumpytiles.native import jitted
 
 STRAY_BOUNDS, FIT_PLANE, PIXEL_INDEX = jitted(stray_bounds), jitted(fit_plane), jitted(pixel_index)
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile

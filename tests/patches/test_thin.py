@@ -96,7 +96,7 @@ def test_points_that_are_no_ground_do_not_count():
 
 def test_points_on_a_line_span_no_plane():
     x = 600_000 + np.linspace(0.1, 2.9, 20)
-    assert np.isnan(thin_of(block_of(x, np.full(20, 4_000_000.5), np.zeros(20))).pairs).all()
+    assert np.isnan(thin_of(block_of(x, np.full(20, 4_000_000.5), np.zeros(20)))[0]).all()
 
 
 @pytest.mark.parametrize(("points", "seen"), [(500, 0.0), (40, 8 / 9)])

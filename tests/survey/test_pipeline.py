@@ -10,6 +10,7 @@ import pyogrio
 import pytest
 import rasterio
 from alike_surveys import alike_surveys
+from made_quarry import QuarrySite
 from pyproj import CRS
 from small_surveys import run, write_las
 
@@ -404,9 +405,18 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
     assert counts[:4].min() > 50
 
 
-def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
-    from bumpymap.lab.worlds.sample import QuarrySite
+def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
+    assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
+    assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
+    counts = json.loads((tmp_path / "demo" / "layers" / "run.json").read_text())["counts"]
+    assert counts["points"] == 1_228_501 + 4  # ground, and the strays among it
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    refused = run("demo", "--out", tmp_path / "file")
+    assert refused.exit_code == 3
+    assert "cannot write the survey" in refused.output
 
+
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
     run("map", QUARRY, "--out", tmp_path / "layers")
     with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top

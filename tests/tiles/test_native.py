@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jitted_helpers import jitted
 
-from bumpytiles.native import Kernel, jitted
+from bumpytiles.native import Kernel
 
 pytestmark = pytest.mark.slow
 
