@@ -233,19 +233,11 @@ def _heights(patches: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray
 
 WEIGHTED_BAND_HZ = (0.4, 10.0)
 """Vertical motion of these frequencies counts, Hz."""
-
-
 _LIMITS_HZ = (0.4, 100.0)
-
-
 _VELOCITY_HZ, _VELOCITY_Q = 12.5, 0.63
 """Above this frequency the weight falls: velocity is felt rather than acceleration."""
-
-
 _STEP_HZ, _STEP_Q = (2.37, 3.35), 0.91
 """Between these frequencies the weight rises."""
-
-
 _CUT_Q = (0.5411961, 1.3065630)
 """Of the two parts of a Butterworth low pass of fourth order."""
 
@@ -282,16 +274,10 @@ def _second_order(p: NDArray[Any], quality: float) -> NDArray[Any]:
 
 _SAMPLES = 128
 """Samples before the eight symmetries."""
-
-
 _PER_WAVE = 2.5
 """Samples in the shortest wave that is felt, at least."""
-
-
 _FILTER_S = 2.0
 """Half the length of a filter, s: from 0.4 to 8 Hz, what a sine feels is within 3 % of Wk."""
-
-
 _LONG = 1 << 15
 
 
