@@ -241,6 +241,33 @@ def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
         copy.copy(other)
 
 
+IN_A_FORK = """
+import multiprocessing, sys
+from pathlib import Path
+
+import bumpymap
+
+part, folder = map(Path, sys.argv[1:])
+
+
+def files(name):
+    layers = bumpymap.map_survey(part, folder / name, local=True)
+    return {file["path"]: file["sha256"] for file in layers.manifest["files"]}
+
+
+before = files("parent")
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    assert pool.apply_async(files, ("child",)).get(timeout=100) == before
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere multiprocessing does not fork by itself")
+def test_a_process_that_is_forked_after_a_map_makes_the_same_map(tmp_path):
+    """As `multiprocessing` makes its workers: threads of GDAL stay behind, and it would wait for them for ever."""
+    done = subprocess.run([sys.executable, "-c", IN_A_FORK, PART, tmp_path], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 LOOP_OVER_MAPS = """
 import gc, sys, tracemalloc
 from pathlib import Path
