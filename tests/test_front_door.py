@@ -247,24 +247,30 @@ from pathlib import Path
 
 import bumpymap
 
-part, folder = map(Path, sys.argv[1:])
+part, out = map(Path, sys.argv[1:])
 
 
-def files(name):
-    layers = bumpymap.map_survey(part, folder / name, local=True)
-    return {file["path"]: file["sha256"] for file in layers.manifest["files"]}
+def made(out):
+    global kept
+    kept = bumpymap.map_survey(part, out, local=True)
+    return kept.folder, {file["path"]: file["sha256"] for file in kept.manifest["files"]}
 
 
-before = files("parent")
+_, before = made(out)
 with multiprocessing.get_context("fork").Pool(1) as pool:
-    assert pool.apply_async(files, ("child",)).get(timeout=100) == before
+    folder, after = pool.apply_async(made, (None,)).get(timeout=100)
+    pool.close()
+    pool.join()
+assert after == before
+assert not folder.exists()
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere multiprocessing does not fork by itself")
-def test_a_process_that_is_forked_after_a_map_makes_the_same_map(tmp_path):
-    """As `multiprocessing` makes its workers: threads of GDAL stay behind, and it would wait for them for ever."""
-    done = subprocess.run([sys.executable, "-c", IN_A_FORK, PART, tmp_path], capture_output=True, text=True, check=False)
+def test_a_process_that_is_forked_after_a_map_makes_the_same_map_and_leaves_nothing(tmp_path):
+    """As `multiprocessing` makes its workers: GDAL would wait for ever for threads that have stayed in the parent."""
+    command = [sys.executable, "-c", IN_A_FORK, PART, tmp_path / "parent"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
 
 
