@@ -190,7 +190,7 @@ _is_fork = False
 
 
 def _reset_after_fork() -> None:
-    global _gdal, _is_fork  # noqa: PLW0603 (another thread may have held it)
+    global _gdal, _is_fork
     _gdal, _is_fork = threading.Lock(), True
 
 

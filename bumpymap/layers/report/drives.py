@@ -25,6 +25,7 @@ from bumpymap.layers.check.words import (
     drive_notes,
     metres,
     percent,
+    skipped_words,
     sorted_reasons,
     warnings_of,
 )
@@ -428,7 +429,7 @@ def drive_figures(check: DrawnCheck, key: str) -> Html:
 
 
 def _warnings(result: CheckResult) -> Html:
-    found = warnings_of(result)
+    found = [*skipped_words(result), *warnings_of(result)]
     return join(tag("h3", "Warnings"), lines_of(*found)) if found else Html()
 
 
