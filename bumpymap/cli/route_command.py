@@ -155,7 +155,7 @@ _OF_COST = ("risk", "robust", "unknown", "avoid", "only", "allow_outside", "thro
 @click.option("--snap", type=float, metavar="M", help="Move points on closed ground by up to M [default: 0].")
 @click.option("--avoid", type=PATH, metavar="FILE", help="Polygons that are not entered.")
 @click.option("--only", type=PATH, metavar="FILE", help="Polygons that are not left.")
-@click.option("--allow-outside", is_flag=True, help="It is no error if no polygon lies on the map.")
+@click.option("--allow-outside", is_flag=True, help="It is no error if a polygon lies off the map.")
 @click.option("--isochrones", type=NumberList(), metavar="LIST", help="Outlines of what is reached in so many minutes.")
 @click.option("--isocosts", type=NumberList(), metavar="LIST", help="Outlines of what is reached at these costs, m.")
 @click.option("--out", type=PATH, metavar="PATH", help="Folder, or a .geojson, .gpx, .csv or .png file.")

@@ -24,7 +24,7 @@ class CostSettings:
     only: Path | None = None
     """File of polygons that are not left."""
     allow_outside: bool = False
-    """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
+    """It is no error that a polygon of ``avoid`` or ``only`` lies off the map."""
 
     through_obstacles: bool = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
