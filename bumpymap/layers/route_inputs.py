@@ -334,8 +334,8 @@ def read_areas(
         said = f"{_beside(path, layer, is_on, route_map)}. {_hint(layer.geometry[~is_on], layer.crs, route_map)}"
         if not allow_outside:
             raise BadInputError(
-                f"{said}Give areas on the map, or pass `allow_outside=True` if some need not be there, as when one file "
-                "serves several maps"
+                f"{said}Give areas on the map, or pass `allow_outside=True` if they need not be there, as when one "
+                "file serves several maps"
             )
         _log.warning("%s", said.strip())
     return areas
