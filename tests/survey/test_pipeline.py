@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import laspy
@@ -606,3 +608,31 @@ def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp
     assert run("map", survey, "--out", left, "--resume").exit_code == 0
     assert layers_of(left) == layers_of(layers)
     assert not (left / ".bumpymap-run").exists()
+
+
+KERNELS_BY_STAGE = """
+import sys
+from pathlib import Path
+
+from bumpymap.core import MapConfig, SilentProgress
+from bumpymap.survey import map_surveys
+
+stages = []
+
+
+class Look(SilentProgress):
+    def start(self, stage, total):
+        files = {name: module.__file__ for name, module in sys.modules.items() if name.startswith("bump")}
+        stages.append({name for name, file in files.items() if "\\n@kernel\\n" in Path(file).read_text()})
+
+
+map_surveys(MapConfig((Path(sys.argv[1]),), Path(sys.argv[2])), Look())
+assert len(stages) > 1
+print(*(stages[-1] - stages[0]))
+"""
+
+
+def test_all_kernels_of_a_map_are_there_before_its_first_stage(survey, tmp_path):
+    """So all compile at once in a new installation, and how many there are is told from the first."""
+    command = [sys.executable, "-c", KERNELS_BY_STAGE, survey, tmp_path / "o"]
+    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() == []
