@@ -610,29 +610,36 @@ def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp
     assert not (left / ".bumpymap-run").exists()
 
 
-KERNELS_BY_STAGE = """
+KERNELS_OF_A_MAP = """
 import sys
 from pathlib import Path
 
 from bumpymap.core import MapConfig, SilentProgress
-from bumpymap.survey import map_surveys
+from bumpymap.survey import BatchConfig, map_surveys, run_batch
 
-stages = []
+survey, out = map(Path, sys.argv[1:])
+found = []
+
+
+def look(*_):
+    files = {name: module.__file__ for name, module in sys.modules.items() if name.startswith("bump")}
+    found.append({name for name, file in files.items() if "\\n@kernel\\n" in Path(file).read_text()})
 
 
 class Look(SilentProgress):
-    def start(self, stage, total):
-        files = {name: module.__file__ for name, module in sys.modules.items() if name.startswith("bump")}
-        stages.append({name for name, file in files.items() if "\\n@kernel\\n" in Path(file).read_text()})
+    start = look
 
 
-map_surveys(MapConfig((Path(sys.argv[1]),), Path(sys.argv[2])), Look())
-assert len(stages) > 1
-print(*(stages[-1] - stages[0]))
+if out.name == "batch":
+    run_batch(BatchConfig(survey.parent, out), begin=look)
+map_surveys(MapConfig((survey,), out.with_name("map")), Look())
+assert len(found) > 1
+print(*(found[-1] - found[0]))
 """
 
 
-def test_all_kernels_of_a_map_are_there_before_its_first_stage(survey, tmp_path):
-    """So all compile at once in a new installation, and how many there are is told from the first."""
-    command = [sys.executable, "-c", KERNELS_BY_STAGE, survey, tmp_path / "o"]
-    assert subprocess.run(command, capture_output=True, text=True, check=True).stdout.split() == []
+@pytest.mark.parametrize("command", ["map", "batch"])
+def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path, command):
+    """So a new installation compiles all at once, a batch before its workers, and tells from the first how many."""
+    words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / command]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout.split() == []
