@@ -145,6 +145,17 @@ def test_the_dataset_is_read_from_its_files_alone(one, server, tmp_path):
     assert not server[1]
 
 
+@pytest.mark.parametrize("in_memory", [1 << 30, 0])
+def test_a_raster_is_written_without_the_files_of_the_current_folder(server, tmp_path, monkeypatch, in_memory):
+    """GDAL takes these names for the overviews and the mask of a raster without a name."""
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", in_memory)
+    for suffix in (".ovr", ".OVR", ".msk", ".MSK"):
+        (tmp_path / suffix).write_text(VRT.format(f"/vsicurl/{server[0]}/{tmp_path.name}/{suffix[1:]}"))
+    monkeypatch.chdir(tmp_path)
+    write_folder(tmp_path / "map", make_field(12, 10, grid=SMALL, easy=True))
+    assert not server[1]
+
+
 @pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
 def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
     folder = copytree(one, tmp_path / "map")
