@@ -121,6 +121,8 @@ from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,
     ChildError as ChildError,
+    DecoderError as DecoderError,
+    Guard as Guard,
     SharedBytes as SharedBytes,
     allocate_shared as allocate_shared,
     can_start_children as can_start_children,

@@ -1,7 +1,7 @@
 """Points and areas of a user's file, for routes: geometries, names and CRS; the tiles that areas touch or hold.
 
 GeoJSON, GPX and CSV are read here: GDAL would choose a driver by what the file holds, and some formats name other files
-or URLs to read. The binary formats go to GDAL once they begin as their name says.
+or URLs to read. The binary formats go to `read_features`.
 """
 
 import csv
@@ -9,7 +9,6 @@ import io
 import json
 import logging
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,13 +22,12 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.core import BadInputError, describe_crs, parse_json, read_regular, stated_crs
-from bumpymap.layers.map_files import require_format
+from bumpymap.layers.map_files import read_features
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["FilePoint", "VectorLayer", "read_areas", "read_points", "read_vectors", "tiles_in", "tiles_within"]
 
-"""Largest GeoJSON or GPX file that is read."""
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
 
@@ -63,8 +61,7 @@ def read_vectors(path: Path) -> VectorLayer:
         raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
     except (CRSError, shapely.errors.GEOSException) as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-    require_format(path)
-    return _read_by_gdal(path)
+    return _read_table(path)
 
 
 def _text(path: Path) -> str:
@@ -109,36 +106,13 @@ def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, floa
         yield place, point.findtext("{*}name")
 
 
-def _read_by_gdal(path: Path) -> VectorLayer:
-    import pyogrio
-    from pyogrio.raw import read
-
-    errors = (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        pyogrio.errors.FeatureError,
-        pyogrio.errors.FieldError,
-        pyogrio.errors.GeometryError,
-        shapely.errors.GEOSException,
-        CRSError,
-        ValueError,
-        UnboundLocalError,  # of pyogrio, where the CRS is no text
-    )
+def _read_table(path: Path) -> VectorLayer:
+    table = read_features(path, ["name"])
     try:
-        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-        if len(layers) != 1:
-            listed = ", ".join(layers) or "none"
-            raise BadInputError(f"{path} must hold one layer of geometries; it holds: {listed}. Save one by itself")
-        with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
-            about, _, wkb, columns = read(path, layer=layers[0], columns=["name"], force_2d=True)
-        crs = None if about["crs"] is None else stated_crs(about["crs"])
-        geometry = shapely.from_wkb(wkb)
-    except errors as error:
-        # GDAL's text on a file that it cannot open gives advice on GDAL.
-        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
-        said = "it is damaged" if damaged else error
-        raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
-    return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
+        names = table.columns.get("name", [None] * len(table.geometry))
+        return _layer(shapely.from_wkb(table.geometry), names, None if table.crs is None else stated_crs(table.crs))
+    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
+        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
 def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:

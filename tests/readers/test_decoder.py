@@ -15,9 +15,9 @@ import pytest
 
 from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.processes import Child, SharedMemory
+from bumpymap.core.processes import Child, DecoderError, SharedMemory
 from bumpymap.readers import decoder, open_survey
-from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
+from bumpymap.readers.decoder import Decoder, LocalDecoder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 
