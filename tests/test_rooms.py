@@ -1,6 +1,7 @@
 """The house's rules, held by reading the source: who may import what, and what a name or a signature may be."""
 
 import ast
+import re
 import subprocess
 import sys
 from collections import defaultdict
@@ -21,6 +22,7 @@ ROOMS = {
             *(
                 "PIL",
                 "geopandas",
+                "jinja2",
                 "laspy",
                 "lazrs",
                 "numpy",
@@ -57,6 +59,7 @@ ENGINE = {"dask", "distributed", "llvmlite", "numba", "numpy"}
 GUARDED = set().union(*(packages for _, packages in ROOMS.values())) | ENGINE | {"geopandas", "pandas", "xarray"}
 ONE_PLACE = {
     "blake3": {"bumpymap/core/run_spec.py"},
+    "jinja2": {"bumpymap/layers/report/page.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
     "open3d": {"bumpymap/lab/worlds/scans/lidar.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},
@@ -133,6 +136,20 @@ def test_imports_go_through_the_door_of_a_room():
             for other, whole in crossings(file, room):
                 door = "bumpytiles" if other == "bumpytiles" else f"bumpymap.{other}"
                 assert whole in {door, "bumpymap"}, f"{file}: import from {door}, not {whole}"
+
+
+def test_a_door_names_what_there_is():
+    """The stubs beside the lazy ``__init__.py``: a name that has gone fails only where it is used."""
+    for stub in (ROOT / "bumpymap").rglob("__init__.pyi"):
+        package = ".".join(stub.parent.relative_to(ROOT).parts)
+        for node in ast.walk(ast.parse(stub.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                module = f"{package}.{node.module}"
+                assert module in MODULES, f"{stub}: there is no {module}"
+                source = MODULES[module].with_suffix(".pyi" if MODULES[module].name == "__init__.py" else ".py")
+                text = source.read_text(encoding="utf-8")
+                for alias in node.names:
+                    assert re.search(rf"\b{alias.name}\b", text), f"{stub}: {module} has no {alias.name}"
 
 
 def test_no_two_files_import_each_other():

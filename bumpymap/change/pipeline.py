@@ -109,11 +109,11 @@ def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> tuple[str, ...
 def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
-        what = "taken off" if taken == fit["offset_m"] else f"{taken:+.3f} m was taken off, as asked"
-        side = "higher" if fit["offset_m"] > 0.0 else "lower"
-        lies = f"{abs(fit['offset_m']):.3f} m {side}"
         level = abs(fit["offset_m"]) < 0.0005
-        yield f"the later survey lies {'level with the earlier one' if level else lies} in the median tile; {what}"
+        side = "higher" if fit["offset_m"] > 0.0 else "lower"
+        lies = "level with the earlier one" if level else f"{abs(fit['offset_m']):.3f} m {side}"
+        asked = f"; {taken:+.3f} m was taken off, as asked" if taken != fit["offset_m"] else ""
+        yield f"the later survey lies {lies} in the median tile{asked or ('' if level else '; taken off')}"
     low, high = sorted(fit["median_density_m2"])
     if high > _DENSITY * low:
         yield (
@@ -258,9 +258,9 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
         The files cannot be written.
     """
     progress = progress or SilentProgress()
+    pair = open_pair(config.before, config.after)
     if config.out is not None:
         check_change_out(config.out, overwrite=config.overwrite)
-    pair = open_pair(config.before, config.after)
     progress.start("comparing", None)
     surveys = pair.tiles(pair.window)
     shared = (surveys[0].barred != NO_TILE) & (surveys[1].barred != NO_TILE)

@@ -84,7 +84,7 @@ class DriveMeasure:
     hertz: float
     band_hz: float
     clock_offset_s: float
-    """What to add to the times of the positions; NaN if it cannot be told."""
+    """Time to add to the times of the positions, s; NaN if it cannot be determined."""
     clock_offset_sd_s: float
     clock_drift_ppm: float
     mount_deg: tuple[float, float, float]
@@ -297,17 +297,17 @@ def measure_drive(
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
     _refuse_parked(log, track)
     mounting = _mounting(imu, rates, track, slope_at, settings)
-    if mounting is not None:  # again, with gravity and driving told apart
+    if mounting is not None:  # again, with gravity and driving separated
         force = level_force(imu, mounting.rotation, mounting.upward)
         begun = track.offset_s if places is not None else start.offset_s
         start = replace(start, offset_s=begun, force=force, rough=False, spread_s=track.offset_spread_s)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
         mounting = _mounting(imu, rates, track, slope_at, settings)
     if mounting is None:
-        notes.append("there is no accelerometer, so how the sensor is mounted cannot be told: no tilt is assumed")
+        notes.append("there is no accelerometer, so how the sensor is mounted cannot be determined: no tilt is assumed")
     elif np.isnan(mounting.degrees[2]):
         notes.append(
-            "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not told"
+            "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not known"
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
     vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)

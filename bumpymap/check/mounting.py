@@ -54,11 +54,11 @@ class ClockFit:
     """A first estimate of the offset of the clocks and of the heading."""
 
     offset_s: float
-    """What to add to the times of the positions; 0 if it cannot be told."""
+    """Time to add to the times of the positions, s; 0 if it cannot be determined."""
     sure: bool
-    """Whether it could be told."""
+    """True if it could be determined."""
     heading_0: float
-    """What to add to the heading of the gyroscope for that of the positions (east is 0), rad."""
+    """Angle to add to the heading of the gyroscope for that of the positions (east is 0), rad."""
 
 
 def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> ClockFit:
@@ -166,7 +166,7 @@ def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, headin
 _MOTION_HZ = 0.5
 """Accelerations of driving are slower; those of bumps are faster."""
 _LEAST_ACCELERATION = 1.0
-"""m/s2 sqrt(s): with less driving the yaw cannot be told."""
+"""m/s2 sqrt(s): with less driving the yaw cannot be determined."""
 _MOST_YAW_SD = np.radians(15.0)
 _GRAVITY = (7.0, 12.5)
 """m/s2: what an accelerometer at rest may read."""
@@ -193,7 +193,7 @@ class Mounting:
     rotation: Rotation
     """Turns vectors of the sensor's axes into those of the vehicle: x ahead, y left, z up."""
     degrees: tuple[float, float, float]
-    """Roll, pitch and yaw, NaN where not told."""
+    """Roll, pitch and yaw, NaN where not determined."""
     yaw_sd: float
     """Standard deviation of the yaw, degrees."""
     upward: Floats

@@ -1,4 +1,4 @@
-"""Job: hold a map against real drives over it, or measure drives alone.
+"""Job: compare a map with real drives over it, or measure drives alone.
 
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
@@ -48,7 +48,7 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_map, write_check
-from bumpymap.readers import close_log_reader, read_drive
+from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
     "CheckRun",
@@ -171,8 +171,8 @@ def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool)
         )
     if has_positions and np.isnan(drive.clock_offset_s):
         found.append(
-            f"{drive.name}: the offset of the clocks of IMU and positions cannot be told; "
-            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way tell it"
+            f"{drive.name}: the offset of the clocks of IMU and positions cannot be determined; "
+            f"{drive.track.offset_s:+.2f} s is used. Turns, starts and stops on the way determine it"
         )
     if has_positions and drive.track.scatter.total_m > 0.5 * _TILE_M:
         found.append(
@@ -233,7 +233,7 @@ def check_drives(
     out: PathLike | None = None,
     **settings: Unpack[CheckSettings],
 ) -> CheckResult:
-    """Hold a map against real drives over it, as ``bumpymap check`` does.
+    """Compare a map with real drives over it, as ``bumpymap check`` does.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ _MARGIN_M = 12.0
 
 @dataclass(frozen=True, slots=True)
 class CheckRun:
-    """What a check found, and what it wrote."""
+    """Result of a check, and the files that it wrote."""
 
     result: CheckResult
     files: tuple[Path, ...]
@@ -317,7 +317,7 @@ class _Done:
 
 
 def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun:
-    """Hold a map against drives as the settings ask, and write what was found.
+    """Compare a map with drives as the settings ask, and write what was found.
 
     Drives that cannot be used are left out; ``skipped`` of the result names them.
 
@@ -329,9 +329,10 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
         The files cannot be written.
     """
     progress = progress or SilentProgress()
+    site = None if config.layers is None else open_map([config.layers])
+    _usable(((place, partial(drive_files, place)) for place in config.drives), {})
     if config.out is not None:
         check_check_out(config.out, overwrite=config.overwrite)
-    site = None if config.layers is None else open_map([config.layers])
     skipped: dict[str, str] = {}
 
     def read(place: str) -> tuple[DriveLog, MetrePlaces | None]:

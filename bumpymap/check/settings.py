@@ -20,7 +20,7 @@ def _is_number(value: object) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class ReadingSettings:
-    """What decides how the C_r of a drive is measured."""
+    """Settings by which the C_r of a drive is measured."""
 
     band_hz: float = 10.0
     """Rates are low-passed at this frequency, Hz."""

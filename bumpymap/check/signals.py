@@ -57,7 +57,7 @@ class EvenImu:
 
     @property
     def has_force(self) -> bool:
-        """Whether there was an accelerometer."""
+        """True if there was an accelerometer."""
         return not bool(np.isnan(self.force).any())
 
 

@@ -182,7 +182,7 @@ class DriveSteps:
 
 @dataclass(frozen=True, slots=True)
 class MapReading:
-    """What the map says of stretches, (n,) each; NaN where it says nothing."""
+    """Values of the map over stretches, (n,) each; NaN where it has none."""
 
     c_r: Floats
     low: Floats

@@ -91,7 +91,7 @@ _FIRST_OFFSETS_S = (-0.9, -0.45, 0.0, 0.45, 0.9)
 """A rough fit begins at these offsets beside the first estimate: vehicles that steer by skidding slip sideways in
 turns, so that the course tells the offset to a second only."""
 _SLIP_S = 0.016
-"""What slip in turns leaves in an offset, s: root mean square over 20 simulated drives with RTK."""
+"""Error that slip in turns leaves in an offset, s: root mean square over 20 simulated drives with RTK."""
 _FORCE_CHANGE = 0.01
 """How fast the error of the acceleration changes, m/s2/sqrt(s)."""
 _SD_KNOTS = 200
@@ -106,7 +106,7 @@ class TrackStart:
 
     offset_s: float
     heading_0: float
-    """What to add to the gyroscope's heading, rad."""
+    """Angle to add to the gyroscope's heading, rad."""
     force: NDArray[np.complex128] | None = None
     """(n,) acceleration along the sensor's levelled axes, x + i y, m/s2; None without an accelerometer."""
     rough: bool = False

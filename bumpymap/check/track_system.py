@@ -43,7 +43,7 @@ _FORCE_MPS2 = 0.15
 
 @dataclass(frozen=True, slots=True)
 class Knots:
-    """What the sensors say at evenly spaced times."""
+    """Readings of the sensors at evenly spaced times."""
 
     time: Floats
     """(k,) s, on the clock of the IMU."""

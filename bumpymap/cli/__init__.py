@@ -16,7 +16,7 @@ __all__ = ["as_options", "complain", "end_of", "main", "safe", "say", "say_json"
 _COMMANDS = {
     "batch": "map many surveys, each to a folder of its own",
     "calibrate": "calibrate the ride cost of a vehicle by simulated drives",
-    "check": "hold a map against real drives over it",
+    "check": "compare a map with real drives over it",
     "compile": "compile the numerical kernels now, not in the first run",
     "demo": "map a synthetic quarry as an example",
     "diff": "find what has changed between two surveys of a site",

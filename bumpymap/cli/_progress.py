@@ -29,7 +29,7 @@ class CommandProgress(BaseProgress, Protocol):
 
 
 _COMPILING = "compiling, once"
-"""What a new installation does to the numerical kernels, beside the first stage that needs them."""
+"""Stage in which a new installation compiles the numerical kernels, beside the first stage that needs them."""
 
 
 class _Quiet:

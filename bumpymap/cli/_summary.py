@@ -67,7 +67,7 @@ def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
     for name, count, share, (c_r, slope) in zip(names, counts, shares, medians, strict=True):
         if name == "unknown" and summary.failing:
             fails = share_text(summary.failing / summary.tiles, 1)
-            yield "  of them by failure only", f"{summary.failing:,}", fails, "", ""
+            yield "  only too steep or drives fail", f"{summary.failing:,}", fails, "", ""
         yield name, f"{count:,}", share, _number(c_r, 3), _number(slope, 1)
     reasons = summary.reasons
     shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)

@@ -101,7 +101,7 @@ def command(
 
 
 def _reporter(progress: CommandProgress) -> "BatchReport":
-    """Return a function that prints what became of a survey; what failed is printed as a warning already."""
+    """Return a function that prints the result of a survey; what failed is printed as a warning already."""
 
     def report(row: "SurveyRow") -> None:
         progress.advance(1)

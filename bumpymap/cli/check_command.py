@@ -34,7 +34,7 @@ __all__ = ["Refit", "command", "prepare_refit", "show"]
 
 
 def show(run: "CheckRun", config: "CheckConfig", refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
-    """Print what was found, or one JSON object, with what became of the calibration."""
+    """Print what was found, or one JSON object, with what was done to the calibration."""
     if as_json:
         print_json(_record(run, config) | ({} if refit is None else {"refit": refit}))
         return
@@ -73,8 +73,8 @@ def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
 
 def _sensor_words(drive: "CheckedDrive") -> Iterator[str]:
     angles = zip(("roll", "pitch", "yaw"), drive.mount_deg, strict=True)
-    told = [f"{name} {angle:.1f}" for name, angle in angles if math.isfinite(angle)]
-    yield f"the IMU is mounted at {', '.join(told)} degrees" if told else "how the IMU is mounted is not known"
+    known = [f"{name} {angle:.1f}" for name, angle in angles if math.isfinite(angle)]
+    yield f"the IMU is mounted at {', '.join(known)} degrees" if known else "how the IMU is mounted is not known"
     if math.isfinite(drive.floor_radps):
         yield f"at standstill it reads {drive.floor_radps:.4f} rad/s, which is taken off"
     if math.isfinite(drive.clock_offset_s):
@@ -347,7 +347,7 @@ def command(
     columns: str | None,
     **given: Any,
 ) -> None:
-    """Hold a map against real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
+    """Compare a map with real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
 
     Drives that cannot be used are left out and named (exit code 4).
 
@@ -387,7 +387,7 @@ def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, o
 
 
 def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate | None, BumpymapError | None]":
-    """Move the calibration; what stands against that is told after the findings of the check."""
+    """Move the calibration; reasons against it follow the findings of the check."""
     if refit is None or result.ground is None:
         return None, None
     try:

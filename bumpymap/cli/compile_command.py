@@ -1,4 +1,4 @@
-"""``bumpymap compile``: compile the numerical kernels, once."""
+"""``bumpymap compile``: compile the numerical kernels and the templates of pages, once."""
 
 import click
 
@@ -13,12 +13,14 @@ __all__ = ["command"]
 @click.command("compile")
 @output_options()
 def command(*, quiet: bool, log_json: bool) -> None:
-    """Compile the numerical kernels now, once, instead of in the first run that needs them."""
+    """Compile the numerical kernels, and the templates of pages, now and once, not in the first run that needs them."""
     set_up_logging(as_json=log_json)
+    from bumpymap.layers import compile_pages
     from bumpytiles import compile_packages
 
     with show_progress(quiet=quiet, as_json=log_json):
         kept = compile_packages("bumpymap", "bumpytiles")
+        compile_pages()
     if not kept:
         folder = "a folder of your own that nobody else can write to"
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")

@@ -133,7 +133,7 @@ def _refuse_other_options(*, places: bool, scans: bool) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Output:
-    """What an evaluation prints in addition to its report."""
+    """Text that an evaluation prints in addition to its report."""
 
     quiet: bool
     log_json: bool

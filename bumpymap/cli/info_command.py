@@ -194,7 +194,7 @@ def _show(reports: "list[Report]", why_not_together: list[str]) -> None:
         print_table(as_rows(report))
         # Not in the table, which would wrap commands: they must stay on one line to be copied.
         for need in report.needs():
-            label = "cannot be read" if report.error else "to map it"
+            label = "error" if report.error else "to map it"
             print_labelled(f"  {label}: ", need, "yellow")
         print_line()
     for number, line in enumerate(why_not_together):

@@ -169,7 +169,7 @@ class _EveryNth(click.types.IntParamType):
 )
 @click.option("--poses", type=PATH, metavar="FILE", help="Poses of the frames, to merge and map them like a survey.")
 @click.option("--no-deskew", "deskew", flag_value=False, type=bool, help="Keep points as measured in motion.")
-@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: told from them].")
+@click.option("--columns", type=int, metavar="N", help="Columns of .bin files: 4, 5 or 6 [default: from their values].")
 @click.option(
     "--labels", metavar="NAME_OR_FILE", help="Label set: kitti, semantic-kitti, rellis, or a file (id,class)."
 )
@@ -195,7 +195,7 @@ class _EveryNth(click.types.IntParamType):
 @click.option(
     "--robot-radius", type=float, metavar="M", help="Exclude returns nearer than this, as on the robot [default: 0.5]."
 )
-@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle whose ride is told: name or TOML file.")
+@click.option("--vehicle", metavar="NAME_OR_FILE", help="Vehicle whose ride is rated: name or TOML file.")
 @click.option("--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
 @click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
 @click.option("--skip-bad", is_flag=True, help="Skip frames that cannot be read (exit code 4).")

@@ -194,6 +194,7 @@ from .settings_file import (
     parse_share as parse_share,
     path_fault as path_fault,
     path_of_call as path_of_call,
+    plain_type as plain_type,
     read_settings_file as read_settings_file,
     read_toml as read_toml,
     refuse_faults as refuse_faults,

@@ -1,9 +1,11 @@
 """Settings of a map run: frozen dataclasses with defaults, validated when they are created."""
 
+import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
+from types import NoneType
 from typing import Annotated, Any, Literal, get_args
 
 from bumpymap.core.errors import BadInputError, UsageError
@@ -69,6 +71,33 @@ CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a ra
 
 
 @dataclass(frozen=True, slots=True)
+class NumberRange:
+    """The numbers that a setting can be, given in the ``Annotated`` type of its field."""
+
+    low: float
+    high: float = math.inf
+    unit: str = ""
+    whole: bool = False
+    """True: only whole numbers are allowed."""
+
+    @property
+    def allowed(self) -> str:
+        """Description of the allowed numbers; continues *it must be*."""
+        kind = "a whole number" if self.whole else "a number"
+        if self.high == math.inf:
+            return f"{kind}, at least {self.low:g}"
+        return f"{kind} from {self.low:g} to {self.high:g} {self.unit}".rstrip()
+
+    def fault(self, value: Any) -> str:
+        """Return what is wrong with a value; empty if nothing is."""
+        is_number = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
+        return "" if is_number and self.low <= value <= self.high else f"it must be {self.allowed}"
+
+
+_SPEED = NumberRange(0.01, 100.0, "m/s")
+
+
+@dataclass(frozen=True, slots=True)
 class FeatureSettings:
     """How tiles are measured, and when a heightmap cannot be rated.
 
@@ -76,48 +105,40 @@ class FeatureSettings:
     points where these carry it, by a rule that has no settings (``docs/pages/thin-surveys.md``).
     """
 
-    min_points: int = 30
+    min_points: Annotated[int, NumberRange(3, whole=True)] = 30
     """The heightmap of a tile with fewer points is not rated, reason 2. A larger number holds for thin tiles too."""
-    min_coverage: float = 0.25
+    min_coverage: Annotated[float, NumberRange(0.0, 1.0)] = 0.25
     """One with a smaller share of pixels that hold a point is not rated, reason 3."""
-    max_hole: float = 1.0
+    max_hole: Annotated[float, NumberRange(0.0, 1e6, "m")] = 1.0
     """One with a pixel farther than this from every pixel that holds a point is not rated, reason 3, m."""
-    ransac_threshold: float = 0.1
+    ransac_threshold: Annotated[float, NumberRange(1e-6, 1e6, "m")] = 0.1
     """Points within this distance of a plane are its inliers, m."""
-    stray_gap: float = 0.5
+    stray_gap: Annotated[float, NumberRange(0.0, 1e6, "m")] = 0.5
     """A stray point is separated from all others by more than this (and by more than their spread), m."""
-    stray_points: int = 3
+    stray_points: Annotated[int, NumberRange(0, whole=True)] = 3
     """Number of stray points searched for above, and below, the others."""
-    stray_share: float = 0.01
-    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be told from noise."""
+    stray_share: Annotated[float, NumberRange(0.0, 1.0)] = 0.01
+    """A tile with a larger share of stray points is unknown, reason 5: its relief cannot be separated from noise."""
 
     def __post_init__(self) -> None:
-        _at_least("min_points", self.min_points, 3)
-        _within("min_coverage", self.min_coverage, 0.0, 1.0)
-        _within("max_hole", self.max_hole, 0.0, 1e6, "m")
-        _within("ransac_threshold", self.ransac_threshold, 1e-6, 1e6, "m")
-        _within("stray_gap", self.stray_gap, 0.0, 1e6, "m")
-        _at_least("stray_points", self.stray_points, 0)
-        _within("stray_share", self.stray_share, 0.0, 1.0)
+        _check_ranges(self)
 
 
 @dataclass(frozen=True, slots=True)
 class CsfSettings:
     """Settings of the cloth simulation filter that finds ground points (``ground = "csf"``)."""
 
-    cloth_resolution: float = 0.5
+    cloth_resolution: Annotated[float, NumberRange(0.05, 100.0, "m")] = 0.5
     """Mesh size of the cloth, m."""
-    class_threshold: float = 0.5
+    class_threshold: Annotated[float, NumberRange(0.01, 10.0, "m")] = 0.5
     """Points within this distance of the cloth are ground, m."""
-    rigidness: int = 3
+    rigidness: Annotated[int, NumberRange(1, 3, whole=True)] = 3
     """Stiffness of the cloth: 1 follows steep slopes, 3 bridges wide objects."""
     slope_smooth: bool = True
     """Pull the cloth down at the foot of steep slopes, where it hangs in the air."""
 
     def __post_init__(self) -> None:
-        _within("cloth_resolution", self.cloth_resolution, 0.05, 100.0, "m")
-        _within("class_threshold", self.class_threshold, 0.01, 10.0, "m")
-        _within("rigidness", self.rigidness, 1, 3)
+        _check_ranges(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,12 +149,12 @@ class MapConfig:
     """Files and folders; strings are fsspec URLs."""
     out: Path
     """Output folder."""
-    tile_size: float = 3.0
+    tile_size: Annotated[float, NumberRange(0.05, 1000.0, "m")] = 3.0
     """Side of a tile, m."""
-    pixels: int = 15
+    pixels: Annotated[int, NumberRange(3, 255, whole=True)] = 15
     """Pixels along a side of a tile."""
     ground: Ground = "auto"
-    """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
+    """Points that are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
     align: Align = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
@@ -146,10 +167,10 @@ class MapConfig:
     """A vehicle that ships with bumpymap, or the TOML file of one, with its calibration file in the same folder."""
     calibration: Path | None = None
     """A calibration file, used instead of ``vehicle``."""
-    speed: float | None = None
+    speed: Annotated[float | None, _SPEED] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
-    speeds: tuple[float, ...] | None = None
-    """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
+    speeds: tuple[Annotated[float, _SPEED], ...] | None = None
+    """Speeds, m/s, at which c_r, c_roll and a_w are also computed, in speeds.tif; None: it is not written."""
     model: Path | None = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: str | None = None
@@ -164,17 +185,17 @@ class MapConfig:
     """Continue if the extent in a file header contradicts the points."""
     skip_bad: bool = False
     """Continue without files that cannot be read."""
-    max_unknown: float | None = None
+    max_unknown: Annotated[float | None, NumberRange(0.0, 1.0)] = None
     """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
     anyway."""
-    sheets: float | None = None
+    sheets: Annotated[float | None, NumberRange(0.001, 10_000.0, "km")] = None
     """Side of the sheets that the layers are written in, km, each sheet to a folder of its own; None: one map. It is
     rounded to whole blocks of 16 x 16 tiles."""
     overwrite: bool = False
     """Replace the layers of an earlier run."""
     resume: bool = False
     """Continue an interrupted run."""
-    threads: int = field(default_factory=lambda: os.cpu_count() or 1)
+    threads: Annotated[int, NumberRange(1, whole=True)] = field(default_factory=lambda: os.cpu_count() or 1)
     """Number of threads on this machine."""
     memory: str = "auto"
     """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; for each worker of a
@@ -188,29 +209,21 @@ class MapConfig:
     csf: CsfSettings = field(default_factory=CsfSettings)
 
     def __post_init__(self) -> None:
-        _within("`tile_size`", self.tile_size, 0.05, 1000.0, "m")
-        _within("`pixels`", self.pixels, 3, 255)
-        _at_least("`threads`", self.threads, 1)
+        _check_ranges(self, "`")
         _one_of("`ground`", self.ground, get_args(Ground))
         _one_of("`align`", self.align, get_args(Align))
         _one_of("`rating`", self.rating, get_args(Rating))
         _one_of("`compat`", self.compat, get_args(Compat))
         if self.z_unit is not None:
             _one_of("`z_unit`", self.z_unit, get_args(ZUnit))
-        if self.speed is not None:
-            _within("`speed`", self.speed, 0.01, 100.0, "m/s")
         self._check_speeds()
-        if self.max_unknown is not None:
-            _within("`max_unknown`", self.max_unknown, 0.0, 1.0)
-        if self.sheets is not None:
-            _within("`sheets`", self.sheets, 0.001, 10_000.0, "km")
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
         for speed in self.speeds or ():
-            _within("`speeds`", speed, 0.01, 100.0, "m/s")
+            _refuse_outside("`speeds`", speed, _SPEED)
         if (
             self.speeds is not None
             and not 0 < len({f"{speed:g}" for speed in self.speeds}) == len(self.speeds) <= _MOST_SPEEDS
@@ -267,15 +280,18 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles
 
 
-def _within(name: str, value: float, low: float, high: float, unit: str = "") -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-        of_unit = unit and f" {unit}"
-        raise UsageError(f"{name} is {value!r}; it must be a number from {low:g} to {high:g}{of_unit}")
+def _check_ranges(settings: Any, quote: str = "") -> None:
+    """Raise UsageError if a number of a dataclass is out of the range in its type; ``quote`` marks options."""
+    for item in fields(settings):
+        value = getattr(settings, item.name)
+        found = next((part for part in get_args(item.type)[1:] if isinstance(part, NumberRange)), None)
+        if found is not None and not (value is None and NoneType in get_args(get_args(item.type)[0])):
+            _refuse_outside(f"{quote}{item.name}{quote}", value, found)
 
 
-def _at_least(name: str, value: int, low: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < low:
-        raise UsageError(f"{name} is {value!r}; it must be a whole number, at least {low}")
+def _refuse_outside(name: str, value: Any, allowed: NumberRange) -> None:
+    if fault := allowed.fault(value):
+        raise UsageError(f"{name} is {value!r}; {fault}")
 
 
 def _one_of(name: str, value: str, allowed: tuple[str, ...]) -> None:

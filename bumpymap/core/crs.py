@@ -208,7 +208,7 @@ class GivenCrs:
     force_crs: str | None = None
     """CRS of all surveys, whatever they state."""
     must_agree: bool = False
-    """Whether a survey that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+    """True: a survey that states another CRS than ``crs`` is refused; else its own is used, with a note."""
 
 
 @dataclass(frozen=True, slots=True)

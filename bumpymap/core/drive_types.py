@@ -35,7 +35,7 @@ vehicle's own (odometry), which says how far it drove but not where."""
 
 @dataclass(frozen=True, slots=True)
 class ImuTrack:
-    """What the inertial sensor recorded, in the sensor's own axes."""
+    """The record of the inertial sensor, in the sensor's own axes."""
 
     time: Floats
     """(n,) s, increasing."""
@@ -86,12 +86,12 @@ class DriveLog:
     columns: Mapping[str, str] = field(default_factory=dict)
     """Quantity -> column or topic that it was read from, such as ``{"rate_y": "gyro_y [deg/s]"}``."""
     notes: tuple[str, ...] = ()
-    """What was guessed or converted, one sentence each."""
+    """Guesses and conversions, one sentence each."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedDrive:
-    """What was found about one drive and its sensors."""
+    """Findings about one drive and its sensors."""
 
     __repr__ = brief_repr
 
@@ -111,12 +111,12 @@ class CheckedDrive:
     band_hz: float
     """Pitch rates are low-passed at this frequency."""
     clock_offset_s: float
-    """Time to add to the times of the positions for those of the IMU; NaN if it cannot be told."""
+    """Time to add to the times of the positions for those of the IMU; NaN if it cannot be determined."""
     clock_offset_sd_s: float
     clock_drift_ppm: float
-    """Drift of that offset, microseconds per second; NaN if it cannot be told."""
+    """Drift of that offset, microseconds per second; NaN if it cannot be determined."""
     mount_deg: tuple[float, float, float]
-    """Roll, pitch and yaw of the sensor in the vehicle, degrees; NaN where one cannot be told."""
+    """Roll, pitch and yaw of the sensor in the vehicle, degrees; NaN where one cannot be determined."""
     floor_radps: float
     """Mean absolute pitch rate at standstill after the band limit, rad/s: what sensor and engine alone read; NaN
     without a standstill."""

@@ -89,7 +89,7 @@ def shares_text(
     counts : sequence of float
         Size of each part; together they are the whole.
     alone : collection of int
-        Parts whose share is told elsewhere too: they are rounded as `share_text` does.
+        Parts whose share is shown elsewhere too: they are rounded as `share_text` does.
     decimals : int
     percent : str
         Follows each number.

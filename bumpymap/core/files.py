@@ -2,7 +2,7 @@
 
 Files of servers are opened by URL; fsspec is imported only if a URL is used.
 
-JSON of untrusted files is parsed with a limit on the nesting depth, and held against a declared shape.
+JSON of untrusted files is parsed with a limit on the nesting depth, and checked against a declared shape.
 """
 
 import csv

@@ -147,7 +147,7 @@ class ChildDiedError(Exception):
 
 
 MEMORY = SharedMemory()
-"""What this process and its children share."""
+"""State that this process and its children share."""
 
 
 def allocate_shared(size: int) -> SharedBytes:
@@ -234,7 +234,7 @@ class Child:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the process is running."""
+        """True while the process is running."""
         return self.process.poll() is None
 
     def call(

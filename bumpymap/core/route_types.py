@@ -79,7 +79,7 @@ class TracedLine:
     col: NDArray[np.int64]
     """(n,) column of the tile in the window, from the west."""
     length: NDArray[np.float64]
-    """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the dearer one."""
+    """(n,) length of the piece, in tiles. Along a border of two tiles, the piece belongs to the one that costs more."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ class RouteProfile:
 
 @dataclass(frozen=True, slots=True)
 class RouteFigures:
-    """What a whole way costs."""
+    """Cost of a whole way."""
 
     length_m: float
     straight_m: float

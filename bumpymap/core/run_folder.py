@@ -231,7 +231,7 @@ _SPEC_SHAPE = {
 
 
 class Kept(Enum):
-    """Which checkpoints stay after a run that ends early."""
+    """Checkpoints that stay after a run that ends early."""
 
     NOTHING = auto()
     """None: a second attempt would fail in the same way."""
@@ -285,7 +285,7 @@ class RunFolder:
     """``inputs``, ``settings`` and ``made with`` (versions, model ids), which must be the same in a resumed run. Other
     entries, such as ``cut`` (how files are split into chunks), are taken over from the interrupted run."""
     resumed: bool
-    """Whether checkpoints of an interrupted run are used."""
+    """True: checkpoints of an interrupted run are used."""
 
     @classmethod
     @contextmanager

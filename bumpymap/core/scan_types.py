@@ -248,14 +248,14 @@ class PolarSettings:
     """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
     ground. The margin allows for frames whose origin is at the robot's base."""
     ground_only: bool = True
-    """Whether ground is found in each sector, and only ground points are measured; False: all points are, as in the
+    """True: ground is found in each sector, and only ground points are measured; False: all points are, as in the
     paper."""
     belly_m: float = 0.25
     """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
     height_m: float = 1.38
     """Height of the vehicle: what is higher above the ground is overhead."""
     anchored: bool = True
-    """Whether the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
+    """True: the azimuth of sector 0 follows from the points, so that the grid turns with the scene; False: x axis."""
 
     def __post_init__(self) -> None:
         edges = (*self.zone_starts_m, self.end_m)
@@ -361,7 +361,7 @@ class SectorStack:
 
 @dataclass(frozen=True, slots=True)
 class SectorRide:
-    """What a vehicle feels on the ground of sectors, as in a survey's map; unknown where points are too few."""
+    """The ride of a vehicle on the ground of sectors, as in a survey's map; unknown where points are too few."""
 
     c_r: NDArray[np.float32]
     """(n,) mean absolute change of the vehicle's pitch per metre driven, rad/m; NaN if unknown."""

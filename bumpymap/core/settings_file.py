@@ -29,6 +29,7 @@ __all__ = [
     "parse_share",
     "path_fault",
     "path_of_call",
+    "plain_type",
     "read_settings_file",
     "read_toml",
     "refuse_faults",
@@ -325,7 +326,7 @@ class _Parser:
         found = self._converted(value, kind, name)
         if len(self.faults) > before:
             return found
-        if rule is not None and value == UNFILLED:
+        if rule is not None and isinstance(value, str) and value == UNFILLED:
             self.faults.append(f"{name} is not filled in: {rule.allowed}")
         elif found is _WRONG_TYPE:
             self.faults.append(f"{name} is {short_repr(value)}; it must be {_allowed(kind, name)}")
@@ -334,7 +335,7 @@ class _Parser:
         return found
 
     def _converted(self, value: Any, kind: Any, name: str) -> Any:
-        kind = _plain_type(kind)
+        kind = plain_type(kind)
         items = get_args(kind)
         if is_dataclass(kind) and isinstance(value, dict):
             return self._built(value, kind, name)
@@ -392,11 +393,11 @@ def path_fault(text: str) -> str:
     return ""
 
 
-def _plain_type(kind: Any) -> Any:
-    """Return the type without None (which means that the setting is left out) and without its rule."""
-    if get_args(kind)[1:] == (NoneType,):
+def plain_type(kind: Any) -> Any:
+    """Return the type of a field without None (which means that the setting is left out) and without its rule."""
+    if get_origin(kind) is Annotated and field_rule(kind):
         kind = get_args(kind)[0]
-    return get_args(kind)[0] if get_origin(kind) is Annotated and field_rule(kind) else kind
+    return get_args(kind)[0] if get_args(kind)[1:] == (NoneType,) else kind
 
 
 def _fits(value: Any, items: tuple[Any, ...]) -> bool:
@@ -415,13 +416,13 @@ def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
-    kind = _plain_type(kind)
+    kind = plain_type(kind)
     items = get_args(kind)
     if is_dataclass(kind):
         return f"a table, [{name}], with {_names(kind)}"
     if get_origin(kind) is tuple:
         count = "" if items[-1] is Ellipsis else f"{len(items)} "
-        return f"a list of {count}{_WORDS.get(items[0], _TEXT)[1]}"
+        return f"a list of {count}{_WORDS.get(plain_type(items[0]), _TEXT)[1]}"
     if get_origin(kind) is Literal:
         return f"one of {', '.join(items)}"
     return _WORDS.get(kind, _TEXT)[0]

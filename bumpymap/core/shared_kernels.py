@@ -1,4 +1,4 @@
-"""What the kernels of surveys and of scans have in common: random numbers, RANSAC, the filling of holes.
+"""Kernels that surveys and scans share: random numbers, RANSAC, the filling of holes.
 
 RANSAC (Fischler and Bolles 1981) draws three points at a time and keeps the plane that most points lie near. Its
 generator is seeded by the tile or the sector, so the same points give the same plane in any company; it scores

@@ -169,7 +169,7 @@ CHANGE_KINDS = (
     "smoother",
     "ground changed, ride unknown",
 )
-"""What can become of a tile between two surveys, by its code in change.tif."""
+"""Changes of a tile between two surveys, by code in change.tif."""
 
 
 SIDES = ("north", "east", "south", "west")
@@ -267,7 +267,7 @@ OBJECT_NAMES = ("free", "obstacle", "canopy", "unknown")
 
 @dataclass(frozen=True, slots=True)
 class ObjectStack:
-    """What stands on the ground of tiles or hangs over it, one row each."""
+    """Objects that stand on the ground of tiles or hang over it, one row a tile."""
 
     objects: NDArray[np.uint8]
     """(n, pixels, pixels) state of each pixel, north row first: ``FREE``; ``OBSTACLE`` between the vehicle's belly and
@@ -411,9 +411,9 @@ class CostMap:
     confidence: NDArray[np.float32]
     """(n,) probability that the class is right, 0..1."""
     rule: CostRule
-    """Which tiles are passable, and at what cost."""
+    """Rule by which tiles are passable, and their cost."""
     objects: ObjectStack | None = None
-    """What stands on the ground; None where that is part of the relief, because all points are measured as ground."""
+    """Objects on the ground; None where that is part of the relief, because all points are measured as ground."""
     thin: NDArray[np.float32] | None = None
     """(n, 20) what the rating of thin tiles needs, see `bumpymap.rating.thin_columns`; None if they are not rated."""
     motion: NDArray[np.float32] | None = None
@@ -456,7 +456,7 @@ class CostTable:
 
     georeference: Georeference
     rule: CostRule
-    """Which tiles are passable, and at what cost."""
+    """Rule by which tiles are passable, and their cost."""
     tiles: TileTable
     """Columns of `tile_columns`."""
     speeds: tuple[float, ...] = ()
@@ -560,7 +560,7 @@ SPEED_BANDS: tuple[Band, ...] = (
     Band("c_roll", "rad/m", "roll motion per metre driven at {} m/s"),
     Band("a_w", "m/s2", "weighted vertical acceleration at {} m/s (Wk of ISO 2631-1, 0.4 to 10 Hz)"),
 )
-"""What is told at each speed."""
+"""Values that are computed at each speed."""
 
 
 def speed_bands(speeds: tuple[float, ...]) -> tuple[Band, ...]:

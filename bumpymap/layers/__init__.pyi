@@ -114,11 +114,12 @@ from .regions import (
     dissolve as dissolve,
     label as label,
 )
-from .report.words import degrees_line as degrees_line
-from .report.write import (
+from .report.map_page import (
     write_report as write_report,
     write_reports as write_reports,
 )
+from .report.page import compile_pages as compile_pages
+from .report.words import degrees_line as degrees_line
 from .route.folder import (
     ReachLevels as ReachLevels,
     write_reach_files as write_reach_files,

@@ -38,7 +38,7 @@ from bumpymap.layers.manifest import (
     write_manifest,
 )
 from bumpymap.layers.products import check_folder, refuse_present
-from bumpymap.layers.report.write import write_check_page
+from bumpymap.layers.report.map_page import write_check_page
 
 __all__ = ["write_check"]
 

@@ -355,7 +355,7 @@ _log = logging.getLogger(__name__)
 
 
 def _report(folder: Path, record: Mapping[str, Any]) -> None:
-    from bumpymap.layers.report.write import write_report  # Pillow takes some 10 ms to import
+    from bumpymap.layers.report.map_page import write_report  # Pillow takes some 10 ms to import
 
     write_report(folder, record)
 

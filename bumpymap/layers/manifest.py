@@ -90,6 +90,7 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "median_count?": Nullable(_POSITIVE),
         "objects?": Each(COUNT),
     },
+    "sheet?": {"name": str},
     "sheets?": [{"folder": str}],
 }
 _VERSION = 1

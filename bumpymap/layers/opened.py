@@ -318,7 +318,7 @@ class Layers:
         BadInputError, OutputError, UsageError
             See `bumpymap.layers.write_reports`.
         """
-        from bumpymap.layers.report.write import write_reports
+        from bumpymap.layers.report.map_page import write_reports
 
         for name, place in {"out": out, "route": route, "check": check}.items():
             if place is not None:

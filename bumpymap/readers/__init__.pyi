@@ -14,6 +14,7 @@ from .detect import (
 from .drives.columns import parse_columns as parse_columns
 from .drives.read import (
     close_log_reader as close_log_reader,
+    drive_files as drive_files,
     read_drive as read_drive,
 )
 from .frames.deskew_kernels import (

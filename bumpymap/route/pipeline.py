@@ -380,11 +380,11 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         A file cannot be written.
     """
     progress = progress or SilentProgress()
+    planner = _planner(open_map(config.layers), config)
+    stops = find_stops(planner, config)
     if config.out is not None:
         check = check_reach_out if config.is_reach else check_route_out
         check(config.out, overwrite=config.overwrite)
-    planner = _planner(open_map(config.layers), config)
-    stops = find_stops(planner, config)
     if config.is_reach:
         if config.out is None:
             raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")

@@ -30,6 +30,10 @@ _NEAR_M = 5000.0
 """How far from the map two numbers may lie that are thought to be swapped, m."""
 
 
+_FEET_M = (0.3048, 1200 / 3937)
+"""The foot, and the US survey foot, m."""
+
+
 class GridPoint(NamedTuple):
     """A point on the grid of tiles."""
 
@@ -112,7 +116,8 @@ def place_point(
         away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
         far = f"; read as {as_what}, it is {away} away from it"
     raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}{far}. {_swapped(x, y, route_map)}{_FORMS}"
+        f"{name} lies outside the map, which spans {_extent(route_map)}{far}. "
+        f"{_swapped(x, y, route_map) or _other_unit(x, y, route_map)}{_FORMS}"
     )
 
 
@@ -165,6 +170,19 @@ def _swapped(x: float, y: float, route_map: RouteMap) -> str:
             order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
             return f"{order}: did you mean {y:.10g},{x:.10g}? "
     return ""
+
+
+def _other_unit(x: float, y: float, route_map: RouteMap) -> str:
+    """Ask about the unit if the point lies on the map, or near it, as one in feet on a map in metres, or reversed."""
+    unit = route_map.georeference.metres_per_unit
+    others = {1.0: _FEET_M, **dict.fromkeys(_FEET_M, (1.0,))}.get(unit, ())
+    points = [(x * other / unit, y * other / unit) for other in others]
+    near = {point: _outside_m(GridPoint(*route_map.to_grid(*point)), route_map) for point in points}
+    if not near or not min(near.values()) <= _NEAR_M:
+        return ""
+    meant_x, meant_y = min(near, key=lambda point: near[point])
+    own, given = ("metres", "feet") if unit == 1.0 else (unit_name(unit).replace("foot", "feet"), "metres")
+    return f"The map's coordinates are in {own}: if the point is in {given}, did you mean {meant_x:.2f},{meant_y:.2f}? "
 
 
 def _extent(route_map: RouteMap) -> str:

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 from bumpymap.core import REASON_TEXT, THIN_PARTS, THIN_POINTS, FeatureSettings, MapConfig, Reason, TooUnknownError
-from bumpymap.layers import MapSummary
 from bumpymap.survey.run_record import MapResult
 from bumpytiles import Grid
 
@@ -96,8 +95,8 @@ def advise(outcome: Outcome, grid: Grid, settings: FeatureSettings, *, before_ru
     if outcome.share <= _FEW_UNKNOWN:
         return ""
     most = max(outcome.unknown, key=lambda reason: outcome.unknown[reason])
-    head = f"{outcome.share:.0%} of the tiles {'will be' if before_run else 'are'} unknown"
-    head = f"about {head}" if before_run else head
+    share = f"about {outcome.share:.0%}" if before_run else f"{outcome.share:.1%}"
+    head = f"{share} of the tiles {'will be' if before_run else 'are'} unknown"
     why, help_ = {
         Reason.TOO_MANY_HOLES: _holes,
         Reason.OUTLIER_RELIEF: _outliers,
@@ -110,7 +109,8 @@ def models_for(grid: Grid) -> str:
     size = size_options(grid)
     return (
         "a calibration that drives patches of that size: "
-        f"bumpymap calibrate {size} --out my.json; then bumpymap map {size} --calibration my.json"
+        f"bumpymap calibrate --vehicle NAME_OR_FILE {size} --out my.json; then "
+        f"bumpymap map {size} --calibration my.json"
     )
 
 
@@ -270,12 +270,9 @@ def require_known(result: MapResult, config: MapConfig, *, explain: bool = True)
     outcome = outcome_of_run(result, config)
     if config.max_unknown is None or outcome.share <= config.max_unknown:
         return
+    summary = result.summary
     raise TooUnknownError(
-        f"more than `max_unknown={config.max_unknown:g}` of the tiles is unknown: {_share(result.summary)}. The layers "
-        f"in {config.out} are complete",
+        f"{summary.unknown:,} of {summary.tiles:,} tiles are unknown ({outcome.share:.1%}), more than the "
+        f"{100.0 * config.max_unknown:g}% that `max_unknown` allows. The layers in {config.out} are complete",
         *([unknown_line(result, config)] if explain else []),
     )
-
-
-def _share(summary: MapSummary) -> str:
-    return f"{summary.unknown:,} of {summary.tiles:,} ({summary.unknown / summary.tiles:.1%})"

@@ -63,10 +63,10 @@ class FlightLines:
     pairs: tuple[LinePair, ...] = ()
     """As the layers have them."""
     method: str = "none"
-    """What makes the lines agree: ``none``, ``offset``, or ``tilt`` for an offset and a tilt of each line. It was taken
-    off with ``align="on"``."""
+    """Correction that makes the lines agree: ``none``, ``offset``, or ``tilt`` for an offset and a tilt of each line.
+    It was taken off with ``align="on"``."""
     corrections: tuple[LineCorrection, ...] = ()
-    """What was taken off each line; empty without ``align="on"``."""
+    """Correction that was taken off each line; empty without ``align="on"``."""
     before: tuple[LinePair, ...] = ()
     """The pairs before that; empty without ``align="on"``."""
 

@@ -39,7 +39,7 @@ class SurveyInputs:
     georeference: Georeference
     """Shared by all readers."""
     skip_bad: bool
-    """Whether a bad input is skipped instead of ending the run."""
+    """True: a bad input is skipped instead of ending the run."""
     skipped: dict[str, str]
     """Path -> error message; grows while points are read."""
     sheets: SheetLayout | None = None

@@ -2,7 +2,7 @@
 
 Both lines of a cell get one common slope and a mean height each; the step is the difference of the means at one place.
 Its standard error follows from the scatter about the slope, so rough ground and bushes count for little. The lines are
-then adjusted by robust least squares, and keep their common mean height and slope. Three models are held against each
+then adjusted by robust least squares, and keep their common mean height and slope. Three models are compared with each
 other: nothing, an offset for each line, an offset and a tilt. Each is fitted to one half of the cells and judged by the
 steps that it leaves in the other half; a richer one is taken only where it leaves clearly less.
 """
@@ -97,7 +97,7 @@ class CellSteps:
 
 
 def steps_between_lines(cells: LineCells) -> CellSteps:
-    """Return the steps in all cells where they can be told."""
+    """Return the steps in all cells where they can be measured."""
     pairs = [np.zeros((2, 0), np.int64)]
     for gap in range(1, _NEIGHBOURS + 1):
         left = np.flatnonzero(cells.cell[gap:] == cells.cell[:-gap])
@@ -173,7 +173,7 @@ _ROUNDS = 25
 _HUBER = 1.5
 """Residuals beyond this many standard errors count less."""
 _OFFSET_SPREAD, _TILT_SPREAD = 1.0, 0.01
-"""What offsets [m] and tilts [m/m] are held to where the overlaps do not determine them."""
+"""Standard deviations to which offsets [m] and tilts [m/m] are held where the overlaps do not determine them."""
 _LEAST_CELLS = 20
 """Cells that a line shares with others at least, to be adjusted."""
 _MOST_TILTED, _MOST_LINES = 150, 1500
@@ -190,7 +190,7 @@ _WORSE = (1.1, 0.001)
 
 @dataclass(frozen=True, slots=True)
 class Adjustment:
-    """What makes the lines agree."""
+    """Correction that makes the lines agree."""
 
     method: str
     """``none``, ``offset`` or ``tilt``: an offset and a tilt."""

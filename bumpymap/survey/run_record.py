@@ -85,7 +85,7 @@ def collected_warnings() -> Iterator[list[str]]:
 
 @dataclass(frozen=True, slots=True)
 class MapResult:
-    """What a run wrote and found."""
+    """Files and findings of a run."""
 
     files: tuple[Path, ...]
     """Files written, in the order of writing."""

@@ -259,7 +259,7 @@ _WIDEST = 2.6
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _LEAST_PIXELS = 10
-"""With fewer pixels along the side of a tile, steps are not told."""
+"""With fewer pixels along the side of a tile, steps are not measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,7 +305,7 @@ class NeighbourRating:
 
     @property
     def rates_thin(self) -> bool:
-        """Whether thin tiles are rated from their points."""
+        """True if thin tiles are rated from their points."""
         return self.rating == "ride" and self.compat == "none" and self.calibration.thin is not None
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:

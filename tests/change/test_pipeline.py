@@ -234,6 +234,8 @@ def test_files_are_replaced_only_when_asked(may, june, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="it is a file"):
         compare(may, june, out=tmp_path / "file")
+    with pytest.raises(BadInputError, match="there is no folder"):  # told before that the folder is occupied
+        compare(may, tmp_path / "none", out=out)
 
 
 def test_nothing_is_left_of_a_run_that_fails(may, june, tmp_path, monkeypatch):

@@ -70,8 +70,14 @@ def test_with_no_usable_drive_there_is_no_check(tmp_path):
     words = [tmp_path / "one.csv", tmp_path / "two.csv"]
     with pytest.raises(BadInputError, match=r"(?s)one\.csv.*two\.csv"):
         check_drives(None, words)
-    done = CliRunner().invoke(main, ["check", *(word for path in words for word in ("--drive", str(path)))])
-    assert done.exit_code == 3
+    command = ["check", *(word for path in words for word in ("--drive", str(path)))]
+    assert CliRunner().invoke(main, command).exit_code == 3
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "check.json").touch()
+    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
+    assert "one.csv" in done.output  # told before that the folder is occupied
+    done = CliRunner().invoke(main, ["check", str(tmp_path / "none"), *command[1:], "--out", str(tmp_path / "out")])
+    assert "there is no folder" in done.output
 
 
 class Site:

@@ -259,6 +259,12 @@ def test_an_earlier_run_is_replaced_only_if_told(layers, tmp_path):
     again = run(*words)
     assert again.exit_code == 3
     assert "--overwrite" in again.output
+    for wrong, said in (
+        ([tmp_path / "none", *words[1:]], "there is no folder"),
+        ([layers, "--from", "1,2", *words[3:]], "lies outside the map"),
+        ([*words, "--avoid", tmp_path / "none.geojson"], "none.geojson"),
+    ):
+        assert said in run(*wrong).output  # told before that the folder is occupied
     before = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}
     assert run(*words, "--overwrite").exit_code == 0
     after = {path.name: path.read_bytes() for path in (tmp_path / "way").iterdir()}

@@ -44,7 +44,13 @@ def test_settings_from_a_file(tmp_path):
         ("threads = true", "threads is True; it must be a whole number"),
         ("threads = 0\nscheduler = 3", "scheduler is 3; it must be a string"),
         ("[features]\nmin_points = 2", "min_points is 2; it must be a whole number, at least 3"),
-        ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number"),
+        ('[features]\nmax_hole = "deep"', "max_hole is 'deep'; it must be a number from 0 to 1e\\+06 m"),
+        ('tile_size = "3 m"', "tile_size is '3 m'; it must be a number from 0.05 to 1000 m"),
+        ('sheets = "50 km"', "sheets is '50 km'; it must be a number from 0.001 to 10000 km"),
+        (
+            "tile_size = 0\npixels = 2",
+            "2 errors.*tile_size is 0; .* 1000 m.*pixels is 2; it must be a whole number from 3",
+        ),
     ],
 )
 def test_a_bad_file_is_refused_with_what_is_allowed(tmp_path, text, message):

@@ -12,6 +12,7 @@ from hypothesis import given, strategies as st
 from bumpymap.core.config import MapConfig
 from bumpymap.core.errors import UsageError
 from bumpymap.core.settings_file import parse_record, read_settings_file
+from bumpymap.scan import ScanConfig
 
 Colour = Literal["red", "blue"]
 
@@ -177,8 +178,11 @@ def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
 def test_what_a_dataclass_refuses_is_said_with_file_and_table(tmp_path):
     file = tmp_path / "a.toml"
     file.write_text("[features]\nmin_points = 2\n")
-    with pytest.raises(UsageError, match=r"a\.toml: \[features\]: min_points is 2; it must be a whole number"):
+    with pytest.raises(UsageError, match=r"a\.toml: features\.min_points is 2; it must be a whole number, at least 3"):
         read_settings_file(file, MapConfig)
+    file.write_text("[robot]\nradius_m = -1\n")
+    with pytest.raises(UsageError, match=r"a\.toml: \[robot\]: radius_m is -1"):
+        read_settings_file(file, ScanConfig)
 
 
 def test_rules_and_missing_fields(tmp_path):

@@ -104,6 +104,29 @@ def test_a_map_in_feet():
     )
 
 
+@pytest.mark.parametrize(
+    ("crs", "unit", "named", "factor", "meant"),
+    [
+        (2229, 1200 / 3937, "US survey feet", 1200 / 3937, "metres"),
+        (32614, 1.0, "metres", 1 / 0.3048, "feet"),
+        (32614, 1.0, "metres", 3937 / 1200, "feet"),
+    ],
+)
+def test_a_point_in_another_unit_than_the_map_is_asked_about(crs, unit, named, factor, meant):
+    """Feet on a map in metres, metres on a map in feet: the point in the map's unit is in the message."""
+    tiles = TileWindow(160_000, 712_000, 100, 80) if unit == 1.0 else TileWindow(655_000, 187_000, 60, 50)
+    site = bare_map(tiles, crs=CRS.from_epsg(crs), unit=unit)
+    x, y = site.to_crs((tiles.col + 20) * 3.0, (tiles.row + 10) * 3.0)
+    with pytest.raises(BadInputError, match=f"The map's coordinates are in {named}: .* in {meant}") as caught:
+        parse_point(f"{x * factor:.3f},{y * factor:.3f}", site)
+    offered = re.search(r"did you mean ([\d.]+,[\d.]+)\?", str(caught.value))
+    assert offered is not None
+    assert np.allclose([float(number) for number in offered[1].split(",")], (x, y), atol=5.0)
+    with pytest.raises(BadInputError) as caught:
+        parse_point(f"{x * 7.0:.3f},{y * 7.0:.3f}", site)
+    assert "did you mean" not in str(caught.value)
+
+
 def test_a_map_without_a_crs_knows_its_own_coordinates_only():
     place = bare_map(TileWindow(0, 0, 10, 10), crs=None)
     assert parse_point("11.5,20", place) == (11.5, 20.0)

@@ -67,8 +67,8 @@ def test_what_is_foretold_is_found(tmp_path, density, ground_share, words):
     assert words in before
     assert words in after
     if found > 0.1:
-        assert before == "about " + after.replace(" are unknown", " will be unknown")
-        assert "are unknown" in after
+        assert after.startswith(f"{found:.1%} of the tiles are unknown")
+        assert before == after.replace(f"{found:.1%} of the tiles are", f"about {found:.0%} of the tiles will be")
     else:
         assert after in {
             "no tile with points is unknown",
@@ -148,6 +148,7 @@ def thin_outcome(*given, **more):
 def test_what_would_help(outcome, words):
     said = advise(outcome, Grid(), SETTINGS, before_run=False)
     assert words in said
+    assert ("bumpymap calibrate" in said) == ("bumpymap calibrate --vehicle NAME_OR_FILE --tile-size" in said)
     assert bool(said) == bool(words)
     assert "--ground csf" not in said or outcome.measured == CLASS_2
 

@@ -45,7 +45,7 @@ def test_which_ground_a_survey_wants(found, words):
     [
         (0, "no tile with points is unknown"),
         (4, "4.0% of the tiles are unknown, mostly because of too few"),
-        (40, "40%"),
+        (40, "40.0% of the tiles are unknown, mostly because of too few"),
     ],
 )
 def test_every_run_says_what_is_unknown(unknown, words, tmp_path):
@@ -57,7 +57,7 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
     words = ["map", str(QUARRY), "--out", str(out), "--quiet", "--max-unknown"]
     failed = CliRunner().invoke(main, [*words, "0.1%"])
     assert failed.exit_code == 4
-    assert "more than --max-unknown 0.001 of the tiles is unknown" in failed.output
+    assert "tiles are unknown (1.0%), more than the 0.1% that --max-unknown allows" in failed.output
     assert "mostly because of too many holes" in failed.output
     assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
     again = CliRunner().invoke(main, [*words, "50%"])  # the same run, already done

@@ -1,10 +1,10 @@
 """The files of a check, and what it found as plain JSON and back. Nothing here needs GDAL, which is slow to import."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from os.path import lexists
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,7 @@ def check_check_out(out: Path, *, overwrite: bool) -> None:
 
 
 CHECK_FORMAT = "bumpymap-check"
+_Record = TypeVar("_Record", CheckedDrive, CheckedMap, MapAgreement)
 _COUNTS = {"drive", "col", "row"}
 _CLASSES = {"class_id", "measured_class"}
 _MOST = 1e12
@@ -122,16 +123,16 @@ def result_of(record: Mapping[str, Any]) -> CheckResult:
     """Return the findings that `check_entries` wrote; ValueError, OverflowError, KeyError or TypeError if damaged."""
     ground, tiles, whole = record["map"], record["tiles"], record["agreement"]
     stretches = DrivenStretches(**_arrays(DrivenStretches, record["stretches"]))
-    drives = tuple(_drive(entry) for entry in record["drives"])
+    drives = tuple(_read(CheckedDrive, entry) for entry in record["drives"])
     if len(stretches.drive) and not 0 <= stretches.drive.min() <= stretches.drive.max() < len(drives):
         raise ValueError("a stretch belongs to no drive")
     return CheckResult(
-        ground=None if ground is None else _ground(ground),
+        ground=None if ground is None else _read(CheckedMap, ground),
         drives=drives,
         stretches=stretches,
         tiles=None if tiles is None else DrivenTiles(**_arrays(DrivenTiles, tiles)),
-        agreement=None if whole is None else _agreement(whole),
-        by_class={_class_of(entry["class"]): _agreement(entry) for entry in record["by_class"]},
+        agreement=None if whole is None else _read(MapAgreement, whole),
+        by_class={_class_of(entry["class"]): _read(MapAgreement, entry) for entry in record["by_class"]},
         warnings=_texts(record["warnings"]),
         skipped={str(drive): str(why) for drive, why in record.get("skipped", {}).items()},
     )
@@ -184,39 +185,24 @@ def _texts(values: Sequence[Any]) -> tuple[str, ...]:
     return tuple(map(str, values))
 
 
-def _ground(entry: Mapping[str, Any]) -> CheckedMap:
-    first, second, third = map(_number, entry["class_limits"])
-    return CheckedMap(
-        name=str(entry["name"]),
-        folder=Path(entry["folder"]),
-        vehicle=str(entry["vehicle"]),
-        calibration_id=str(entry["calibration_id"]),
-        speed_mps=_number(entry["speed_mps"]),
-        class_limits=(first, second, third),
-    )
+def _three(values: Sequence[Any]) -> tuple[float, float, float]:
+    first, second, third = map(_number, values)
+    return first, second, third
 
 
-def _drive(entry: Mapping[str, Any]) -> CheckedDrive:
-    roll, pitch, yaw = map(_number, entry["mount_deg"])
-    left = {str(reason): _number(length) for reason, length in entry["left_out_m"].items()}
-    plain = {"name", "paths", "left_out_m", "mount_deg", "columns", "notes", "warnings"}
-    numbers: dict[str, Any] = {
-        field.name: _number(entry[field.name]) for field in fields(CheckedDrive) if field.name not in plain
-    }
-    return CheckedDrive(
-        name=str(entry["name"]),
-        paths=tuple(map(Path, entry["paths"])),
-        left_out_m=left,
-        mount_deg=(roll, pitch, yaw),
-        columns={str(quantity): str(column) for quantity, column in entry["columns"].items()},
-        notes=_texts(entry["notes"]),
-        warnings=_texts(entry["warnings"]),
-        **numbers,
-    )
+_READ: dict[Any, Callable[[Any], Any]] = {
+    str: str,
+    int: int,
+    float: _number,
+    Path: Path,
+    tuple[float, float, float]: _three,
+    tuple[str, ...]: _texts,
+    tuple[Path, ...]: lambda paths: tuple(map(Path, paths)),
+    Mapping[str, float]: lambda entry: {str(name): _number(value) for name, value in entry.items()},
+    Mapping[str, str]: lambda entry: {str(name): str(value) for name, value in entry.items()},
+}
+"""How plain JSON becomes each type that a field may have."""
 
 
-def _agreement(entry: Mapping[str, Any]) -> MapAgreement:
-    numbers: dict[str, Any] = {
-        field.name: _number(entry[field.name]) for field in fields(MapAgreement) if field.name != "stretches"
-    }
-    return MapAgreement(stretches=int(entry["stretches"]), **numbers)
+def _read(kind: type[_Record], entry: Mapping[str, Any]) -> _Record:
+    return kind(**{field.name: _READ[field.type](entry[field.name]) for field in fields(kind)})

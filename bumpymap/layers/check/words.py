@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement, count_text
+from bumpymap.core import CheckedDrive, CheckResult, MapAgreement, count_text
 
 __all__ = [
     "FEW",
@@ -36,11 +36,12 @@ def check_headline(result: CheckResult) -> str:
     """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
     agreement = result.agreement
     if agreement is None:
-        mean = _measured_mean(result.stretches)
-        way = float(np.sum(result.stretches.way_m))
+        measured, lengths = result.stretches.measured, result.stretches.way_m
+        known = np.isfinite(measured) & (lengths > 0.0)
         count = count_text(len(result.drives), "drive")
-        if not np.isfinite(mean):
+        if not known.any():
             return f"Nothing was measured on {count}."
+        mean, way = float(np.average(measured[known], weights=lengths[known])), float(np.sum(lengths))
         return f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."
     over = f"{metres(agreement.way_m)} in {count_text(agreement.stretches, 'stretch', 'stretches')}"
     if agreement.stretches < FEW:
@@ -59,7 +60,10 @@ def check_verdict(result: CheckResult) -> str:
     level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
     allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
     rank = agreement.spearman
-    if _is_even(result.stretches) or not np.isfinite(rank):
+    stretches = result.stretches
+    known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
+    low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
+    if high < EVEN * low or not np.isfinite(rank):
         even = "the ground driven is too even to say whether the map ranks ground rightly"
         return f"The level of the map holds; {even}" if level else f"The map's level is off{allowed}; {even}"
     if round(rank, 2) >= RANKS:  # as it is shown
@@ -91,14 +95,6 @@ def level_words(agreement: MapAgreement) -> str:
     return f"reads {percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
 
 
-def _measured_mean(stretches: DrivenStretches) -> float:
-    """Return the measured C_r over all stretches, weighted by their length, rad/m; NaN without any."""
-    known = np.isfinite(stretches.measured) & (stretches.way_m > 0.0)
-    if not known.any():
-        return float("nan")
-    return float(np.average(stretches.measured[known], weights=stretches.way_m[known]))
-
-
 def metres(length: float) -> str:
     """Return a length in m, or in km from 5 km on."""
     return f"{length:,.0f} m" if length < 5000.0 else f"{length / 1000:,.1f} km"
@@ -116,12 +112,6 @@ def sorted_reasons(result: CheckResult) -> list[tuple[str, float]]:
         for reason, length in drive.left_out_m.items():
             total[reason] = total.get(reason, 0.0) + length
     return sorted(((reason, length) for reason, length in total.items() if length > 0.0), key=lambda item: -item[1])
-
-
-def _is_even(stretches: DrivenStretches) -> bool:
-    known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
-    low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
-    return bool(high < EVEN * low)
 
 
 def names_of(items: Sequence[str], most: int = 3) -> str:

@@ -1,9 +1,21 @@
-"""Write the page of what has changed between two surveys: its map, what it says, its tables."""
+"""The page of what has changed between two surveys, from change.tif, change.geojson and their record."""
 
+import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
+
+import numpy as np
+import rasterio
+import shapely
+import shapely.geometry
+from numpy.typing import NDArray
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
 
 from bumpymap.core import (
     CHANGE_KINDS,
@@ -12,382 +24,263 @@ from bumpymap.core import (
     Each,
     Nullable,
     Number,
-    atomic,
-    count_text,
+    parse_json,
     read_record,
+    read_regular,
     shape_fault,
+    stated_crs,
 )
 from bumpymap.layers.colours import CHANGE_COLOURS
 from bumpymap.layers.manifest import COUNT, PLACE_SHAPE
-from bumpymap.layers.report.change_site import NOT_COMPARED, ChangedPlace, ChangeSite
-from bumpymap.layers.report.map_figure import controls_of, scale_of, stage_of
-from bumpymap.layers.report.markup import (
-    DASH,
-    Html,
-    area,
-    document,
-    join,
-    lines_of,
-    number,
-    section,
-    share,
-    shares,
-    swatch,
-    table,
-    tag,
-    whole,
-)
-from bumpymap.layers.report.site import plain_name
-from bumpymap.layers.report.tiles import NOT_KNOWN, ByteGrid
+from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.report.page import write_page
+from bumpymap.layers.report.site import jpeg
+from bumpymap.layers.report.tiles import ByteGrid, packed
+from bumpymap.layers.report.words import area, number, share, shares, signed, survey_name, whole
 
-__all__ = [
-    "DIFFERENCE_RAMP",
-    "change_figure",
-    "change_headline",
-    "class_section",
-    "is_comparison",
-    "kind_section",
-    "limits_section",
-    "place_section",
-    "read_comparison",
-    "settings_section",
-    "surveys_section",
-    "titles",
-    "write_change_report",
-]
+__all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace", "is_comparison", "read_comparison", "write_change_report"]
 
-DIFFERENCE_RAMP = (
+NOT_COMPARED = 16
+"""Value of ``kinds`` where the surveys could not be compared."""
+_RANK = (NOT_COMPARED, 1, 3, 4, 2)
+"""What wins in a pixel of several tiles, each over those before it and over tiles that have not changed."""
+_SIDE = 1_500
+"""Most pixels of the grids along a side."""
+_BUDGET = 1_300_000
+"""Most characters of the grids."""
+_COMPARED = 400_000
+"""Most pixels of the grids with a value: some three bytes of the page each."""
+_STRIP_TILES = 1_000_000
+"""Most tiles to read at a time."""
+_STILL_SIDE = 700
+_GREY = (178, 178, 178)
+_MOST_PLACES = 200
+"""Most places on the map and in the table, the largest."""
+_BANDS = ("changed", "d_height", "d_c_r")
+_AGAIN = "Compare the surveys again"
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedPlace:
+    """A connected change."""
+
+    number: int
+    """Its id in change.geojson."""
+    about: Mapping[str, Any]
+    """Its properties there."""
+    where: tuple[float, float]
+    """A point in it, in the coordinates of change.geojson."""
+    east: float
+    """m, in the survey's CRS: the middle of its extent."""
+    north: float
+    size: tuple[float, float]
+    """Extent from west to east and from south to north, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSite:
+    """The changes between two surveys."""
+
+    record: Mapping[str, Any]
+    """The content of change.json."""
+    west: float
+    """m, in the survey's CRS."""
+    north: float
+    unit: float
+    """Metres per unit of the CRS."""
+    tile_size: float
+    step: int
+    """Tiles along a side of a pixel of the page."""
+    cols: int
+    """Tiles."""
+    rows: int
+    kinds: NDArray[np.uint8]
+    """Position in ``CHANGE_KINDS``, or ``NOT_COMPARED``: (rows, cols) of the page, north row first."""
+    grids: tuple[ByteGrid, ...]
+    places: tuple[ChangedPlace, ...]
+    """The largest first."""
+    degrees: bool
+    """Whether places are told as longitude and latitude; else in the survey's own coordinates."""
+    still: str = field(repr=False)
+    """The kinds, a data URI: for readers and printers without scripts."""
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
+        """Read the files of a comparison.
+
+        Parameters
+        ----------
+        folder : Path
+            change.tif and change.geojson.
+        record : mapping
+            The content of change.json, which may not be there yet.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, damaged, or was written by an earlier version.
+        """
+        path = folder / "change.tif"
+        try:
+            unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
+            with open_layer(path) as file:
+                compared = int(record["counts"]["compared"])
+                step = max(
+                    1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))
+                )
+                while True:
+                    kinds, d_height, d_c_r = _read(file, step)
+                    grids = (
+                        ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
+                        ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
+                    )
+                    taken = len(packed(kinds)) + sum(len(packed(grid.codes)) for grid in grids)
+                    if taken < _BUDGET or max(kinds.shape) < 100:
+                        break
+                    step *= 2
+                west, north = file.transform.c * unit, file.transform.f * unit
+                size = file.width, file.height
+            places, degrees = _places(folder / "change.geojson", record)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
+            raise BadInputError(f"{folder} holds no comparison of this version: {error!r}. {_AGAIN}") from error
+        except (OSError, RasterioError) as error:
+            raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
+        return cls(record, west, north, unit, tile_size, step, *size, kinds, grids, places, degrees, _still(kinds))
+
+    @property
+    def metres(self) -> float:
+        """Side of a pixel of the page, m."""
+        return self.tile_size * self.step
+
+    @property
+    def crs_name(self) -> str:
+        """Name of the CRS."""
+        crs = self.record["crs"]
+        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+
+    def area_of(self, tiles: int) -> float:
+        """Return the area of some tiles, m2."""
+        return tiles * self.tile_size**2
+
+    def map_record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        rows, cols = self.kinds.shape
+        return {
+            "name": "changes",
+            "differences": True,
+            "west": self.west,
+            "north": self.north,
+            "unit": self.unit,
+            "metres": self.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": self.cols * self.tile_size,
+            "height": self.rows * self.tile_size,
+            "ground": packed(self.kinds),
+            "grids": [grid.record() for grid in self.grids],
+            "places": [
+                {"name": str(place.number), "east": place.east, "north": place.north, "size": place.size}
+                for place in self.places
+            ],
+        }
+
+
+def _read(
+    file: rasterio.io.DatasetReader, step: int
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+    """Return kinds and differences on the grid of the page; of several tiles the change, or the farthest value."""
+    bands = [file.descriptions.index(name) + 1 for name in _BANDS]
+    rank = np.zeros(256, np.uint8)
+    rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)
+    cols = -(-file.width // step)
+    lines = step * max(1, _STRIP_TILES // (file.width * step))
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for top in range(0, file.height, lines):
+        count = min(lines, file.height - top)
+        code, *values = file.read(bands, window=Window(0, top, file.width, count))
+        known = np.isfinite(code)
+        if known.any() and not set(np.unique(code[known])) <= set(range(len(CHANGE_KINDS))):
+            raise ValueError("unknown kinds of change in change.tif")
+        ranks = rank[np.where(known, code, NOT_COMPARED).astype(np.uint8)]
+        rows = -(-count // step)
+        room = ((0, rows * step - count), (0, cols * step - file.width))
+        worst = np.pad(ranks, room).reshape(rows, step, cols, step).max(axis=(1, 3))
+        farthest = [
+            _farthest(np.pad(np.where(known, one, np.nan), room, constant_values=np.nan), step) for one in values
+        ]
+        parts.append((np.array([0, *_RANK], np.uint8)[worst], *farthest))
+    kinds, d_height, d_c_r = (np.concatenate(part) for part in zip(*parts, strict=True))
+    for values in (d_height, d_c_r):
+        values[kinds == NOT_COMPARED] = np.nan
+    return kinds, d_height, d_c_r
+
+
+def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Return of each square of ``step`` x ``step`` tiles the value farthest from 0; NaN if it has none."""
+    blocks = values.reshape(values.shape[0] // step, step, values.shape[1] // step, step)
+    high, low = np.fmax.reduce(blocks, axis=(1, 3)), np.fmin.reduce(blocks, axis=(1, 3))
+    return np.asarray(np.where(np.abs(high) >= np.abs(low), high, low), np.float32)
+
+
+def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, ...], bool]:
+    """Return the largest places of change.geojson, and whether its coordinates are degrees."""
+    collection = parse_json(read_regular(path).decode())
+    features = collection["features"]
+    if len(features) != record["counts"]["regions"]:
+        raise ValueError("change.geojson and change.json are not of one comparison")
+    largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
+    degrees, crs = "local_coordinates" not in collection, record["crs"]
+    forward = None
+    if degrees and crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
+    unit = float(record["metres_per_unit"]["horizontal"])
+    return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
+
+
+def _placed(features: list[Any], forward: Transformer | None, unit: float) -> Iterator[ChangedPlace]:
+    for feature in features:
+        polygon = shapely.geometry.shape(feature["geometry"])
+        inside = polygon.representative_point()
+        corners = shapely.get_coordinates(polygon)
+        if forward is not None:
+            corners = np.column_stack(forward.transform(corners[:, 0], corners[:, 1]))
+        corners = corners * unit
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        east, north = ((low + high) / 2).round(2).tolist()
+        width, height = (high - low).round(2).tolist()
+        if not math.isfinite(width + height):
+            raise ValueError("a place of change.geojson has no coordinates in the CRS")
+        where = (float(inside.x), float(inside.y))
+        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, (width, height))
+
+
+def _still(kinds: NDArray[np.uint8]) -> str:
+    """Return the kinds as one picture, hatched where not compared."""
+    factor = max(1, _STILL_SIDE // max(kinds.shape))
+    rows, cols = kinds.shape
+    scale = factor if factor > 1 else min(1.0, _STILL_SIDE / max(kinds.shape))
+    height, width = max(1, round(rows * scale)), max(1, round(cols * scale))
+    line, column = ((np.arange(size) + 0.5) * of / size for size, of in ((height, rows), (width, cols)))
+    shown = kinds[np.ix_(line.astype(int), column.astype(int))]
+    colours = np.full((256, 3), _GREY, np.uint8)
+    for code, colour in CHANGE_COLOURS.items():
+        colours[code] = colour[:3]
+    picture = colours[shown]
+    hatch = (shown == NOT_COMPARED) & ((np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1)
+    picture[hatch] = (110, 110, 110)
+    return jpeg(picture, 150_000)
+
+
+_RAMP = (
     *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
     *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
 )
 """Colours from the least over none, white, to the most of a difference."""
-_GREY = (178, 178, 178)
-_NAMES = {"d_height": "Difference of height", "d_c_r": "Difference of ride cost C_r"}
-
-
-def change_figure(site: ChangeSite, title: str) -> Html:
-    """Return the figure of the map; the script fills it."""
-    grids = [grid for grid in site.grids if (grid.codes != NOT_KNOWN).any()]
-    names = [("changed", "What has changed"), *((grid.key, _NAMES[grid.key]) for grid in grids)]
-    radios = [
-        tag("label", tag("input", type="radio", name="layer-0", value=key, checked=key == "changed"), f" {name}")
-        for key, name in names
-    ]
-    box = tag("input", type="checkbox", value="places", checked=True)
-    boxes = [tag("label", box, " Numbers of the places")] if site.places else []
-    legends = [_legend("changed"), *(_legend(grid.key, grid) for grid in grids)]
-    return tag(
-        "figure",
-        controls_of(radios, boxes),
-        stage_of(title, site.still, "what has changed", 0),
-        tag("div", *legends, class_="legends"),
-        tag("p", _notes(site, grids), class_="note"),
-        class_="map",
-        data_map="0",
-    )
-
-
-def _legend(key: str, grid: ByteGrid | None = None) -> Html:
-    if grid is None:
-        items = [tag("li", swatch(CHANGE_COLOURS[code]), f" {name}") for code, name in enumerate(CHANGE_KINDS)]
-        last = " not compared: may have changed or not"
-    else:
-        items = [scale_of(grid, DIFFERENCE_RAMP, ("blue", "red"))]
-        last = " not compared, or not known in one survey"
-    items.append(tag("li", swatch(_GREY, hatched=True), last))
-    return tag("ul", *items, class_="legend", data_of=key, hidden=grid is not None)
-
-
-def _notes(site: ChangeSite, grids: list[ByteGrid]) -> str:
-    if site.step > 1:
-        size = (
-            f"One pixel of the map is {site.metres:g} m, {site.step} x {site.step} tiles of {site.tile_size:g} m. It "
-            "shows a change if one of its tiles has changed; else it counts as not compared if one of them was not. "
-            "Its differences are those farthest from 0."
-        )
-    else:
-        size = f"One square of the map is a tile of {site.tile_size:g} m."
-    text = f"{size} Differences are those of all tiles, changed or not: most are noise. "
-    text += "Colours go with the square root of a difference, so that small ones are seen."
-    left = site.record["counts"]["regions"] - len(site.places)
-    if left:
-        text += f" The {len(site.places)} largest places are framed, {left:,} are not."
-    rounding = "; ".join(grid.rounding for grid in grids)
-    return f"{text} Values are rounded for this page ({rounding}); change.tif holds them in full." if grids else size
-
-
-_SIDES = ("before", "after")
-_ROUGHER, _SMOOTHER = "rougher", "smoother"
-_USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
-"""Settings of a comparison that `--out` alone gives."""
-_MEANING = {
-    "not changed": "no change was found; one smaller than the noise stays unseen",
-    "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
-    "rougher": "the ground has changed and is rougher to ride on",
-    "smoother": "the ground has changed and is smoother to ride on",
-    "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
-}
-
-
-def titles(site: ChangeSite) -> tuple[str, str]:
-    """Return what the two surveys are called: by name, with dates if the names are the same."""
-    names = [plain_name(_run(site, side)) for side in _SIDES]
-    if names[0] == names[1]:
-        days = [_dates(_run(site, side)) for side in _SIDES]
-        told = days if None not in days and days[0] != days[1] else _SIDES
-        names = [f"{name} ({what})" for name, what in zip(names, told, strict=True)]
-    return names[0], names[1]
-
-
-def change_headline(site: ChangeSite) -> str:
-    """Return the result: how many places have changed, how much of the ground, and what became of the ride."""
-    counts = site.record["counts"]
-    compared, regions, changed = (int(counts[name]) for name in ("compared", "regions", "changed"))
-    if not compared:
-        return "Nothing could be compared: whether the ground has changed is not known."
-    if not changed:
-        return f"No change was found on the {area(site.area_of(compared))} that were compared."
-    text = (
-        f"{count_text(regions, 'place has', 'places have')} changed, {area(site.area_of(changed))} of "
-        f"{area(site.area_of(compared))} compared"
-    )
-    tiles = counts["by_change"]
-    rides = [(kind, area(site.area_of(int(tiles[kind])))) for kind in (_ROUGHER, _SMOOTHER) if tiles[kind]]
-    if not rides:
-        return f"{text}; no change of the ride was found there."
-    return f"{text}; {' and '.join(f'{size} became {kind}' for kind, size in rides)} to ride on."
-
-
-def kind_section(site: ChangeSite) -> Html:
-    """Return the table of what became of the tiles."""
-    counts = site.record["counts"]
-    compared, both = int(counts["compared"]), int(counts["in_both"])
-    rows: list[tuple[str, ...]] = [
-        (
-            join(name, tag("span", _MEANING[name], class_="meaning")),
-            told,
-            *_amount(site, int(counts["by_change"][name]), compared)[1:],
-        )
-        for name, told in zip(
-            CHANGE_KINDS, shares([int(counts["by_change"][kind]) for kind in CHANGE_KINDS]), strict=True
-        )
-    ]
-    rows += [
-        ("compared", *_amount(site, compared, compared)),
-        (
-            join(
-                "in both surveys, not compared",
-                tag("span", "too few places where both have points: may have changed or not", class_="meaning"),
-            ),
-            *_amount(site, both - compared),
-        ),
-    ]
-    lost, won = int(counts["passable_lost"]), int(counts["passable_won"])
-    notes = [
-        (
-            f"Of the changed tiles, {count_text(lost, 'is', 'are')} no longer passable, and "
-            f"{count_text(won, 'has', 'have')} become passable."
-        ),
-        (
-            f"{count_text(int(counts['dropped_as_too_small']), 'tile')} differed too, in groups of fewer than "
-            f"{site.record['settings']['min_tiles']}; they were left out and count as not changed."
-        ),
-    ]
-    head = ("what became of them", "share of compared", "area", "tiles")
-    parts = [table("Tiles by what became of them", head, rows), *(tag("p", note) for note in notes)]
-    return section("Counts", "counts", *parts)
-
-
-def class_section(site: ChangeSite) -> Html:
-    """Return the table of classes before and after."""
-    names = (*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known")
-    rows = [
-        (name, *(whole(int(tiles)) for tiles in row))
-        for name, row in zip(names, site.record["classes"]["tiles_before_after"], strict=True)
-    ]
-    note = (
-        "All tiles that both surveys have, changed or not. A tile near the limit between two classes falls to one or "
-        "the other by the noise of its survey: read tiles off the diagonal as changes only where the map says so."
-    )
-    head = ("before, down; after, across", *names)
-    return section(
-        "Classes before and after", "classes", table("Tiles by class", head, rows, wide=True), tag("p", note)
-    )
-
-
-def place_section(site: ChangeSite) -> Html:
-    """Return the table of the places, the largest first."""
-    total = int(site.record["counts"]["regions"])
-    if not site.places:
-        return section("Places", "places", tag("p", "No place was found that has changed."))
-    x, y, decimals = ("longitude, °", "latitude, °", 6) if site.degrees else ("x", "y", 1)
-    head = (
-        *("place, and its ride", "area", "tiles", "height, m", "lowest to highest, m", "volume, m³"),
-        *("C_r before, rad/m", "C_r after, rad/m", "difference, rad/m", x, y),
-    )
-    rows = [_place_row(site, place, decimals) for place in site.places]
-    left = total - len(rows)
-    more = f" {count_text(left, 'smaller one is', 'smaller ones are')} in change.geojson." if left else ""
-    note = (
-        "The largest first, with what became of the ride in how many of its tiles. Numbers are those on the map and "
-        "the ids in change.geojson. Heights and C_r are means over the place,"
-        f" after minus before; a positive volume was heaped up.{more}"
-    )
-    return section("Places", "places", table("Places that have changed", head, rows, wide=True), tag("p", note))
-
-
-def surveys_section(site: ChangeSite) -> Html:
-    """Return the two surveys side by side, and what is to be known of how they fit each other."""
-    fit = site.record["fit"]
-    runs = [_run(site, side) for side in _SIDES]
-    inputs = [[item for item in run.get("inputs") or () if isinstance(item, Mapping)] for run in runs]
-    rows = [
-        ("name", *map(plain_name, runs)),
-        ("dates in the files", *(_dates(run) or "not stated" for run in runs)),
-        ("files", *(whole(len(items)) for items in inputs)),
-        ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),
-        (
-            "points per m² where both have tiles, median",
-            *(number(value, 1) for value in fit["median_density_m2"]),
-        ),
-        ("made by version", *(str(version or "not stated") for version in fit["versions"])),
-    ]
-    remarks = [f"{text[:1].upper()}{text[1:]}." for text in map(str, site.record.get("remarks") or ())]
-    head = tag("h3", "What to know before the changes are believed")
-    parts = join(head, lines_of(*remarks)) if remarks else Html()
-    return section(
-        "The two surveys", "surveys", table("Before and after", ("of the survey", "before", "after"), rows), parts
-    )
-
-
-def settings_section(site: ChangeSite) -> Html:
-    """Return the settings, and what the share of false discoveries means."""
-    settings, fit, counts = site.record["settings"], site.record["fit"], site.record["counts"]
-    fdr, least = float(settings["fdr"]), int(settings["min_tiles"])
-    changed = int(counts["changed"])
-    widened = ", ".join(f"{float(factor):.2f} times ({name})" for name, factor in fit["widened"].items())
-    rows = [
-        ("false discoveries", f"at most {100 * fdr:g} % of what is found, on average"),
-        ("smallest change", f"{least} tiles that share sides, {area(site.area_of(least))}"),
-        ("height taken off the later survey", number(fit["offset_taken_off_m"], 3, " m")),
-        ("heights compared in squares of", f"{float(fit['cell_m']):g} m"),
-        ("noise taken as", f"{widened} what the points show"),
-        ("vehicle, calibration", f"{site.record['vehicle']}, {site.record['calibration']}"),
-    ]
-    expected = f" Of the {whole(changed)} changed tiles here, that is some {fdr * changed:.0f}." if changed else ""
-    words = [
-        (
-            "Two surveys of the same ground never give the same heights. A tile counts as changed if its difference is "
-            "larger than the noise of its own points explains. Among thousands of tiles, noise alone makes a few look "
-            f"changed; the limit is set so that, on average, at most {100 * fdr:g} in 100 tiles found are there by "
-            f"chance.{expected} These tend to lie alone, so leaving out small groups removes most of them."
-        ),
-        (
-            "The reverse does not hold: ground that is not found changed may have changed by less than its noise. On "
-            "asphalt that is centimetres, in scrub and among blocks decimetres."
-        ),
-        (
-            "A change of the ride counts only on ground that has changed: a ride cost can jump although nothing has "
-            "moved, when a stone lies in or out of a wheel's way."
-        ),
-    ]
-    command = ["bumpymap diff BEFORE AFTER --out DIR"]
-    command += [
-        f"--{name.replace('_', '-')} {shlex.quote(f'{settings[name]:g}')}"
-        for name, usual in _USUAL.items()
-        if settings[name] != usual
-    ]
-    again = tag("pre", tag("code", " ".join(command)), tabindex="0")
-    facts = tag("dl", *(join(tag("dt", name), tag("dd", text)) for name, text in rows))
-    note = "change.json beside this page holds all of it, with the checksums of both surveys' layers."
-    told = [tag("p", text) for text in words]
-    return section(
-        "How it was decided", "settings", *told, facts, tag("p", "To repeat it:"), again, tag("p", note, class_="note")
-    )
-
-
-def limits_section(site: ChangeSite) -> Html:
-    """Return what the comparison does not know."""
-    limits = [
-        (
-            "Ground that could not be compared, or that lies in one survey only, may have changed or not. It is grey "
-            "and hatched on the map, and in no count of what has not changed."
-        ),
-        (
-            "Errors that neighbouring points of a survey share look like changes: a photogrammetric model that is "
-            "bent, a flight line that hangs, a strip of wrong matches."
-        ),
-        "Plants that have grown or were cut have changed too, unless only ground points were mapped.",
-        (
-            "What stands on the ground and is no part of the heightmap is not compared: cars, and trees that were left "
-            "out as no ground."
-        ),
-        "It knows shape, not firmness: ground that has become wet, loose or frozen has not changed here.",
-        f"A change is told by tiles of {site.tile_size:g} m; its true outline lies somewhere in them.",
-        f"Ride costs are those of one vehicle, {site.record['vehicle']}, at one speed.",
-    ]
-    if not site.degrees:
-        limits.append("The surveys have no CRS: places have coordinates of their own, but no place on Earth.")
-    return section("What this comparison does not know", "limits", lines_of(*limits))
-
-
-def _run(site: ChangeSite, side: str) -> Mapping[str, Any]:
-    """Return the first run of a survey: sheets of one map have the same survey."""
-    runs: Sequence[Mapping[str, Any]] = site.record["sources"][side]["runs"]
-    return runs[0]
-
-
-def _dates(run: Mapping[str, Any]) -> str | None:
-    survey = run.get("survey")
-    dates = survey.get("dates") if isinstance(survey, Mapping) else None
-    if not dates:
-        return None
-    first, last = str(dates[0]), str(dates[-1])
-    return first if first == last else f"{first} to {last}"
-
-
-def _amount(site: ChangeSite, tiles: int, total: int = 0) -> tuple[str, str, str]:
-    return share(tiles, total), area(site.area_of(tiles)), whole(tiles)
-
-
-def _place_row(site: ChangeSite, place: ChangedPlace, decimals: int) -> tuple[str, ...]:
-    """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
-    about = place.about
-    tiles = int(about["tiles"])
-    kinds = [
-        (name.removeprefix("ground changed, ride "), int(about[name.replace(",", "").replace(" ", "_")]))
-        for name in CHANGE_KINDS[1:]
-    ]
-    found = [(name, count) for name, count in kinds if count]
-    ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
-    low, high = (_signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
-    return (
-        join(str(place.number), tag("span", ride, class_="meaning")),
-        area(site.area_of(tiles)),
-        whole(tiles),
-        _signed(about["d_height"], 2),
-        f"{low} to {high}",
-        _signed(about["volume_m3"], 1),
-        number(about["c_r_before"], 3),
-        number(about["c_r_after"], 3),
-        _signed(about["d_c_r"], 3),
-        *(f"{value:.{decimals}f}" for value in place.where),
-    )
-
-
-def _signed(value: Any, decimals: int) -> str:
-    """Return a difference with its sign."""
-    text = number(value, decimals)
-    if text == DASH or not text.strip("-0."):
-        return text.removeprefix("-")
-    return f"+{text}" if value > 0 else text
-
-
 _MANIFEST, _FORMAT = "change.json", "bumpymap-change"
-_SIDE = {"folders": [str], "runs": [Each()]}
+_SURVEY = {"folders": [str], "runs": [Each()]}
 _SHAPE = PLACE_SHAPE | {
     "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
-    "sources": {"before": _SIDE, "after": _SIDE},
+    "sources": {"before": _SURVEY, "after": _SURVEY},
     "vehicle": str,
     "calibration": str,
     "fit": {
@@ -441,37 +334,124 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
     OutputError
         The page cannot be written.
     """
-    text = render_changes(ChangeSite.read(folder, record))
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-
-
-def render_changes(site: ChangeSite) -> str:
-    """Return the page as HTML. The same changes give the same page: it holds no time and no folder."""
-    before, after = titles(site)
-    name = f"{before} to {after}"
-    header = [
-        tag("p", "What has changed between two surveys", class_="kind"),
-        tag("h1", name),
-        tag("p", change_headline(site), class_="result"),
-        tag("p", f"vehicle {site.record['vehicle']} · {site.crs_name}", class_="facts"),
-    ]
-    sections = [
-        tag("section", tag("h2", "Map", id="map"), change_figure(site, name), aria_labelledby="map"),
-        place_section(site),
-        kind_section(site),
-        class_section(site),
-        surveys_section(site),
-        settings_section(site),
-        limits_section(site),
-    ]
+    site = ChangeSite.read(folder, record)
+    runs = [record["sources"][side]["runs"][0] for side in _SIDES]  # sheets of one map have the same survey
+    classes = [*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known"]
     codes = {
         "unknownFrom": NOT_COMPARED,
         "classes": list(CHANGE_KINDS),
         "reasons": ["not compared: may have changed or not"],
         "outside": "outside of what the surveys share: not compared",
         "classColours": [CHANGE_COLOURS[code] for code in range(len(CHANGE_KINDS))],
-        "ramp": DIFFERENCE_RAMP,
+        "ramp": _RAMP,
     }
-    data = {"maps": [site.map_record()], "together": False, "codes": codes}
-    return document(f"{name}: what has changed", header, sections, data)
+    write_page(
+        path,
+        "change.html",
+        name=_title(runs),
+        site=site,
+        class_names=classes,
+        class_rows=[
+            (name, *map(whole, row)) for name, row in zip(classes, record["classes"]["tiles_before_after"], strict=True)
+        ],
+        command=_command(record["settings"]),
+        kind_rows=_kind_rows(site),
+        place_rows=[_place_row(site, place) for place in site.places],
+        ramp_colours=_RAMP,
+        survey_rows=_survey_rows(record["fit"], runs),
+        data={"maps": [site.map_record()], "together": False, "codes": codes},
+    )
+
+
+_SIDES = ("before", "after")
+_USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
+"""Settings of a comparison that `--out` alone gives."""
+
+
+def _title(runs: list[Mapping[str, Any]]) -> str:
+    """Return what the two surveys are called: by name, with dates if the names are the same."""
+    names = [survey_name(run) for run in runs]
+    if names[0] == names[1]:
+        days = [_dates(run) for run in runs]
+        told = days if None not in days and days[0] != days[1] else _SIDES
+        names = [f"{name} ({what})" for name, what in zip(names, told, strict=True)]
+    return " to ".join(names)
+
+
+def _dates(run: Mapping[str, Any]) -> str | None:
+    dates = (run.get("survey") or {}).get("dates")
+    if not dates:
+        return None
+    return str(dates[0]) if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
+
+
+def _command(settings: Mapping[str, Any]) -> str:
+    """Return the command that compares the surveys in the same way."""
+    changed = [name for name, usual in _USUAL.items() if settings[name] != usual]
+    options = [f"--{name.replace('_', '-')} {shlex.quote(f'{settings[name]:g}')}" for name in changed]
+    return " ".join(["bumpymap diff BEFORE AFTER --out DIR", *options])
+
+
+_MEANING = {
+    "not changed": "no change was found; one smaller than the noise stays unseen",
+    "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
+    "rougher": "the ground has changed and is rougher to ride on",
+    "smoother": "the ground has changed and is smoother to ride on",
+    "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
+}
+
+
+_APART = "too few places where both have points: may have changed or not"
+
+
+def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
+    """Return what became of the tiles."""
+    counts = site.record["counts"]
+    compared, apart = int(counts["compared"]), int(counts["in_both"] - counts["compared"])
+    found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]
+    entries = [
+        *(
+            ({"text": name, "meaning": _MEANING[name]}, told, tiles)
+            for name, told, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
+        ),
+        ("compared", share(compared, compared), compared),
+        ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
+    ]
+    return [(name, told, area(site.area_of(tiles)), whole(tiles)) for name, told, tiles in entries]
+
+
+def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    inputs = [run.get("inputs") or () for run in runs]
+    return [
+        ("name", *map(survey_name, runs)),
+        ("dates in the files", *(_dates(run) or "not stated" for run in runs)),
+        ("files", *(whole(len(items)) for items in inputs)),
+        ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),
+        ("points per m² where both have tiles, median", *(number(value, 1) for value in fit["median_density_m2"])),
+        ("made by version", *(str(version or "not stated") for version in fit["versions"])),
+    ]
+
+
+def _place_row(site: ChangeSite, place: ChangedPlace) -> tuple[Any, ...]:
+    """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
+    about = place.about
+    tiles = int(about["tiles"])
+    kinds = [
+        (name.removeprefix("ground changed, ride "), int(about[name.replace(",", "").replace(" ", "_")]))
+        for name in CHANGE_KINDS[1:]
+    ]
+    found = [(name, count) for name, count in kinds if count]
+    ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
+    low, high = (signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
+    return (
+        {"text": place.number, "meaning": ride},
+        area(site.area_of(tiles)),
+        whole(tiles),
+        signed(about["d_height"], 2),
+        f"{low} to {high}",
+        signed(about["volume_m3"], 1),
+        number(about["c_r_before"], 3),
+        number(about["c_r_after"], 3),
+        signed(about["d_c_r"], 3),
+        *(f"{value:.{6 if site.degrees else 1}f}" for value in place.where),
+    )

@@ -2,10 +2,10 @@
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path, PurePosixPath, PureWindowsPath
+from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
@@ -19,10 +19,12 @@ from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, parse_json, read_regular, stated_crs
-from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT
+from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT, class_limits, class_ranges
 from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.report.charts import Chart, c_r_chart, slope_chart
 from bumpymap.layers.report.drives import DrawnCheck
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
+from bumpymap.layers.report.words import survey_name
 from bumpymap.layers.sheets.folders import raster_in, sheets_of
 from bumpymap.layers.summary import MapSummary
 
@@ -31,7 +33,6 @@ __all__ = [
     "Site",
     "jpeg",
     "object_grid",
-    "plain_name",
     "read_heights",
     "read_ways",
     "shade",
@@ -195,8 +196,8 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 
-def jpeg(picture: NDArray[np.uint8], most: int) -> tuple[str, tuple[int, int]]:
-    """Return a picture as a data URI of at most ``most`` characters, and its width and height.
+def jpeg(picture: NDArray[np.uint8], most: int) -> str:
+    """Return a picture as a data URI of at most ``most`` characters.
 
     It is stored more coarsely, then halved in size, until it fits.
     """
@@ -207,7 +208,7 @@ def jpeg(picture: NDArray[np.uint8], most: int) -> tuple[str, tuple[int, int]]:
             image.save(buffer, "JPEG", quality=quality)
             text = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
             if len(text) <= most or max(image.size) <= 64:
-                return text, image.size
+                return text
         image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
 
 
@@ -247,46 +248,35 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
         raise BadInputError(f"there is no file {path}. {remedy}")
     try:
         features = parse_json(read_regular(path).decode())["features"]
-        lines = [(feature["properties"], feature["geometry"]) for feature in features if _is_way(feature)]
-        if not lines:
+        metres, ways = _placer(record), []
+        for one in features:
+            kind, positions, about = one["geometry"]["type"], one["geometry"]["coordinates"], one["properties"]
+            if kind in {"LineString", "MultiLineString"}:
+                parts = positions if kind == "MultiLineString" else [positions]
+                ways.append(DrawnWay(str(about.get("name") or "way"), tuple(map(metres, parts)), about))
+        if not ways:
             raise BadInputError(f"{path} holds no way. {remedy}")
-        place = _Place(record)
-        return tuple(
-            DrawnWay(str(about.get("name") or "way"), tuple(place.metres(part) for part in _parts(geometry)), about)
-            for about, geometry in lines
-        )
+        return tuple(ways)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, ProjError) as error:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
 
 
-def _is_way(feature: Mapping[str, Any]) -> bool:
-    return str(feature["geometry"]["type"]).endswith("LineString")
+def _placer(record: Mapping[str, Any]) -> Callable[[Any], NDArray[np.float64]]:
+    """Return how positions of route.geojson become metres of the map's grid, (n, 2)."""
+    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
+    forward = None
+    if crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
 
-
-def _parts(geometry: Mapping[str, Any]) -> Iterator[NDArray[np.float64]]:
-    parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
-    for part in parts:
-        yield np.array([position[:2] for position in part], dtype=np.float64).reshape(-1, 2)
-
-
-class _Place:
-    """From the coordinates of route.geojson to metres of the map's grid."""
-
-    def __init__(self, record: Mapping[str, Any]) -> None:
-        crs = record.get("crs")
-        self._unit = float(record["metres_per_unit"]["horizontal"])
-        self._forward = None
-        if crs is not None:
-            known = stated_crs(crs["wkt"])
-            plane = known.sub_crs_list[0] if known.is_compound else known
-            self._forward = Transformer.from_crs("OGC:CRS84", plane, always_xy=True)
-
-    def metres(self, part: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self._forward is not None:
-            part = np.column_stack(self._forward.transform(part[:, 0], part[:, 1]))
+    def metres(positions: Any) -> NDArray[np.float64]:
+        part = np.array([position[:2] for position in positions], dtype=np.float64).reshape(-1, 2)
+        if forward is not None:
+            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
         if not np.isfinite(part).all():
             raise ValueError("a position has no coordinates in the CRS of the map")
-        return np.round(part * self._unit, _DECIMALS)
+        return np.round(part * unit, _DECIMALS)
+
+    return metres
 
 
 _BUDGET = 1_700_000
@@ -298,6 +288,8 @@ _RELIEF_SIDE = 1_000
 _TILES = 220_000
 """Most pixels with a tile in the grids: six bytes or so each."""
 _STILL_SIDE = 700
+_DENSE = 0.1
+"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
 _LINES = 6
 """Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
 _UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
@@ -326,6 +318,8 @@ class Site:
     """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
     check: DrawnCheck | None = None
     """What real drives show of the map."""
+    letter: str = ""
+    """What the page calls it beside another."""
 
     @classmethod
     def read(
@@ -379,7 +373,7 @@ class Site:
                 break
             step *= 2
         light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
-        relief, _ = jpeg(light, int(0.2 * budget))
+        relief = jpeg(light, int(0.2 * budget))
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
@@ -389,14 +383,38 @@ class Site:
             side //= 2
         still = _still(tiles, light)
         shown = (tiles, grids, objects, text, relief, still)
-        return cls(plain_name(record), record, summary, *shown, ways, has_links, check)
+        return cls(survey_name(record), record, summary, *shown, ways, has_links, check)
+
+    @property
+    def title(self) -> str:
+        """Name of the map, with the letter by which the page calls it."""
+        return f"{self.letter}: {self.name}" if self.letter else self.name
 
     @property
     def vehicle(self) -> str:
-        """Name of the vehicle."""
-        known = self.record.get("calibration")
-        named = known.get("vehicle") if isinstance(known, Mapping) else None
-        return str(named or (self.record.get("vehicle") or {}).get("name") or "vehicle")
+        """Name of the vehicle; ``vehicle`` if the record has none."""
+        known, driven = self.record.get("calibration") or {}, self.record.get("vehicle") or {}
+        return str(known.get("vehicle") or driven.get("name") or "vehicle")
+
+    @property
+    def points(self) -> int:
+        """Points of the survey."""
+        return int(self.record.get("points") or self.summary.points)
+
+    @property
+    def ground(self) -> float:
+        """Area of the tiles with points, m2."""
+        return self.summary.tiles * self.tile_area
+
+    @property
+    def sheets(self) -> list[Mapping[str, Any]]:
+        """What run.json says of each sheet; empty for a map in one folder."""
+        return self.record.get("sheets") or []
+
+    @property
+    def leads_to_sheets(self) -> bool:
+        """Whether there are pages of sheets that can be opened from this one."""
+        return self.has_links and bool(self.sheets)
 
     @property
     def crs_name(self) -> str:
@@ -413,6 +431,39 @@ class Site:
     def objects_known(self) -> bool:
         """Whether anything is known to be free of objects or to hold one."""
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
+
+    @property
+    def class_ranges(self) -> tuple[str, ...]:
+        """What is in each class, in words; empty if the ride cost does not decide."""
+        return class_ranges(self.record)
+
+    @property
+    def layers(self) -> list[tuple[str, str]]:
+        """Keys and names of the colourings of the map: those of which something is known."""
+        named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
+        values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
+        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
+
+    @property
+    def overlays(self) -> list[tuple[str, str, bool]]:
+        """Keys and names of what is drawn over the colours, and whether it is at first."""
+        overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
+        if self.objects_known:
+            dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
+            overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
+        overlays += [("ways", "Way", True)] if self.ways else []
+        return [*overlays, ("stretches", "Real drives", True)] if self.check is not None else overlays
+
+    def charts(self) -> tuple[Chart, Chart]:
+        """Return the histograms of the ride cost and of the slope."""
+        key = str("AB".find(self.letter or "A"))
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or (), key)
+        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"], key)
+
+    @property
+    def rounding(self) -> str:
+        """How far shown values may be from those in the layers."""
+        return "; ".join(grid.rounding for grid in self.grids if grid.is_known)
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""
@@ -437,26 +488,6 @@ class Site:
             "stretches": [] if self.check is None else self.check.places(),
             "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
         }
-
-
-def plain_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
-    sheet = record.get("sheet")
-    name = sheet.get("name") if isinstance(sheet, Mapping) else None
-    return f"{_survey_name(record)}, sheet {name}" if name else _survey_name(record)
-
-
-def _survey_name(record: Mapping[str, Any]) -> str:
-    survey = record.get("survey")
-    if isinstance(survey, Mapping) and survey.get("name"):
-        return str(survey["name"])
-    settings = record.get("settings")
-    given = settings.get("surveys") if isinstance(settings, Mapping) else None
-    paths = [str(path) for path in given or [item.get("path", "") for item in record.get("inputs") or []]]
-    stems = [PurePosixPath(PureWindowsPath(path).as_posix()).stem for path in paths if path]
-    if not stems:
-        return "Survey"
-    return stems[0] if len(stems) == 1 else f"{stems[0]} and {len(stems) - 1} more"
 
 
 def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ...]:
@@ -496,4 +527,4 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
     lines = (down - right) % 6 < 2
     bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
-    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)[0]
+    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)

@@ -88,7 +88,7 @@ class ByteGrid:
     @property
     def rounding(self) -> str:
         """How far a shown value may be from the one in the layers."""
-        if not (self.codes != NOT_KNOWN).any():
+        if not self.is_known:
             return f"{self.label}: no value"
         if self.scale == "log":
             return f"{self.label} ±{100 * math.expm1(self.step / 2):.2g} %"
@@ -98,11 +98,16 @@ class ByteGrid:
             return f"{self.label} at most ±{self.step * most:.1g}{unit}"
         return f"{self.label} ±{self.step / 2:.2g}{unit}"
 
-    def span(self) -> tuple[float, float, float]:
-        """Return the least value of the scale, that in its middle, and the largest."""
+    @property
+    def is_known(self) -> bool:
+        """Whether it has a value anywhere."""
+        return bool((self.codes != NOT_KNOWN).any())
+
+    def words(self) -> list[str]:
+        """Return the least value of the scale, that in its middle, and the largest, with their unit."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        least, middle, most = (float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends)
-        return least, middle, most
+        values = [float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends]
+        return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
 
     def values(self) -> NDArray[np.float64]:
         """Return what the page shows, NaN where unknown."""
@@ -223,11 +228,14 @@ class PageTiles:
         known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
         numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
-        rule, calm = _rule(record), 0
+        rates = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        rule, calm = CostRule(*(float(record["cost"][name]) for name in rates)), 0
         tables = [sheet / "tiles.parquet" for sheet in sheets_of(folder, record)]
         for found in chain.from_iterable(map(_groups, tables)):
             place = _place(found, spot)
-            np.maximum.at(ground, place, _ground(found) + 1)
+            unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
+            kind = np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)
+            np.maximum.at(ground, place, kind + 1)
             np.maximum.at(barred, place, found["barred"] + 1)
             np.add.at(known, place, 1)
             calm += int(np.count_nonzero((found["class"] < 2) & (found["barred"] == Barred.NO)))
@@ -286,11 +294,6 @@ def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.in
     return line // spot.step, col // spot.step
 
 
-def _ground(found: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
-    unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
-    return np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)
-
-
 def _tiles_of(spot: Spot) -> NDArray[np.int64]:
     """Return how many tiles each pixel of the page spans, (rows, cols): fewer at the south and east edges."""
     sides = [
@@ -298,9 +301,3 @@ def _tiles_of(spot: Spot) -> NDArray[np.int64]:
         for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
     ]
     return np.asarray(sides[0][:, None] * sides[1][None, :], dtype=np.int64)
-
-
-def _rule(record: Mapping[str, Any]) -> CostRule:
-    cost = record["cost"]
-    names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
-    return CostRule(*(float(cost[name]) for name in names))

@@ -18,7 +18,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Route, RouteFigures, TileField, atomic, write_csv
+from bumpymap.core import BadInputError, Georeference, Route, TileField, atomic, write_csv
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates
 from bumpytiles import TileWindow
@@ -56,7 +56,8 @@ _DECIMALS = {
 
 def route_properties(route: Route) -> dict[str, Any]:
     """Return name, vehicle and figures of a route; a number that is not known is None."""
-    figures = {name: _number(route.figures, name, decimals) for name, decimals in _DECIMALS.items()}
+    values = {name: (float(getattr(route.figures, name)), decimals) for name, decimals in _DECIMALS.items()}
+    figures = {name: round(one, digits) if math.isfinite(one) else None for name, (one, digits) in values.items()}
     return {
         "name": route.name,
         "vehicle": route.vehicle.name,
@@ -64,11 +65,6 @@ def route_properties(route: Route) -> dict[str, Any]:
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
     }
-
-
-def _number(figures: RouteFigures, name: str, decimals: int) -> float | None:
-    value = float(getattr(figures, name))
-    return round(value, decimals) if math.isfinite(value) else None
 
 
 class MapSource(Protocol):
@@ -439,9 +435,8 @@ def _rows(route: Route, place: RouteCoordinates) -> Iterator[tuple[str, ...]]:
         *(profile.z, profile.slope, profile.c_r, profile.c_r_low, profile.c_r_high, profile.p_fail, profile.cost),
         profile.obstacle,
     )
-    texts = [_texts(values, form) for values, form in zip(columns, _FORMATS, strict=True)]
+    texts = [
+        [form % value if math.isfinite(value) else "" for value in values.tolist()]
+        for values, form in zip(columns, _FORMATS, strict=True)
+    ]
     return zip([route.name] * len(profile.distance), *texts, strict=True)
-
-
-def _texts(values: NDArray[np.float64], form: str) -> list[str]:
-    return ["" if text in {"nan", "inf", "-inf"} else text for text in (form % value for value in values.tolist())]

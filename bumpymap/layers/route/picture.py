@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from bumpymap.core import OutputError, Route, RouteFigures, UsageError, atomic
+from bumpymap.core import OutputError, Route, UsageError, atomic
+from bumpymap.layers.check.words import metres
 from bumpymap.layers.colours import RideScale
 from bumpymap.layers.products import refuse_present, require_folder
 from bumpymap.layers.route.drawing import (
@@ -187,7 +188,10 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
     for number, route in reversed(list(enumerate(routes))):  # the first on top
         _draw_way(pen, view.pixels(route.line) + corner, _colour(number))
     for route in reversed(routes):
-        _draw_stops(pen, view.pixels(route.stops) + corner)
+        # S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top
+        marks = list(enumerate(zip(stop_roles(len(route.stops)), view.pixels(route.stops) + corner, strict=True)))
+        for number, (role, (x, y)) in reversed(marks):
+            _draw_stop(pen, (float(x), float(y)), role, number)
     draw_scale(pen, view, _EDGE, _TITLE)
     draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
     pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
@@ -200,7 +204,7 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
 
 def _title(routes: Sequence[Route]) -> str:
     first = routes[0]
-    length = _length(first.figures.length_m)
+    length = metres(first.figures.length_m)
     if len(routes) == 1:
         return f"{_shortened(first.name, 80)}: {length} for {first.vehicle.name}"
     vehicles = dict.fromkeys(route.vehicle.name for route in routes)
@@ -211,10 +215,6 @@ def _shortened(name: str, most: int) -> str:
     return name if len(name) <= most else f"{name[: most - 3]}..."
 
 
-def _length(metres: float) -> str:
-    return f"{metres:,.0f} m" if metres < 5000.0 else f"{metres / 1000:,.1f} km"
-
-
 def _colour(number: int) -> Colour:
     return ROUTE_COLOURS[number % len(ROUTE_COLOURS)]
 
@@ -223,13 +223,6 @@ def _draw_way(pen: Pen, points: NDArray[np.float64], colour: Colour) -> None:
     if len(points) > 1:
         pen.line(points, _WHITE, 7)
         pen.line(points, colour, 3.5)
-
-
-def _draw_stops(pen: Pen, points: NDArray[np.float64]) -> None:
-    """Draw S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top."""
-    roles = stop_roles(len(points))
-    for number, (role, point) in reversed(list(enumerate(zip(roles, points.tolist(), strict=True)))):
-        _draw_stop(pen, (point[0], point[1]), role, number)
 
 
 def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1) -> None:
@@ -285,15 +278,15 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
     for number, route in enumerate(shown):
         figures = route.figures
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
-        pen.text(
-            (left + 54, row + 12),
-            _shortened(_named(route) if several else route.name, 32),
-            INK,
-            size=16,
-        )
+        vehicle = f", {route.vehicle.name}" if several else ""  # ways that are compared have it in their name
+        name = route.name if route.name.endswith(vehicle) else route.name + vehicle
+        pen.text((left + 54, row + 12), _shortened(name, 32), INK, size=16)
+        # on unknown ground, and over no length, the ride cost is not known
+        ride = {"mean": figures.c_r_mean, "most": figures.c_r_max}.items()
+        known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
         lines = (
-            f"{_length(figures.length_m)}, cost {figures.cost_m:,.0f} m",
-            _of_ride(figures),
+            f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",
+            f"{known} rad/m" if known else "ride cost not known",
             f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
             *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
         )
@@ -302,19 +295,6 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         row += 46 + 20 * len(lines)
     if len(routes) > len(shown):
         pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
-
-
-def _named(route: Route) -> str:
-    """Return name and vehicle of a way; ways that are compared have the vehicle in their name."""
-    vehicle = f", {route.vehicle.name}"
-    return route.name if route.name.endswith(vehicle) else route.name + vehicle
-
-
-def _of_ride(figures: RouteFigures) -> str:
-    """Return mean and largest ride cost; on unknown ground, and over no length, they are not known."""
-    values = {"mean": figures.c_r_mean, "most": figures.c_r_max}
-    known = [f"{name} {value:.3f}" for name, value in values.items() if math.isfinite(value)]
-    return f"{', '.join(known)} rad/m" if known else "ride cost not known"
 
 
 def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:

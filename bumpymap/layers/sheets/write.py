@@ -426,7 +426,7 @@ def write_sheets(
         }
     with utf8_path(folder) as root:
         write_views(root, record)
-        write_catalog(root, list(windows), title=_title(record))
+        write_catalog(root, list(windows), title=str((record.get("survey") or {}).get("name") or "Map in sheets"))
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         write_manifest(record, root / MANIFEST_NAME)
     _log.info("wrote %d tiles in %d sheets to %s", summary.tiles, len(places), folder)
@@ -441,12 +441,9 @@ def _write_sheet(
     about = {"name": sheet.name, "column": place[0], "row": place[1], "side_tiles": run.layout.side, "run": run.key}
     if run.keep and is_finished(sheet, about):
         return
-    own = {**run.manifest_of(table.tiles.window), "sheet": about, "points": _points(table.tiles), "seconds": {}}
+    points = sum(int(table.tiles.read(("count",), strip)["count"].sum()) for strip in table.tiles.strips(STRIP))
+    own = {**run.manifest_of(table.tiles.window), "sheet": about, "points": points, "seconds": {}}
     write_products(table, sheet, local=local, manifest=own, around=around)
-
-
-def _points(tiles: TileTable) -> int:
-    return sum(int(tiles.read(("count",), strip)["count"].sum()) for strip in tiles.strips(STRIP))
 
 
 def _describe(root: Path, path: str, place: SheetPlace, whole: Placement, window: TileWindow) -> dict[str, Any]:
@@ -476,9 +473,3 @@ def _write_table(path: Path, sheets: Sequence[Mapping[str, Any]]) -> None:
         places = (f"{side:.10g}" for side in sheet["bounds"])
         rows.append((sheet["folder"], sheet["column"], sheet["row"], *places, *(values[name] for name in numbers)))
     write_csv(path, ("folder", "column", "row", *_BOUNDS, *numbers), rows, end="\n")
-
-
-def _title(record: Mapping[str, Any]) -> str:
-    survey = record.get("survey")
-    name = survey.get("name") if isinstance(survey, Mapping) else None
-    return str(name or "Map in sheets")

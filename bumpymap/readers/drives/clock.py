@@ -168,7 +168,7 @@ def seconds_of_numbers(
         unit = _unit_of(finite, kind)
         if unit is None:
             raise BadInputError(
-                f"the unit of the times of {source} (column {name}) cannot be told: between two samples it "
+                f"the unit of the times of {source} (column {name}) cannot be determined: between two samples it "
                 f"rises by {_median_step(finite):g} (median). State it: `columns='time={name}[ms]'` (s, ms, us or ns)"
             )
         note = f"times of {source} (column {name}) are taken as {unit}" if unit != "s" else None

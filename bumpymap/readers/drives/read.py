@@ -35,7 +35,7 @@ from bumpymap.readers.drives.text_table import TextTable, open_table
 from bumpymap.readers.frames.raw import bag_files, is_bag
 from bumpymap.readers.source import decoding, open_source, size_of
 
-__all__ = ["close_log_reader", "is_ulog", "read_drive", "read_in_child", "ulog_signals"]
+__all__ = ["close_log_reader", "drive_files", "is_ulog", "read_drive", "read_in_child", "ulog_signals"]
 
 _MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
 _MOST_BYTES = 2 << 30
@@ -212,7 +212,7 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
     """
     wanted = dict(columns or {})
     unknown_quantities(wanted, (*QUANTITIES, *TOPICS))
-    paths = _paths(place)
+    paths = drive_files(place)
     if not can_start_children():
         return _read(paths, wanted)
     size = sum(map(size_of, chain.from_iterable(bag_files(path) if is_bag(path) else [path] for path in paths)))
@@ -275,8 +275,16 @@ def _name(stems: Sequence[str]) -> str:
     return shared or ",".join(stems)
 
 
-def _paths(place: str) -> list[Path]:
-    """Return the files that a text names; a comma in the name of an existing file separates nothing."""
+def drive_files(place: str) -> list[Path]:
+    """Return the files of a drive, given as to `read_drive`; a comma in the name of an existing file separates nothing.
+
+    Raises
+    ------
+    BadInputError
+        A file is not there, or is a folder that is no bag.
+    UsageError
+        No file is named.
+    """
     if not place.strip():
         raise UsageError("the name of a drive is empty. Give a file, the folder of a bag, or files joined by commas")
     whole = Path(place)

@@ -81,7 +81,7 @@ class MapTask:
 
 @dataclass(frozen=True, slots=True)
 class TaskEnd:
-    """What became of it."""
+    """Result of mapping one survey."""
 
     row: SurveyRow
     events: tuple[dict[str, Any], ...]
@@ -207,7 +207,7 @@ def _run(task: MapTask) -> MapResult:
 
 
 def _wait_for_killed(out: Path) -> None:
-    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to notice it."""
+    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to end."""
     end = time.monotonic() + _MOST_WAIT_S
     while out.is_dir() and time.monotonic() < end:
         try:
@@ -263,7 +263,7 @@ _MODULE = "bumpymap.survey.batch.one_survey"
 def map_tasks(
     tasks: Sequence[MapTask], jobs: int, started: Callable[[MapTask], None]
 ) -> Generator[TaskEnd, None, None]:
-    """Map surveys, up to ``jobs`` at a time; yield what became of each as soon as it is known.
+    """Map surveys, up to ``jobs`` at a time; yield the result of each as soon as it is known.
 
     Parameters
     ----------
@@ -278,7 +278,7 @@ def map_tasks(
     UsageError
         No process can be started.
     """
-    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is told, and not done by each worker
+    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is shown, and not done by each worker
     workers = _Workers()
     waiting = deque(tasks)
     try:
@@ -318,7 +318,7 @@ class _Workers:
             return
 
     def ended(self) -> Iterator[TaskEnd]:
-        """Wait until at least one task has ended, and yield what became of it."""
+        """Wait until at least one task has ended, and yield its result."""
         links = {child.link: child for child in self.busy}
         for link in wait(list(links)):
             child = links[link]  # type: ignore[index]

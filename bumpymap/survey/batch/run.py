@@ -128,7 +128,7 @@ class Results:
         return tuple(self._rows[name] for name in sorted(self._rows))
 
     def add(self, row: SurveyRow, view: SurveyView) -> None:
-        """Note what became of a survey; write the files if that is long ago."""
+        """Note the result of a survey; write the files if that is long ago."""
         self._rows[row.name], self._views[row.name] = row, view
         self._ended.add(row.name)
         if monotonic() - self._written > _EVERY_S:
@@ -174,7 +174,7 @@ BatchReport: TypeAlias = Callable[[SurveyRow], None]
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """What became of the surveys of a batch."""
+    """Results of the surveys of a batch."""
 
     __repr__ = brief_repr
 

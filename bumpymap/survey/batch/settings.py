@@ -141,7 +141,7 @@ class BatchConfig:
     defaults: Mapping[str, Any] = field(default_factory=dict)
     """The same, of a settings file; the CSV overrides them."""
     survey_per: SurveyPer = "file"
-    """Whether each file of the source folder is a survey, or each folder in it."""
+    """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
     jobs: int = 1
     """Surveys that are mapped at a time."""
 
@@ -174,7 +174,7 @@ class BatchConfig:
 
     @property
     def overwrite(self) -> bool:
-        """Whether layers that were made from other inputs or settings are replaced."""
+        """True: layers that were made from other inputs or settings are replaced."""
         return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, fields
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, get_args, get_origin
+from typing import Any, get_origin
 from urllib.parse import urlsplit
 
 from bumpymap.core import (
@@ -23,6 +23,7 @@ from bumpymap.core import (
     parse_record,
     parse_share,
     path_fault,
+    plain_type,
     read_regular,
     refuse_clashes,
     refuse_faults,
@@ -135,7 +136,7 @@ def _is_reserved(name: str) -> bool:
 _SURVEY, _NAME = "survey", "name"
 _TABLES = ("features", "csf")
 """Settings that are tables, which a cell cannot hold."""
-_KINDS = {item.name: item.type for item in fields(MapConfig) if item.name not in {*OWN_SETTINGS, *_TABLES}}
+_KINDS = {item.name: plain_type(item.type) for item in fields(MapConfig) if item.name not in {*OWN_SETTINGS, *_TABLES}}
 """Column -> type of its setting."""
 _WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
 
@@ -175,8 +176,8 @@ def read_table(
     except csv.Error as error:
         raise UsageError(f"{origin}: line {lines.line_num} is not CSV: {error}") from error
     rows = [(number, row) for number, row in rows if any(row)]
-    columns = _columns(rows[0][1] if rows else [], origin)
     faults: list[str] = []
+    columns = _columns(rows[0][1] if rows else [], origin, faults)
     found = [_row(number, row, columns, folder, faults, check) for number, row in rows[1:]]
     names = [name.casefold() for _, name, _ in found if name]
     faults += [f"the name {name} is given twice" for name in sorted(set(names)) if names.count(name) > 1]
@@ -184,15 +185,17 @@ def read_table(
     return found
 
 
-def _columns(titles: list[str], origin: str) -> list[str]:
+def _columns(titles: list[str], origin: str, faults: list[str]) -> list[str]:
+    """Return the names of the columns, empty for unknown ones; append what is wrong with them to ``faults``."""
     columns = [title.lower().lstrip("-").replace("-", "_") for title in titles]
-    unknown = [title for title, name in zip(titles, columns, strict=True) if name not in {_SURVEY, _NAME, "", *_KINDS}]
-    if _SURVEY not in columns or unknown:
-        what = f"unknown column {', '.join(unknown)}" if unknown else f"there is no column {_SURVEY}"
-        raise UsageError(f"{origin}: {what}; there are: {', '.join([_SURVEY, _NAME, *_KINDS])}")
+    known = [_SURVEY, _NAME, *_KINDS]
+    if _SURVEY not in columns:
+        raise UsageError(f"{origin}: there is no column {_SURVEY}; there are: {', '.join(known)}")
+    if unknown := [title for title, name in zip(titles, columns, strict=True) if name not in {"", *known}]:
+        faults.append(f"unknown column {', '.join(unknown)}; there are: {', '.join(known)}")
     if repeated := sorted({name for name in columns if name and columns.count(name) > 1}):
-        raise UsageError(f"{origin}: the column {', '.join(repeated)} is there twice")
-    return columns
+        faults.append(f"the column {', '.join(repeated)} is there twice")
+    return [name if name in known else "" for name in columns]
 
 
 def _row(
@@ -209,36 +212,42 @@ def _row(
     place, name = given.pop(_SURVEY, ""), given.pop(_NAME, None)
     if not place or path_fault(place):
         wrong.append(path_fault(place) or "the survey is empty")
-    if name is not None and (why := plain_name(name)):
-        wrong.append(f"the name is {name!r}; {why}")
     elif "://" not in place and not (folder / place).exists():
         wrong.append(f"there is no file or folder {folder / place}")
-    settings, more = parse_record({key: _value(key, cell) for key, cell in given.items()}, MapConfig, folder)
-    if not more:
-        with _noted(more):
-            refuse_clashes(settings, CLASHES)
-            MapConfig(surveys=(), out=Path(), **settings)
-            more += check(settings)
-    wrong += more
+    if name is not None and (why := plain_name(name)):
+        wrong.append(f"the name is {name!r}; {why}")
+    settings: dict[str, Any] = {}
+    for key, cell in given.items():
+        value, more = _setting(key, cell, folder)
+        settings |= {} if more else value
+        wrong += more
+    with _noted(wrong):
+        refuse_clashes(settings, CLASHES)
+        MapConfig(surveys=(), out=Path(), **settings)
+    wrong += [why for why in check(settings) if why not in wrong]
     faults += [f"line {number}: {why}" for why in wrong]
     return (place if "://" in place else folder / place, name, settings)
 
 
-def _value(name: str, text: str) -> Any:
-    """Convert a cell to the type of its setting; one that cannot be is left for the message."""
-    kinds = get_args(_KINDS[name]) or (_KINDS[name],)
+def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Return what a cell sets, by name, and what is wrong with it."""
     if name == "max_unknown":
         share = parse_share(text)
-        return text if share is None else share
-    if bool in kinds:
+        return {name: share}, [f"{name} is {text!r}; it must be a share such as 50% or 0.5"] if share is None else []
+    return parse_record({name: _value(name, text)}, MapConfig, folder)
+
+
+def _value(name: str, text: str) -> Any:
+    """Convert a cell to the type of its setting; one that cannot be is left for the message."""
+    kind = _KINDS[name]
+    if kind is bool:
         return _WORDS.get(text.lower(), text)
-    if any(get_origin(kind) is tuple for kind in kinds):  # of numbers
+    if get_origin(kind) is tuple:  # of numbers
         with suppress(ValueError):
             return [float(word) for word in text.replace(",", " ").split()]
-    for kind in (int, float):
-        if kind in kinds:
-            with suppress(ValueError):
-                return kind(text)
+    if kind in (int, float):
+        with suppress(ValueError):
+            return kind(text)
     return text
 
 
@@ -289,7 +298,7 @@ class ListedSurvey:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Its own settings, of a CSV."""
     renamed: bool = False
-    """Whether another survey has, or could have, the name that it would get."""
+    """True if another survey has, or could have, the name that it would get."""
 
 
 def list_surveys(

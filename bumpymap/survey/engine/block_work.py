@@ -119,7 +119,7 @@ class BlockWork:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
+        """Points to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
         return {"auto": (_ALL, _GROUND), "all": (_ALL,)}.get(self.ground, (_GROUND,))
 
     def finish(

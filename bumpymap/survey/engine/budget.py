@@ -70,8 +70,8 @@ class Workspace:
     scratch: Path
     """Folder for waiting points; may be on another disk."""
     run_spec: dict[str, Any]
-    """What the results depend on, see `RunFolder`; and ``cut``, how files are cut into chunks: a resumed run uses
-    that of the earlier one."""
+    """Everything that the results depend on, see `RunFolder`; and ``cut``, how files are cut into chunks: a resumed run
+    uses that of the earlier one."""
 
     @classmethod
     @contextmanager

@@ -53,7 +53,7 @@ ALIVE = "alive"
 
 @dataclass(frozen=True, slots=True)
 class RunContext:
-    """What every task of a run needs."""
+    """Data that every task of a run needs."""
 
     work: BlockWork
     memory: int

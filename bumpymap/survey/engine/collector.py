@@ -102,11 +102,11 @@ class ReadResult:
     stats: dict[int, PointStats] = field(default_factory=dict)
     """Statistics by file."""
     flagged: bool = False
-    """Whether any point is ground."""
+    """True if any point is ground."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines."""
     hashed: dict[int, PieceRuns] = field(default_factory=dict)
-    """What has been computed of the checksum of each file, see `SurveyReader.take_hashed`."""
+    """Computed part of the checksum of each file, see `SurveyReader.take_hashed`."""
     packs: tuple[tuple[Path, NDArray[np.int64]], ...] = ()
     """Packs of waiting points, each with the row, column and number of points of its blocks, (n, 3)."""
     tiles: tuple[tuple[Path, ...], ...] = ()
@@ -278,7 +278,7 @@ class ResultCollector:
         self.stats = [PointStats() for _ in readers]
         """For each file, once it is read completely and found good."""
         self.flagged = False
-        """Whether any point used is ground."""
+        """True if any point used is ground."""
         self.lines = LineSums()
         """Sums to compare the flight lines of the points used."""
         self.skipped: set[int] = set()

@@ -42,7 +42,7 @@ class ChunkRange:
     bounds: Bounds | None
     """Bounds of its points, m; None if they are not known."""
     is_whole: bool
-    """Whether the range is the whole file."""
+    """True if the range is the whole file."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -110,12 +110,12 @@ class ReadChunk:
     points: GroupedPoints
     stats: PointStats
     flagged: bool
-    """Whether any point is ground."""
+    """True if any point is ground."""
     lines: LineSums
 
     @property
     def is_last(self) -> bool:
-        """Whether this is the last chunk of its range."""
+        """True if this is the last chunk of its range."""
         return self.chunk.index + 1 == self.source.range.stop
 
 

@@ -24,7 +24,7 @@ __all__ = ["Executor", "ReadPlan", "run_engine"]
 
 @dataclass(frozen=True, slots=True)
 class ReadPlan:
-    """What is to be read, and what an earlier run has done."""
+    """Ranges of points to read, and the work that an earlier run has done."""
 
     readers: Sequence[SurveyReader]
     chunks: Sequence[Sequence[Chunk]]
@@ -43,7 +43,7 @@ class Executor(Protocol):
     """Does the tasks of a run. Callers must close the generators; this cancels tasks that have not started."""
 
     one_group: bool
-    """Whether one task rates all blocks."""
+    """True if one task rates all blocks."""
 
     def range_points(self, points: int) -> int | None:
         """Return the most points of a range, given their total number; None: each file is one range."""

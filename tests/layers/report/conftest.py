@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import zlib
 from base64 import b64decode
 
@@ -12,6 +13,17 @@ from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
 from bumpymap.core import BARRED_TEXT, CANOPY, FREE, OBSTACLE, ObjectStack
+
+
+@pytest.fixture(scope="session")
+def browser():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        # in a container Chromium cannot make a sandbox of its own
+        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        yield browser
+        browser.close()
 
 
 class ReadPage:

@@ -15,8 +15,8 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
 from bumpymap.layers import write_reports
-from bumpymap.layers.report.change_site import NOT_COMPARED, ChangeSite
-from bumpymap.layers.report.markup import area
+from bumpymap.layers.report.change_page import NOT_COMPARED, ChangeSite
+from bumpymap.layers.report.words import area
 
 
 def band(folder, name):
@@ -111,7 +111,7 @@ def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read
 
 @pytest.mark.parametrize("step", [2, 7])
 def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, step):
-    import bumpymap.layers.report.change_site as module
+    import bumpymap.layers.report.change_page as module
 
     record = json.loads((comparison / "change.json").read_text())
     one = ChangeSite.read(comparison, record)

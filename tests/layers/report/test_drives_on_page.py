@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +15,8 @@ from route_records import MadeUpMap
 
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import check_headline, open_map, write_check, write_reports
-from bumpymap.layers.check.offset import LogAxis, MapOffset
-from bumpymap.layers.report.drives import along_chart, drive_chart
+from bumpymap.layers.check.offset import MapOffset
+from bumpymap.layers.report.charts import along_chart, drive_chart
 
 
 def on_site(result, site):
@@ -43,16 +44,6 @@ def checked(site, tmp_path_factory):
 def drawn(site, checked, tmp_path_factory):
     folder = tmp_path_factory.mktemp("drawn")
     return write_reports([site], folder / "page.html", check=checked[0])
-
-
-def test_the_page_says_what_the_check_says(drawn, checked, read_page):
-    page, (_, result) = read_page(drawn), checked
-    outline = Outline(page.text)
-    assert check_headline(result).replace("'", "&#x27;") in page.text
-    rows = outline.tables["Map against drives"]
-    assert rows[1][:2] == ["all", "49"]
-    assert "onerror=alert(1)&gt;" in page.text
-    assert "<img src=x" not in page.text
 
 
 def test_every_stretch_is_on_the_map(drawn, checked, read_page):
@@ -120,25 +111,27 @@ def test_nothing_to_compare_is_drawn_without_a_chart(site, tmp_path, read_page):
     assert "chart-drives" not in page.text
 
 
-def test_the_page_of_a_check_holds_map_figures_and_drives(checked, read_page):
+def test_both_pages_hold_map_figures_and_drives(checked, drawn, read_page):
     out, result = checked
-    page = read_page(out / "check.html")
-    outline = Outline(page.text)
-    (about,) = page.data["maps"]
-    assert len(about["stretches"]) == 50
-    assert check_headline(result).replace("'", "&#x27;") in page.text
-    rows = outline.tables["Map against drives"]
-    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
-    assert [row[0] for row in rows[1:]] == ["all", *classes]
-    assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
-    (worst,) = (table for title, table in outline.tables.items() if title.startswith("Stretches that are off"))
-    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
-    ratio = np.array([float(row[6]) for row in worst[1:]])
-    assert 0 < len(worst) - 1 <= 10
-    assert ratio == pytest.approx(c_r / measured, rel=0.03)
-    assert outline.tables["Parts of the ways that do not count"][1:] == [["turning", "241 m"], ["no position", "178 m"]]
-    assert "<img src=x" not in page.text
-    assert page.text.count("<circle") == 49 + 50
+    for path in (out / "check.html", drawn):
+        page = read_page(path)
+        outline = Outline(page.text)
+        (about,) = page.data["maps"]
+        assert len(about["stretches"]) == 50
+        assert check_headline(result) in unescape(page.text)
+        rows = outline.tables["Map against drives"]
+        classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
+        assert [row[0] for row in rows[1:]] == ["all", *classes]
+        assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
+        (worst,) = (table for title, table in outline.tables.items() if title.startswith("Stretches that are off"))
+        measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
+        assert 0 < len(worst) - 1 <= 10
+        assert np.array([float(row[6]) for row in worst[1:]]) == pytest.approx(c_r / measured, rel=0.03)
+        why = outline.tables["Parts of the ways that do not count"][1:]
+        assert why == [["turning", "241 m"], ["no position", "178 m"]]
+        assert "onerror=alert(1)&gt;" in page.text
+        assert "<img src=x" not in page.text
+        assert page.text.count("<circle") == 49 + 50
 
 
 def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
@@ -150,7 +143,7 @@ def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
     assert "Map against drives" not in Outline(page.text).tables
     assert "Spearman" not in page.text
     assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
-    assert "<li>drive 1: no standstill</li><li>drive 1: too fast</li>" in page.text
+    assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
     assert "<li>drive 2: times are Unix seconds</li>" in page.text
 
 
@@ -167,7 +160,7 @@ MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text
 
 def test_a_mark_lies_at_what_map_and_drive_say():
     result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
-    chart, along = drive_chart(result, ""), along_chart(result, "")
+    chart, along = ("".join(draw(result, "").elements) for draw in (drive_chart, along_chart))
     (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
     ticks = np.array(re.findall(TICK, chart), float)
     scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
@@ -186,30 +179,7 @@ def test_odd_findings_are_drawn_too(case):
     if case == "nothing measured":
         result = replace(result, stretches=replace(result.stretches, measured=np.full(8, np.nan)), agreement=None)
     for chart in (drive_chart(result, "a"), along_chart(result, "b")):
-        assert "nan" not in chart
-        assert not chart or Outline(chart).ids
-
-
-def test_a_logarithmic_axis_holds_its_values_and_round_numbers():
-    axis = LogAxis.around(np.array([0.03, 0.9]))
-    assert axis.part(np.array([axis.low, np.sqrt(axis.low * axis.high), axis.high])) == pytest.approx([0.0, 0.5, 1.0])
-    assert axis.ticks == [0.05, 0.1, 0.2, 0.5, 1.0]
-    assert axis.part(np.array([-1.0, 1e9])).tolist() == [0.0, 1.0]
-    one = LogAxis.around(np.array([0.2]))
-    assert one.high / one.low == pytest.approx(4.0)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    import shutil
-
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        # in a container Chromium cannot make a sandbox of its own
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        yield browser
-        browser.close()
+        assert chart is None or "nan" not in "".join(chart.elements)
 
 
 _ON_SCREEN = """at => {

@@ -47,8 +47,8 @@ def test_a_summary_says_them_in_degrees():
 
 def test_they_rise_and_the_floor_is_below_rough_ground():
     real = read_surfaces()
-    assert list(real.c_r.values()) == sorted(real.c_r.values())
-    assert 0 < real.floor[0] < real.floor[1] < real.c_r["snow"]
+    assert list(real["c_r"].values()) == sorted(real["c_r"].values())
+    assert 0 < real["floor"][0] < real["floor"][1] < real["c_r"]["snow"]
 
 
 def test_they_name_their_source():

@@ -1,7 +1,5 @@
 """report.html in a real browser: no error, no request, nothing that a screen reader trips over, usable by keyboard."""
 
-import shutil
-
 import numpy as np
 import pytest
 from route_maps import RUN, copy_folder
@@ -12,17 +10,6 @@ from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE = (1400, 900), (400, 800)
-
-
-@pytest.fixture(scope="module")
-def browser():
-    from playwright.sync_api import sync_playwright
-
-    with sync_playwright() as driver:
-        # in a container Chromium cannot make a sandbox of its own
-        browser = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        yield browser
-        browser.close()
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers import CLASS_COLOURS, paint_route, write_route_picture
 from bumpymap.layers.colours import RideScale, nice_limit
 from bumpymap.layers.geotiff import box_sum
-from bumpymap.layers.route import drawing, picture as picture_module
+from bumpymap.layers.route import drawing
 from bumpymap.layers.route.drawing import (
     BARRED_SHADE,
     HATCH,
@@ -255,16 +255,6 @@ def test_lines_have_smooth_edges():
     assert shades[[0, -1]].tolist() == [0, 255]
 
 
-def test_the_title_says_how_far_and_for_whom():
-    one, other = make_route("to the quarry"), replace(make_route(), vehicle=RouteVehicle("jackal", 0.4, 1.0))
-    assert picture_module._title([one]) == "to the quarry: 261 m for warthog"
-    assert picture_module._title([one, one]) == "2 ways for warthog, the first 261 m"
-    assert picture_module._title([one, other]) == "2 ways for warthog, jackal, the first 261 m"
-    far = replace(one, figures=replace(one.figures, length_m=12_345.0))
-    assert picture_module._title([far]) == "to the quarry: 12.3 km for warthog"
-    assert len(picture_module._title([replace(one, name="n" * 500)])) < 120
-
-
 def words_of(routes, ground, monkeypatch):
     """All texts that are written into a picture."""
     words = []
@@ -277,6 +267,16 @@ def words_of(routes, ground, monkeypatch):
     monkeypatch.setattr(Pen, "text", listen)
     paint_route(routes, ground)
     return words
+
+
+def test_the_title_says_how_far_and_for_whom(ground, monkeypatch):
+    one, other = make_route("to the quarry"), replace(make_route(), vehicle=RouteVehicle("jackal", 0.4, 1.0))
+    assert "to the quarry: 261 m for warthog" in words_of([one], ground, monkeypatch)
+    assert "2 ways for warthog, jackal, the first 261 m" in words_of([one, other], ground, monkeypatch)
+    far = replace(one, name="n" * 500, figures=replace(one.figures, length_m=12_345.0))
+    words = words_of([far], ground, monkeypatch)
+    assert words[0].endswith("...: 12.3 km for warthog")
+    assert max(map(len, words)) < 120
 
 
 def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):

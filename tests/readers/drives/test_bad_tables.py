@@ -63,7 +63,7 @@ def test_a_message_of_missing_rates_lists_the_columns(tmp_path):
         (lambda c: c.update(lat=c["lon"], lon=c["lat"]), "seem to be swapped"),
         (lambda c: c["lat"].fill(1_904_322.0), "reach"),
         (lambda c: c["lat"].fill(4807.038), "Degrees with minutes"),
-        (lambda c: c.update(time=c["time"] * 1e-3), "cannot be told"),
+        (lambda c: c.update(time=c["time"] * 1e-3), "cannot be determined"),
     ],
 )
 def test_columns_that_cannot_be_meant(tmp_path, change, says):

@@ -95,6 +95,30 @@ def test_all_faults_of_a_table_are_said_at_once(tmp_path):
     assert not (tmp_path / "o").exists()
 
 
+def test_all_faults_of_one_row_are_said_at_once(tmp_path):
+    """A value of the wrong kind, or a column too many, hides neither a value out of bounds nor a missing file."""
+    head = "survey,name,crs,vehicle,model,tile_size,pixels,sheets,max_unknown,ground,colour\n"
+    row = "none.laz,../b,EPSG:99999,truck,none.onnx,-3,2.5,50 km,150%,CSV,red\n"
+    (tmp_path / "a.csv").write_text(head + row)
+    with pytest.raises(UsageError) as caught:
+        run_batch(BatchConfig(tmp_path / "a.csv", tmp_path / "o"))
+    for said in (
+        "11 errors",
+        "unknown column colour; there are: survey, name, tile_size",
+        "the name is '../b'; it must be the name of a folder",
+        "there is no file or folder",
+        "'EPSG:99999' is not a coordinate reference system",
+        "no vehicle 'truck'",
+        "none.onnx, given as the model",
+        "tile_size is -3.0; it must be a number from 0.05 to 1000 m",
+        "pixels is '2.5'; it must be a whole number from 3 to 255",
+        "sheets is '50 km'; it must be a number from 0.001 to 10000 km",
+        "max_unknown is '150%'; it must be a share such as 50% or 0.5",
+        "ground is 'CSV'; it must be one of auto, all, class, csf",
+    ):
+        assert said in str(caught.value)
+
+
 @pytest.mark.parametrize("given", [{"vehicle": "truck"}, {"crs": "EPSG:99999"}, {"calibration": "none.json"}])
 def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path, given):
     write_survey(tmp_path / "a.las")
