@@ -73,8 +73,6 @@ class MapTask:
     """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
     """Largest picture of the map to make."""
-    memory: str | None = None
-    """The setting of the batch, of which ``config`` has a share."""
     started_by: Holder | None = None
     """The batch, for whoever finds the folder locked."""
 
@@ -194,7 +192,7 @@ def _run(task: MapTask) -> MapResult:
     from bumpymap.survey.pipeline import map_surveys
 
     out, progress = task.config.out, _Begun()
-    run = partial(map_surveys, progress=progress, crs_must_agree=False, recorded_memory=task.memory)
+    run = partial(map_surveys, progress=progress, crs_must_agree=False)
     resume = is_interrupted(out)
     try:
         return run(replace(task.config, resume=resume))
