@@ -65,6 +65,7 @@ from .errors import (
     refused_write as refused_write,
     share_text as share_text,
     shares_text as shares_text,
+    write_remedy as write_remedy,
 )
 from .files import (
     STAGED as STAGED,

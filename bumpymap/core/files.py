@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
 
-from bumpymap.core.errors import OutputError, UsageError, escape_controls
+from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
 
 __all__ = [
     "STAGED",
@@ -221,8 +221,9 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
         _move(temporary, target)
     except (OSError, *failures) as error:  # type: ignore[misc]
         raise OutputError(
-            f"cannot write {target}: {error}. Free some space, or choose a folder that can be written, "
-            "with `out`; nothing half-written was left there"
+            f"cannot write {target}: {error}. "
+            f"{write_remedy(error, 'Free some space, or choose a folder that can be written, with `out`')}; "
+            "nothing half-written was left there"
         ) from error
     finally:
         # Not by a pattern: Python would keep each one compiled.

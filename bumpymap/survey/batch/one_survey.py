@@ -35,6 +35,7 @@ from bumpymap.core import (
     locked,
     missing_resource,
     read_record,
+    refused_write,
     remove_path,
 )
 from bumpymap.layers import (
@@ -226,8 +227,10 @@ class _Begun(SilentProgress):
 
 
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
-    what = missing_resource(error)
+    what, full = missing_resource(error), refused_write(error)
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
+    if full and not isinstance(error, BumpymapError):
+        message = f"{message} ({full})"
     message = message.replace(_NOT_RESUME, "")
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
