@@ -201,6 +201,7 @@ from .settings_file import (
     refuse_faults as refuse_faults,
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
+    short_names as short_names,
     short_repr as short_repr,
 )
 from .shared_kernels import (

@@ -131,7 +131,7 @@ def _shown(share: float, units: int, decimals: int, percent: str) -> str:
 def write_remedy(error: BaseException, remedy: str) -> str:
     """Return what helps after a failed write: a higher limit on the size of files if that was met, else ``remedy``."""
     if any(isinstance(cause, OSError) and cause.errno == errno.EFBIG for cause in error_chain(error)):
-        return f"The file would be larger than {_REFUSED[errno.EFBIG]} allows. Raise the limit"
+        return f"Raise {_REFUSED[errno.EFBIG]}"
     return remedy
 
 

@@ -44,6 +44,8 @@ __all__ = [
     "write_together",
 ]
 
+_MOST_SHOWN = 200
+"""Characters of the name of a value that a message shows."""
 _DEEPEST = 50
 """Deeper than any file that bumpymap writes."""
 
@@ -116,7 +118,7 @@ def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
     if isinstance(shape, Nullable):
         return "" if value is None else shape_fault(value, shape.shape, name)
     if wanted := _unlike(value, shape):
-        return f"{name} is {str(value)[:40]!r}; it must be {wanted}"
+        return f"{name[:_MOST_SHOWN]} is {str(value)[:40]!r}; it must be {wanted}"
     within = "" if name == "it" else f"{name}."
     faults = (shape_fault(entry, each, f"{within}{key}") for key, entry, each in _inner(value, shape))
     return next(filter(None, faults), "")
