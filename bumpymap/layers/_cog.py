@@ -20,6 +20,7 @@ import threading
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -28,7 +29,7 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.errors import RasterioError
+from rasterio.errors import RasterioError, StatisticsError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
@@ -187,7 +188,18 @@ SMALL = 128 << 20
 _SPARSE_FROM = 16 << 20
 """Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 _gdal = threading.Lock()
-"""Held while GDAL makes a raster, see `_integrity`."""
+"""Held while GDAL makes a raster, see above."""
+_is_fork = False
+"""Whether this process was forked: GDAL's threads, if it had any, have stayed in the other."""
+
+
+def _reset_after_fork() -> None:
+    global _gdal, _is_fork
+    _gdal, _is_fork = threading.Lock(), True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def write_cog(
@@ -297,10 +309,20 @@ def _convert(scratch: str, layer: str, spec: RasterSpec) -> None:
     if spec.counts_nodata:
         _build_overviews(scratch, spec)
         options["OVERVIEWS"] = "FORCE_USE_EXISTING"
-    else:
-        options["STATISTICS"] = "YES"  # with it GDAL (3.10) makes overviews again; a mean of codes says nothing anyway
+    else:  # with statistics GDAL (3.10) makes overviews again; a mean of codes says nothing anyway
+        _note_statistics(scratch)
     options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "YES"}
     rasterio.shutil.copy(scratch, layer, driver="COG", **options)
+
+
+def _note_statistics(scratch: str) -> None:
+    """Write statistics of its bands into the scratch raster; GDAL's COG driver takes them over.
+
+    Where the driver makes them itself, by its option ``STATISTICS``, it goes through a raster without a name, for which
+    GDAL (3.10) opens the files ``.ovr`` and ``.msk`` of the current folder by any driver: they may lead to a URL.
+    """
+    with rasterio.open(scratch, "r+") as file, suppress(StatisticsError):  # a band without a value has none
+        file.update_stats(approx=False)
 
 
 def _build_overviews(scratch: str, spec: RasterSpec) -> None:
@@ -323,9 +345,11 @@ def gdal_threads() -> str:
 
     Blocks are written in order, so the bytes do not depend on it. GDAL waits forever for a thread that could not be
     started (seen in 3.10), so it gets one thread if address space is limited (with ``ulimit -v``, GDAL's own memory may
-    leave no space for a thread's stack) or if one thread for each core cannot be started right now.
+    leave no space for a thread's stack), if one thread for each core cannot be started right now, or in a forked
+    process, in which those that it has started are not.
     """
-    if resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+    limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+    if limited or _is_fork:
         return "1"
     end = threading.Event()
     started: list[threading.Thread] = []

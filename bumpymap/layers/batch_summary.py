@@ -30,6 +30,7 @@ from bumpymap.core import (
     stated_crs,
     utf8_path,
     write_csv,
+    write_remedy,
     write_together,
 )
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
@@ -426,7 +427,9 @@ def write_batch_summary(
             _write_parquet(rows, path / _PARQUET)
             (path / _PAGE).write_text(index_page(rows, views, links, title, note), encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write the summary to {folder}: {error}. Free some space there") from error
+        raise OutputError(
+            f"cannot write the summary to {folder}: {error}. {write_remedy(error, 'Free some space there')}"
+        ) from error
 
 
 def _cell(value: Any) -> Any:

@@ -3,10 +3,10 @@
 import os
 import shutil
 import tempfile
-import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,7 +27,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import open_layer, require_format, require_map_written
+from bumpymap.layers.map_files import open_layer, read_features, require_format, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -80,7 +80,8 @@ class Layers:
         self._sheets = sheet_folders(self._folder)
         self._checked: set[str] = set()
         if in_memory:
-            weakref.finalize(self, _remove, self._folder, os.getpid())
+            # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
+            Finalize(self, shutil.rmtree, (self._folder, True), exitpriority=0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the path of the folder; of layers in memory, the files."""
@@ -400,13 +401,11 @@ class Layers:
 
     def _table(self, name: str) -> "geopandas.GeoDataFrame":
         """Read a table of every sheet, joined in the order of the sheets."""
-        geopandas = import_notebook("geopandas")
-        read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
+        read = _read_parquet if name.endswith(".parquet") else _read_features
         parts = []
         self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
-                require_format(path)
                 parts.append(read(path))
         return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
 
@@ -421,6 +420,16 @@ class Layers:
             raise
         except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+
+
+def _read_parquet(path: Path) -> "geopandas.GeoDataFrame":
+    require_format(path)
+    return import_notebook("geopandas").read_parquet(path)
+
+
+def _read_features(path: Path) -> "geopandas.GeoDataFrame":
+    table, geopandas = read_features(path), import_notebook("geopandas")
+    return geopandas.GeoDataFrame(table.columns, geometry=geopandas.GeoSeries.from_wkb(table.geometry), crs=table.crs)
 
 
 def open_layers(folder: str | os.PathLike[str]) -> Layers:
@@ -467,12 +476,6 @@ def _unpickled(files: dict[str, bytes]) -> Layers:
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-
-
-def _remove(folder: Path, process: int) -> None:
-    """Delete a folder of layers in memory; not in a fork of the process that has them."""
-    if os.getpid() == process:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def temporary_folder() -> str:

@@ -1,7 +1,7 @@
 """Points and areas of a user's file, for routes: geometries, names and CRS; the tiles that areas touch or hold.
 
 GeoJSON, GPX and CSV are read here: GDAL would choose a driver by what the file holds, and some formats name other files
-or URLs to read. The binary formats go to GDAL once they begin as their name says.
+or URLs to read. The binary formats go to `read_features`.
 """
 
 import csv
@@ -9,8 +9,7 @@ import io
 import json
 import logging
 import os
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,14 +21,35 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from bumpymap.core import BadInputError, describe_crs, parse_json, read_regular, stated_crs
-from bumpymap.layers.map_files import require_format
+from bumpymap.core import (
+    BadInputError,
+    Each,
+    Nullable,
+    Number,
+    describe_crs,
+    parse_json,
+    read_regular,
+    shape_fault,
+    short_names,
+    short_repr,
+    stated_crs,
+)
+from bumpymap.layers.map_files import read_features
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["FilePoint", "VectorLayer", "read_areas", "read_points", "read_vectors", "tiles_in", "tiles_within"]
+__all__ = [
+    "FilePoint",
+    "VectorLayer",
+    "geojson_features",
+    "line_parts",
+    "read_areas",
+    "read_points",
+    "read_vectors",
+    "tiles_in",
+    "tiles_within",
+]
 
-"""Largest GeoJSON or GPX file that is read."""
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
 
@@ -59,35 +79,106 @@ def read_vectors(path: Path) -> VectorLayer:
             return _read_geojson(path)
         if path.suffix.lower() == ".gpx":
             return _read_gpx(path)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, SyntaxError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
-    except (CRSError, shapely.errors.GEOSException) as error:
+    except CRSError as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-    require_format(path)
-    return _read_by_gdal(path)
+    return _read_table(path)
 
 
 def _text(path: Path) -> str:
     return read_regular(path).decode("utf-8-sig")
 
 
-def _read_geojson(path: Path) -> VectorLayer:
+_GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
+_FEATURE = {"type": str, "geometry?": Nullable(_GEOMETRY), "properties?": Nullable(Each())}
+_GEOJSON_SHAPE = {
+    **_FEATURE,
+    **_GEOMETRY,
+    "features?": [_FEATURE],
+    "crs?": Nullable({"type": str, "properties": {"name?": str}}),
+}
+
+
+def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, Any]]], str | None]:
+    """Read a GeoJSON file.
+
+    Returns
+    -------
+    features : list of (dict, dict)
+        Geometry, with two numbers for each position, and properties of each feature that has a geometry.
+    crs : str, optional
+        Name of the CRS that the file states; files of RFC 7946 state none.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read, or is no GeoJSON.
+    """
     record = parse_json(_text(path))
-    if not isinstance(record, dict) or "type" not in record:
-        raise ValueError("it is no GeoJSON: it has no type")
-    features = record["features"] if record["type"] == "FeatureCollection" else [record]
-    found, names = [], []
-    for feature in features:
-        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+    if fault := shape_fault(record, _GEOJSON_SHAPE):
+        raise ValueError(f"it is no GeoJSON: {fault}")
+    stated = record.get("crs") or {"type": "name", "properties": {}}
+    if stated["type"] != "name":
+        raise ValueError("its CRS is given by a link, which is not followed")
+    found = []
+    for number, one in enumerate(record.get("features", ()) if record["type"] == "FeatureCollection" else [record], 1):
+        geometry, about = (one.get("geometry"), one.get("properties")) if one["type"] == "Feature" else (one, None)
         if geometry is not None:
-            found.append(json.dumps(geometry, allow_nan=False))
-            names.append((feature.get("properties") or {}).get("name") if feature["type"] == "Feature" else None)
-    shapes = np.asarray(shapely.force_2d(shapely.from_geojson(found)), object)
-    stated = record.get("crs")
+            found.append((_flat(geometry, f"the geometry of feature {number}"), about or {}))
+    return found, stated["properties"].get("name")
+
+
+def line_parts(geometry: Mapping[str, Any]) -> list[NDArray[np.float64]]:
+    """Return the positions of each line of a LineString or MultiLineString of `geojson_features`, (n, 2) each.
+
+    Raises
+    ------
+    ValueError
+        It is damaged.
+    """
+    parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
+    if not parts or not all(isinstance(part, list) and part and all(map(_is_position, part)) for part in parts):
+        raise ValueError(f"a {geometry['type']} of it is damaged: it is no list of positions")
+    return [np.array(part, np.float64) for part in parts]
+
+
+def _is_position(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
+
+
+def _flat(geometry: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a geometry with two numbers for each position; ValueError if it is none."""
+    if fault := shape_fault(geometry, _GEOMETRY, name):
+        raise ValueError(fault)
+    if geometry["type"] == "GeometryCollection":
+        return {"type": geometry["type"], "geometries": [_flat(part, name) for part in geometry.get("geometries", ())]}
+    return {"type": geometry["type"], "coordinates": _positions(geometry.get("coordinates"), name)}
+
+
+def _positions(value: Any, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name} has coordinates that are no arrays of numbers: {str(value)[:40]!r}")  # noqa: TRY004 (the content of a file)
+    if not value or isinstance(value[0], list):
+        return [_positions(part, name) for part in value]
+    if shape_fault(value[:2], (Number(), Number())):
+        raise ValueError(f"{name} has a position that is no two numbers: {str(value)[:40]!r}")
+    return value[:2]
+
+
+def _read_geojson(path: Path) -> VectorLayer:
+    features, stated = geojson_features(path)
+    found = []
+    for geometry, _ in features:
+        try:
+            found.append(shapely.from_geojson(json.dumps(geometry)))
+        except shapely.errors.GEOSException as error:
+            said = str(error).partition(": ")[2].splitlines()[0]
+            raise ValueError(f"a {geometry['type']} of it is damaged: {said}") from error
+    shapes = np.array(found, object)
+    names = [about.get("name") for _, about in features]
     if stated is not None:
-        if stated["type"] != "name":
-            raise ValueError("its CRS is given by a link, which is not followed")
-        return _layer(shapes, names, stated_crs(str(stated["properties"]["name"])))
+        return _layer(shapes, names, stated_crs(stated))
     degrees = (np.abs(shapely.get_coordinates(shapes)) <= (180.0, 90.0)).all()
     return _layer(shapes, names, CRS.from_user_input("OGC:CRS84") if degrees else None)
 
@@ -103,42 +194,23 @@ def _read_gpx(path: Path) -> VectorLayer:
 
 def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, float], str | None]]:
     for point in root.iterfind(path):
-        place = float(point.attrib["lon"]), float(point.attrib["lat"])
+        try:
+            place = float(point.attrib["lon"]), float(point.attrib["lat"])
+        except (KeyError, ValueError):
+            place = (np.nan, np.nan)
         if not np.isfinite(place).all():
-            raise ValueError("a point of it is not a place")
+            said = ", ".join(f"{name}={value[:40]!r}" for name, value in list(point.attrib.items())[:4])
+            raise ValueError(f"a point of it is not a place: {said or 'it has no lon and lat'}")
         yield place, point.findtext("{*}name")
 
 
-def _read_by_gdal(path: Path) -> VectorLayer:
-    import pyogrio
-    from pyogrio.raw import read
-
-    errors = (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        pyogrio.errors.FeatureError,
-        pyogrio.errors.FieldError,
-        pyogrio.errors.GeometryError,
-        shapely.errors.GEOSException,
-        CRSError,
-        ValueError,
-        UnboundLocalError,  # of pyogrio, where the CRS is no text
-    )
+def _read_table(path: Path) -> VectorLayer:
+    table = read_features(path, ["name"])
     try:
-        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-        if len(layers) != 1:
-            listed = ", ".join(layers) or "none"
-            raise BadInputError(f"{path} must hold one layer of geometries; it holds: {listed}. Save one by itself")
-        with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
-            about, _, wkb, columns = read(path, layer=layers[0], columns=["name"], force_2d=True)
-        crs = None if about["crs"] is None else stated_crs(about["crs"])
-        geometry = shapely.from_wkb(wkb)
-    except errors as error:
-        # GDAL's text on a file that it cannot open gives advice on GDAL.
-        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
-        said = "it is damaged" if damaged else error
-        raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
-    return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
+        names = table.columns.get("name", [None] * len(table.geometry))
+        return _layer(shapely.from_wkb(table.geometry), names, None if table.crs is None else stated_crs(table.crs))
+    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
+        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
 def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:
@@ -250,12 +322,12 @@ def _read_csv(path: Path) -> list[FilePoint]:
                 columns = [names.index(name) for name in pair]
                 name_column = names.index("name") if "name" in names else None
                 filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
-                where = [f"{path}, line {number}: '{separator.join(line)}'" for number, line in filled]
+                where = [f"{path}, line {number}: {short_repr(separator.join(line))}" for number, line in filled]
                 return [
                     _point(at, number, line, columns, name_column, system)
                     for at, (number, line) in zip(where, filled, strict=True)
                 ]
-    raise BadInputError(f"{path} has the columns {', '.join(names) or '(none)'}; it needs {_ALLOWED}")
+    raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
 
 
 def _point(
@@ -286,7 +358,9 @@ _STEPS = 4096
 _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
 _NEAR_M = 5000.0
-"""How far from the map areas may lie whose numbers are thought to be swapped, m."""
+"""How far from the map areas may lie whose numbers are thought to be swapped or degrees, m."""
+_MOST_NAMED = 5
+"""Areas that a message names at most."""
 
 
 def read_areas(
@@ -304,18 +378,19 @@ def read_areas(
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
     route_map : RouteMap
     allow_outside : bool
-        Whether it is no error that no area lies on the map.
+        Whether it is no error that an area does not lie on the map.
 
     Returns
     -------
     array (n,) of shapely polygons
-        In metres on the grid, cut off somewhat beyond the map; empty if none lies on it, which is logged as a warning.
+        In metres on the grid, cut off somewhat beyond the map; without those that do not lie on it, which a warning
+        names.
 
     Raises
     ------
     BadInputError
         The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
-        the map has one, or one while the map has none; or no area lies on the map.
+        the map has one, or one while the map has none; or an area does not lie on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
@@ -326,38 +401,60 @@ def read_areas(
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
         held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
         raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
-    areas = _on_map(path, layer.geometry, layer.crs, route_map)
-    if not len(areas):
-        hint = ""
-        if _near_swapped(layer.geometry, route_map):
-            hint = "They would if x (east) and y (north), or longitude and latitude, changed places. "
-        said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
+    areas, is_on = _on_map(path, layer.geometry, layer.crs, route_map)
+    if not is_on.all():
+        said = f"{_beside(path, layer, is_on, route_map)}. {_hint(layer.geometry[~is_on], layer.crs, route_map)}"
         if not allow_outside:
             raise BadInputError(
-                f"{said}Give areas on the map, or pass `allow_outside=True` if there need be none, as when one file "
-                "serves several maps"
+                f"{said}Give areas on the map, or pass `allow_outside=True` if they need not be there, as when one "
+                "file serves several maps"
             )
         _log.warning("%s", said.strip())
     return areas
 
 
-def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
-    """Return the polygons that lie on the map, in metres on the grid."""
+def _on_map(
+    path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap
+) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
+    """Return the polygons that lie on the map, in metres on the grid, and which of the geometries (n,) have such."""
     placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
-    areas: NDArray[np.object_] = shapely.get_parts(placed)
-    areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
-    return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+    parts, owner = shapely.get_parts(placed, return_index=True)
+    is_on = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
+    is_on &= shapely.intersects(parts, _outline(route_map))
+    return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
 
 
-def _near_swapped(geometry: NDArray[np.object_], route_map: RouteMap) -> bool:
-    """Return whether a corner lies near the map if its two numbers change places, as degrees or in the map's CRS."""
-    x, y = shapely.get_coordinates(geometry).T[::-1]
-    places = [route_map.to_grid(x, y)]
-    degrees = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-    if route_map.has_crs and degrees.any():
-        places.append(route_map.from_lonlat(x[degrees], y[degrees]))
+def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map: RouteMap) -> str:
+    """Say which areas do not lie on the map; there is at least one."""
+    of_file = f"of {path}, read in {_system(layer.crs, route_map)},"
+    if not is_on.any():
+        return f"no area {of_file} lies on the map"
+    off = np.flatnonzero(~is_on)
+    shown = [f"{index + 1} ({name})" if (name := layer.names[index]) else f"{index + 1}" for index in off[:_MOST_NAMED]]
+    more = f" and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+    verb = "does" if len(off) == 1 else "do"
+    return f"{len(off)} of the {len(is_on)} areas {of_file} {verb} not lie on the map: number {', '.join(shown)}{more}"
+
+
+def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> str:
+    """Say as what areas would lie near the map, if anything is known."""
+    x, y = shapely.get_coordinates(geometry).T
+    if crs is None and _is_near(x, y, route_map, degrees=True):
+        return "As longitude and latitude they would: degrees and coordinates in the survey's CRS need a file each. "
+    if _is_near(y, x, route_map, degrees=False) or _is_near(y, x, route_map, degrees=True):
+        return "They would if x (east) and y (north), or longitude and latitude, changed places. "
+    return ""
+
+
+def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: RouteMap, *, degrees: bool) -> bool:
+    """Return whether a corner lies near the map, as degrees or in the map's CRS."""
     near = shapely.buffer(_outline(route_map), _NEAR_M)
-    return any(bool(shapely.intersects_xy(near, *place).any()) for place in places)
+    if not degrees:
+        return bool(shapely.intersects_xy(near, *route_map.to_grid(x, y)).any())
+    can_be = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
+    if not (route_map.has_crs and can_be.any()):
+        return False
+    return bool(shapely.intersects_xy(near, *route_map.from_lonlat(x[can_be], y[can_be])).any())
 
 
 def _system(crs: CRS | None, route_map: RouteMap) -> str:

@@ -10,9 +10,11 @@ from .ground.cloth import (
 )
 from .objects import (
     find_objects as find_objects,
-    find_standing as find_standing,
     find_steep as find_steep,
     settle_solids as settle_solids,
+)
+from .standing import (
+    find_standing as find_standing,
     take_off_standing as take_off_standing,
 )
 from .thin import (

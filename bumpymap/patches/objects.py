@@ -1,15 +1,15 @@
 """What stands on the ground or hangs over it: the points that are no ground, by their height above it."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import EMPTY, POINT_GROUND, POINT_OTHER, STEEP, ObjectStack, PatchStack, VehicleBody
-from bumpymap.patches import kernels
-from bumpytiles import BLOCK_TILES, Grid, TilePoints
+from bumpymap.core import EMPTY, STEEP, ObjectStack, PatchStack, VehicleBody
+from bumpymap.patches.kernels import solids
+from bumpymap.patches.kernels.measure import PointsByTile
+from bumpymap.patches.kernels.objects import ObjectLimits, TileObjects, find_in_tiles, object_scratch
+from bumpytiles import Grid, TilePoints
 
-__all__ = ["find_objects", "find_standing", "find_steep", "settle_solids", "take_off_standing"]
+__all__ = ["find_objects", "find_steep", "settle_solids"]
 
 _SCALARS = 4
 _STEEP = 0.7
@@ -47,18 +47,16 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
     scalars = np.empty((tiles, _SCALARS))
-    kernels.find_in_tiles(
-        kernels.PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row),
-        kernels.ObjectLimits(
+    find_in_tiles(
+        PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row),
+        ObjectLimits(
             tile_size=points.grid.tile_size,
             low=body.lowest_obstacle_m,
             high=body.height_m,
             share=_SHARE,
         ),
-        kernels.TileObjects(
-            np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars
-        ),
-        kernels.object_scratch(pixels),
+        TileObjects(np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars),
+        object_scratch(pixels),
     )
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
@@ -100,108 +98,11 @@ def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> ND
         ring tells.
     """
     out = np.empty_like(objects)
-    kernels.settle_solids(
+    solids.settle_solids(
         np.ascontiguousarray(objects),
         grid.pixels,
         max_hole / grid.pixel_size,
-        kernels.solid_scratch(*objects.shape),
+        solids.solid_scratch(*objects.shape),
         out,
     )
     return out
-
-
-_WIDTH = 1.8
-"""Width of what the ground filter may have left, m; wider things are above its threshold."""
-_RAISED = 0.5
-"""Height of the sides above the ground, as a share of the lowest obstacle."""
-_DROP, _REACH = 0.8, 0.3
-"""A side drops by this share of the lowest obstacle within so many m."""
-_STEEP_FOOT = 0.3
-"""Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
-
-Mosaic = NDArray[np.float32]
-Marks = NDArray[np.bool_]
-
-
-def take_off_standing(
-    points: TilePoints, patches: PatchStack, body: VehicleBody
-) -> tuple[TilePoints, PatchStack]:  # fmt: skip
-    """Take the pixels that stand out of the ground for no ground, so that `find_objects` sees what is in them.
-
-    Parameters
-    ----------
-    points : TilePoints
-        All points of one block; ``flag`` holds their kind.
-    patches : PatchStack
-        The same tiles, measured from the ground points.
-    body : VehicleBody
-        Outline of the vehicle.
-
-    Returns
-    -------
-    points : TilePoints
-        The same with the points in such pixels as no ground.
-    patches : PatchStack
-        The same with NaN for their ``heights``.
-    """
-    px, corner = points.grid.pixels, _corner(points)
-    block = np.full((BLOCK_TILES, BLOCK_TILES, px, px), np.nan, np.float32)
-    block[corner] = patches.heights
-    mosaic = block.swapaxes(1, 2).reshape(BLOCK_TILES * px, BLOCK_TILES * px)  # side by side, north up
-    found = find_standing(mosaic, body, points.grid.pixel_size)
-    standing: Marks = found.reshape(BLOCK_TILES, px, BLOCK_TILES, px).swapaxes(1, 2)[corner]
-    tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
-    asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
-    tile, grid = tiles[asked], points.grid
-    across = points.easting[asked] - points.col[tile] * grid.tile_size
-    along = points.northing[asked] - points.row[tile] * grid.tile_size
-    col, north = (
-        np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
-        for offset in (across, along)
-    )
-    flag = points.flag.astype(np.uint8)
-    flag[asked] = np.where(standing[tile, grid.pixels - 1 - north, col], POINT_OTHER, POINT_GROUND)
-    return replace(points, flag=flag), replace(patches, heights=np.where(standing, np.float32(np.nan), patches.heights))
-
-
-def find_standing(
-    heights: Mosaic, body: VehicleBody, pixel: float, *, width: float = _WIDTH, least: float = 0.0
-) -> Marks:  # fmt: skip
-    """Find narrow things with steep sides in a heightmap.
-
-    The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). A group of
-    pixels that are more than half the height of the lowest obstacle above it is a thing if at least 30 % of them lie
-    within 0.3 m of a place that is 80 % of that height lower.
-
-    Parameters
-    ----------
-    heights : float32 (rows, cols)
-        Mean height of the ground in each pixel, m; NaN where none is known.
-    body : VehicleBody
-        Its ``lowest_obstacle_m``, m.
-    pixel : float
-        Side of a pixel, m.
-    width : float
-        What is narrower stands on the ground, m; what is wider is ground at another level.
-    least : float
-        What of a thing is lower than this is left out, m.
-
-    Returns
-    -------
-    bool (rows, cols)
-        True in the pixels of such things.
-    """
-    disc, foot = max(1.5, 0.5 * width / pixel), max(1.5, _REACH / pixel)  # at least the eight neighbours
-    belly = body.lowest_obstacle_m
-    raised, drop, lowest = (float(np.float32(limit)) for limit in (_RAISED * belly, _DROP * belly, least))
-    limits = kernels.StandingLimits(disc, foot, raised, drop, lowest, _STEEP_FOOT)
-    marks = np.empty(heights.shape, np.bool_)
-    rows, cols = heights.shape
-    scratch = kernels.standing_scratch(rows, cols, disc)
-    kernels.mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
-    return marks
-
-
-def _corner(points: TilePoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows from the north and the columns of tiles in their block."""
-    return BLOCK_TILES - 1 - points.row % BLOCK_TILES, points.col % BLOCK_TILES

@@ -8,7 +8,8 @@ import pytest
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import OBSTACLE, SEEN, VehicleBody
 from bumpymap.patches.features import measure
-from bumpymap.patches.objects import find_objects, find_standing, take_off_standing
+from bumpymap.patches.objects import find_objects
+from bumpymap.patches.standing import find_standing, take_off_standing
 from bumpytiles import Grid, TileBuckets
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)

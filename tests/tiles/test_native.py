@@ -71,12 +71,17 @@ def place(tmp_path):
 ALONE = "from bumpytiles import native; native._kernels.clear()\n"  # the package's own kernels stay out of it
 
 
-def run(place, code=RUN, cache="cache"):
+def ran(place, code=RUN, cache="cache", here=None):
     paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(place / cache)}
-    done = subprocess.run([sys.executable, "-c", ALONE + code], env=env, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", ALONE + code]
+    done = subprocess.run(command, env=env, cwd=here, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    return done
+
+
+def run(*where, **how):
+    return ran(*where, **how).stdout.strip()
 
 
 def kept(place):
@@ -100,10 +105,32 @@ def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
     assert run(place) == first.replace("True", "False")
 
 
+def test_settings_of_the_current_folder_do_not_count(place):
+    """numba reads a file of them, and would compile for another processor or none."""
+    (place / "surveys").mkdir()
+    (place / "surveys" / ".numba_config.yaml").write_text("disable_jit: [")
+    first = run(place, here=place / "surveys")
+    assert first.startswith(NUMBERS)
+    assert first.endswith("False")
+
+
 def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):
     (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     run(place, "import other\n" + RUN)
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
+
+
+def test_what_is_loaded_is_compiled_before_it_is_called(place):
+    (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
+    (place / "third.py").write_text(SOURCE.replace("weigh(", "third("))
+    run(place, "import tiny, other\nnative.compile_loaded()")
+    assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
+
+
+def test_a_program_that_asks_for_no_reports_is_told_that_kernels_are_compiled(place):
+    """A notebook would look hung."""
+    assert "compiling 1 numerical kernel, once" in ran(place).stderr
+    assert ran(place).stderr == ""
 
 
 def test_it_tells_how_many_kernels_are_compiled(place):

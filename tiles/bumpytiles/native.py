@@ -9,7 +9,8 @@ numba is the compiler, and importing it and its cache takes longer than many a m
 - LLVM alone optimises that function, writes it to the cache, and loads it in later runs; ctypes calls it.
 
 Compiling happens in processes beside the run, for all kernel modules at once: it takes less time, and the memory that
-a compiler needs is not taken from the run. It takes many seconds, so it is told how far it is (`compiling_reports`).
+a compiler needs is not taken from the run. It takes many seconds, so it is told how far it is (`compiling_reports`);
+where nobody asks for that, a warning says that it has begun.
 
 What that asks of a kernel: annotated parameters and no result. A parameter is a number, an array
 (``Annotated[NDArray[np.float64], 2]``: two dimensions, C-contiguous) or a NamedTuple of these. No allocation, no
@@ -49,6 +50,7 @@ import numpy as np
 __all__ = [
     "Kernel",
     "blocked_signals",
+    "compile_loaded",
     "compile_packages",
     "compiling_reports",
     "helper",
@@ -508,18 +510,14 @@ def compile_modules(*modules: str) -> None:
                     os.write(1, b".")
 
 
-def compile_packages(*packages: str, at_once: bool = True) -> bool:
-    """Compile what the cache has not of all kernels in some packages; False where nothing can be kept.
+def compile_loaded() -> None:
+    """Compile what the cache has not of the kernels that are loaded, before other processes need them."""
+    if all(each.can_keep() for kernels in _kernels.values() for each in kernels):
+        _children.compile(*_kernels)
 
-    Parameters
-    ----------
-    *packages : str
-    at_once : bool
-        False: only if one of the kernels that are loaded already is not in the cache.
-    """
-    loaded = [each for kernels in _kernels.values() for each in kernels]
-    if not at_once and all(each.load() is not None or not each.can_keep() for each in loaded):
-        return True
+
+def compile_packages(*packages: str) -> bool:
+    """Compile what the cache has not of all kernels in some packages; False where nothing can be kept."""
     names = [
         ".".join((package, *file.relative_to(folder).with_suffix("").parts))
         for package in packages
@@ -597,7 +595,8 @@ class _Children:
             for report in _reports:
                 report(self._done, self._total)
         if kernels > 0 and not _reports:
-            _log.info("compiling %d numerical kernels, once; this takes many seconds", kernels)
+            plural = "s" * (kernels > 1)
+            _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", kernels, plural)
 
 
 _children = _Children()
@@ -609,9 +608,11 @@ def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
         return None
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
-    env = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
+    env = {"PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path), "NUMBA_OPT": "0"}
+    output: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     with suppress(OSError):
-        return start_python(["-c", code, *modules], environment=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        # Not in the current folder, where numba would read settings.
+        return start_python(["-c", code, *modules], environment=env, cwd=Path(__file__).parent, **output)
     return None
 
 

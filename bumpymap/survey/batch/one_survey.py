@@ -35,6 +35,7 @@ from bumpymap.core import (
     locked,
     missing_resource,
     read_record,
+    refused_write,
     remove_path,
 )
 from bumpymap.layers import (
@@ -49,8 +50,9 @@ from bumpymap.layers import (
     read_thumbnail,
     write_manifest,
 )
+from bumpymap.survey.pipeline import map_surveys, recorded_result
 from bumpymap.survey.run_record import MapResult, WarningCollector
-from bumpytiles import compile_packages
+from bumpytiles import compile_loaded
 
 __all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
 
@@ -72,8 +74,6 @@ class MapTask:
     """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
     """Largest picture of the map to make."""
-    memory: str | None = None
-    """The setting of the batch, of which ``config`` has a share."""
     started_by: Holder | None = None
     """The batch, for whoever finds the folder locked."""
 
@@ -155,8 +155,6 @@ def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> Sur
     OutputError
         They were made from other inputs or settings, or one of them is not there as a whole.
     """
-    from bumpymap.survey.pipeline import recorded_result
-
     with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
         write_manifest(manifest, Path(name) / MANIFEST_NAME)
         config = replace(task.config, out=Path(name))
@@ -199,10 +197,8 @@ def _run(task: MapTask) -> MapResult:
 
     An interrupted run of other inputs or settings has left no layers, so it is always replaced.
     """
-    from bumpymap.survey.pipeline import map_surveys
-
     out, progress = task.config.out, _Begun()
-    run = partial(map_surveys, progress=progress, crs_must_agree=False, recorded_memory=task.memory)
+    run = partial(map_surveys, progress=progress, crs_must_agree=False)
     resume = is_interrupted(out)
     try:
         return run(replace(task.config, resume=resume))
@@ -236,8 +232,10 @@ class _Begun(SilentProgress):
 
 
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
-    what = missing_resource(error)
+    what, full = missing_resource(error), refused_write(error)
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
+    if full and not isinstance(error, BumpymapError):
+        message = f"{message} ({full})"
     message = message.replace(_NOT_RESUME, "")
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
@@ -286,7 +284,7 @@ def map_tasks(
     UsageError
         No process can be started.
     """
-    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is shown, and not done by each worker
+    compile_loaded()  # all of a map; here it is shown, and not done by each worker
     workers = _Workers()
     waiting = deque(tasks)
     try:
