@@ -92,16 +92,7 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
     first k are found, k the last whose probability is at most share k / n. It holds for tests that are independent, and
     for neighbouring tiles, whose errors go together (Benjamini and Yekutieli 2001, Ann. Stat. 29).
 
-    Parameters
-    ----------
-    probability : array
-        Of each test, if nothing has changed; NaN: not tested.
-    share : float
-        0..1.
-
-    Returns
-    -------
-    bool array of the same shape
+    ``probability``: of each test, if nothing has changed; NaN: not tested; ``share``: 0..1.
     """
     tested = np.isfinite(probability)
     rising = np.sort(probability[tested])
@@ -128,13 +119,8 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     One, unless the surveys are so thin that few pixels hold points of both: then pixels are taken together, so that
     most cells do.
 
-    Parameters
-    ----------
-    pair : SurveyPair
-    shared : bool array (rows, cols)
-        Tiles that both surveys have.
-    coverage : array (rows, cols)
-        Share of the pixels that hold points of both, if they fell at random: the product of both coverages.
+    ``shared`` (rows, cols): tiles that both surveys have; ``coverage`` (rows, cols): share of the pixels that hold
+    points of both, if they fell at random: the product of both coverages.
     """
     pixels = pair.before.grid.pixels
     factors = [factor for factor in range(1, pixels // _LEAST_SIDE + 1) if pixels % factor == 0]
@@ -226,17 +212,8 @@ class CommonError:
 def ride_z(before: Bands, after: Bands, common: CommonError | None = None) -> Floats:
     """Return the difference of ln c_r over its combined spread; the spreads are those of the 80 % intervals of ln c_r.
 
-    Parameters
-    ----------
-    before, after : three arrays each, of one shape
-        ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m.
-    common : CommonError, optional
-        Taken off both spreads.
-
-    Returns
-    -------
-    float64 array of that shape
-        NaN where one of the two is unknown or not positive.
+    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m; ``common``: taken off both spreads. Returns NaN
+    where one of the two is unknown or not positive.
     """
     shared = common or CommonError()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -294,10 +271,8 @@ def coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
 def compare_heights(difference: Floats) -> GroundChange:
     """Compare the heightmaps of tiles.
 
-    Parameters
-    ----------
-    difference : array (n, p, p)
-        Later minus earlier height of each pixel, m, the common offset taken off; NaN where one has none.
+    ``difference`` (n, p, p): later minus earlier height of each pixel, m, the common offset taken off; NaN where one
+    has none.
     """
     count = np.isfinite(difference).sum(axis=(1, 2))
     enough = count >= LEAST_CELLS
@@ -364,14 +339,8 @@ class Decision:
 def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
     """Find the tiles that have changed.
 
-    Parameters
-    ----------
-    ground : GroundChange
-        Of all tiles, (rows, cols).
-    z_c_r : array (rows, cols)
-        From `ride_z`; NaN where a ride is unknown.
-    fdr : float
-        Share of false discoveries, for the ground and again for the ride.
+    ``ground``: of all tiles, (rows, cols); ``z_c_r`` (rows, cols): from `ride_z`; NaN where a ride is unknown; ``fdr``:
+    share of false discoveries, for the ground and again for the ride.
     """
     widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape), "c_r": widening(z_c_r)}
     height = ground.z_height / widened["height"]

@@ -18,20 +18,9 @@ _DECIMALS = 4
 def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
     """Find connected changes, of tiles that share a side, and drop those of fewer than ``least`` tiles.
 
-    Parameters
-    ----------
-    code : array (rows, cols)
-        A position in ``CHANGE_KINDS``; NaN where not compared.
-    least : int
-
-    Returns
-    -------
-    code : array (rows, cols)
-        0 where a change was dropped.
-    area : int32 array (rows, cols)
-        Number of the change, from 1, in the order of their first tiles; 0: none.
-    dropped : int
-        Tiles of the changes that were dropped.
+    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared. Returns ``code`` (rows, cols): 0
+    where a change was dropped; ``area`` (rows, cols): number of the change, from 1, in the order of their first tiles;
+    0: none; ``dropped``: tiles of the changes that were dropped.
     """
     found = np.nan_to_num(code) > 0.0
     labels, first, _ = label(found.astype(np.uint8))
@@ -53,16 +42,8 @@ def describe_regions(
 ) -> tuple[dict[str, Any], ...]:
     """Return the properties of each connected change, as they stand in change.geojson.
 
-    Parameters
-    ----------
-    area, code : arrays (rows, cols)
-        From `connect`.
-    values : mapping
-        ``d_height``, ``d_c_r``, ``z_height``, ``z_shape``, ``z_c_r``, each (rows, cols).
-    surveys : SurveyTiles, SurveyTiles
-        Before and after.
-    tile_size : float
-        m.
+    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``d_c_r``, ``z_height``, ``z_shape``,
+    ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
     """
     before, after = surveys
     place = np.flatnonzero(area)

@@ -31,40 +31,27 @@ def drive_knots(
 ) -> Knots:
     """Return what the sensors say of a drive, four times a second.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    heading : float64 array (n,)
-        By the gyroscope, rad.
-    standing : bool array (n,)
-    wheels : WheelTrack or None
-    force : complex128 array (n,) or None
-        Acceleration along the sensor's levelled axes, x + i y, m/s2.
+    ``heading`` (n,): by the gyroscope, rad; ``force`` (n,): acceleration along the sensor's levelled axes, x + i y,
+    m/s2.
     """
     seconds = imu.time[-1] - imu.time[0]
     count = int(np.clip(seconds / _KNOT_S, 8, _MOST_KNOTS)) + 1
     time = np.linspace(imu.time[0], imu.time[-1], count)
     direction = np.exp(1j * heading)
     total = np.concatenate([[0.0], np.cumsum(0.5 * (direction[1:] + direction[:-1]))]) / imu.hertz
-    steps = np.diff(np.interp(time, imu.time, total.real) + 1j * np.interp(time, imu.time, total.imag))
+    steps = np.diff(np.interp(time, imu.time, total))
     nearest = np.clip(np.round((time - imu.time[0]) * imu.hertz).astype(np.int64), 0, len(imu.time) - 1)
     stands = standing[nearest]
     beside = round(_BESIDE_STOP_S / (time[1] - time[0]))
     near = np.convolve(stands, np.ones(2 * beside + 1), mode="same") > 0
     gap = ~imu.known[nearest]
     changing = (near & ~stands)[1:] | (near & ~stands)[:-1] | gap[1:] | gap[:-1]
-    speed = np.full(count, np.nan)
-    if wheels is not None:
-        speed = _wheel_speed(wheels, time)
+    speed = np.full(count, np.nan) if wheels is None else _wheel_speed(wheels, time)
     turned = np.interp(time, imu.time, heading)
     gained = np.full(count - 1, np.nan + 0j)
     if force is not None:
         felt = np.concatenate([[0.0], np.cumsum(0.5 * (force[1:] + force[:-1]))]) / imu.hertz
-        gained = np.where(
-            gap[1:] | gap[:-1],
-            np.nan,
-            np.diff(np.interp(time, imu.time, felt.real) + 1j * np.interp(time, imu.time, felt.imag)),
-        )
+        gained = np.where(gap[1:] | gap[:-1], np.nan, np.diff(np.interp(time, imu.time, felt)))
     return Knots(time, steps, turned, gained, stands, changing, speed)
 
 
@@ -186,15 +173,7 @@ def fit_track(
 ) -> DrivenTrack:
     """Find the way of a drive, and the offset of the clocks with it.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    heading : float64 array (n,)
-        By the gyroscope, rad; any zero.
-    standing : bool array (n,)
-    places : MetrePlaces or None
-    wheels : WheelTrack or None
-    start : TrackStart
+    ``heading`` (n,): by the gyroscope, rad; any zero.
     """
     knots = drive_knots(imu, heading + start.heading_0, standing, wheels, start.force)
     scatter = Scatter(1.0, 1.0, 60.0) if places is None else scatter_of(places, imu.time, heading, start.offset_s)
@@ -260,11 +239,11 @@ def _first(knots: Knots, places: MetrePlaces | None, start: TrackStart) -> Track
     speed = np.nan_to_num(knots.wheels)
     if places is not None:
         at = knots.time - start.offset_s
-        east, north = (np.interp(at, places.time, part) for part in (places.place.real, places.place.imag))
-        values[0:-GLOBALS:STATES], values[1:-GLOBALS:STATES] = east, north
+        place = np.interp(at, places.time, places.place)
+        values[0:-GLOBALS:STATES], values[1:-GLOBALS:STATES] = place.real, place.imag
         lag = max(round(2.0 / knots.step_s), 1)
         ahead, behind = np.minimum(np.arange(k) + lag, k - 1), np.maximum(np.arange(k) - lag, 0)
-        moved = (east[ahead] - east[behind]) + 1j * (north[ahead] - north[behind])
+        moved = place[ahead] - place[behind]
         way = np.concatenate([[0.0], np.cumsum(knots.steps)])
         speed = (moved * np.exp(-1j * np.angle(way[ahead] - way[behind]))).real / ((ahead - behind) * knots.step_s)
     values[2:-GLOBALS:STATES] = np.where(knots.standing, 0.0, speed)

@@ -34,20 +34,9 @@ _DEAREST = 3.0
 def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[PlannedWay, float]]:
     """Find up to ``count`` ways, the best first, the others by cost.
 
-    Parameters
-    ----------
-    plan : callable
-        Plans a way.
-    count : int
-        Number of ways wanted.
-    risk : float
-        Weight of the hazard [m] by which the best one is the cheapest.
-
-    Returns
-    -------
-    list of (PlannedWay, float)
-        Ways, and the weight of the hazard that each was planned with. Fewer than ``count`` if there are no more; none
-        if there is no way.
+    ``plan``: plans a way; ``count``: number of ways wanted; ``risk``: weight of the hazard [m] by which the best one is
+    the cheapest. Returns (PlannedWay, float): ways, and the weight of the hazard that each was planned with. Fewer than
+    ``count`` if there are no more; none if there is no way.
     """
     best = plan(risk, None)
     if best is None:

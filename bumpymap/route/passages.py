@@ -67,17 +67,8 @@ class AreaReach(NamedTuple):
 def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
     """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    start, goal : array (2,)
-        Easting and northing, m.
-
-    Returns
-    -------
-    array (m, 2) or None
-        Easting and northing of the corners, m.
+    ``ground``: the map, with costs; ``start``, ``goal`` (2,): easting and northing, m. Returns (m, 2): easting and
+    northing of the corners, m.
     """
     ends = np.array([start, goal])
     pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
@@ -110,16 +101,9 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
 def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats) -> AreaReach:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    window : TileWindow
-        It takes ``BYTES_PER_TILE`` of memory for each tile.
-    start : array (2,)
-        Easting and northing, m.
-    cost, length : array (rows, cols)
-        Of the cheapest way over whole tiles to each tile, in tiles; the cost is infinite where none leads.
+    ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
+    easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
+    tiles; the cost is infinite where none leads.
     """
     graph = _graph(ground, window)
     count, cost_of_tile, length_of_tile = len(graph.tile), cost.ravel().copy(), length.ravel().copy()

@@ -79,21 +79,9 @@ MOST_VISITS = 12
 def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
     """Return the order in which a tour visits points.
 
-    Parameters
-    ----------
-    costs : array (n, n)
-        Cost of the way from point i to point j; inf if there is none.
-    fixed_end : bool
-        The last point is the end of the tour; otherwise it ends where that is cheapest.
-
-    Returns
-    -------
-    list of int
-        All n points, 0 first. Of equally good orders, the first in the order of numbers.
-
-    Notes
-    -----
-    If no order is possible, the result is the given one.
+    ``costs`` (n, n): cost of the way from point i to point j; inf if there is none; ``fixed_end``: the last point is
+    the end of the tour; otherwise it ends where that is cheapest. Returns all n points, 0 first. Of equally good
+    orders, the first in the order of numbers. If no order is possible, the result is the given one.
     """
     n = len(costs)
     between = range(1, n - 1) if fixed_end else range(1, n)
@@ -123,13 +111,7 @@ def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
 def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
     """Return the message for the first two points without a way between them.
 
-    Parameters
-    ----------
-    planner : Planner
-    points : array (k, 2)
-        Easting and northing of the stops, m.
-    names : sequence of str
-        How the message calls each of them.
+    ``points`` (k, 2): easting and northing of the stops, m; ``names``: how the message calls each of them.
     """
     for number, (start, goal) in enumerate(pairwise(points)):
         if np.isfinite(planner.leg_cost(start, goal)):

@@ -154,17 +154,8 @@ _STEP = 0.5
 def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
     """Return a line near a given one on which the vehicle fits throughout; None if there is none.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    line : array (m, 2)
-        Easting and northing of the corners, m.
-
-    Returns
-    -------
-    array (k, 2) or None
-        Between the same ends.
+    ``ground``: the map, with costs; ``line`` (m, 2): easting and northing of the corners, m. Returns (k, 2): between
+    the same ends.
     """
     grid = ground.site.grid
     points, step = sample_line(line, grid)
@@ -248,14 +239,8 @@ class Planner:
     def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
 
-        Parameters
-        ----------
-        stops : array (k, 2)
-            Easting and northing, m, at least two.
-        risk : float, optional
-            Weight of the hazard for this way, m; what it costs is told with the settings' own.
-        worn : WornTiles, optional
-            Tiles that are dearer for this way.
+        ``stops`` (k, 2): easting and northing, m, at least two; ``risk``: weight of the hazard for this way, m; what it
+        costs is told with the settings' own; ``worn``: tiles that are dearer for this way.
         """
         legs = []
         for start, goal in pairwise(stops):

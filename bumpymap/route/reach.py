@@ -74,8 +74,8 @@ class Reach:
     """Driving time of that way at the profile's speed, min; NaN likewise."""
     back: NDArray[np.uint8]
     """The move by which that way enters the tile, see `bumpymap.route.search.MOVES`; `FROM_START` (254) if it leads
-    straight from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where there are
-    no moves, `NOT_REACHED` (255) if there is none."""
+    straight from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where
+    there are no moves, `NOT_REACHED` (255) if there is none."""
     passable: int
     """Tiles of the window that are not closed, or in which the vehicle fits between obstacles."""
     tile_size: float
@@ -110,18 +110,8 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
 
     Between obstacles the cost is that of a path from area to area, which is up to 3 % off.
 
-    Parameters
-    ----------
-    ground : CostGround
-    start : array (2,)
-        Easting and northing, m.
-    most_m : float
-        Tiles farther away than this are of no interest, m.
-
-    Raises
-    ------
-    UsageError
-        The window does not fit in the memory limit.
+    ``start`` (2,): easting and northing, m; ``most_m``: tiles farther away than this are of no interest, m. Raises
+    UsageError: the window does not fit in the memory limit.
     """
     site = ground.site
     window = window_within(site.window, start / site.grid.tile_size, most_m / site.grid.tile_size)

@@ -99,17 +99,8 @@ class Stops:
 def find_stops(ground: CostGround, config: RouteConfig, compared: Path | None = None) -> Stops:
     """Return the points that the settings name.
 
-    Parameters
-    ----------
-    ground : CostGround
-    config : RouteConfig
-    compared : Path, optional
-        The layers if they are those of another vehicle, which messages then name.
-
-    Raises
-    ------
-    BadInputError
-        A point does not lie on the map, or on ground that cannot be used.
+    ``compared``: the layers if they are those of another vehicle, which messages then name. Raises BadInputError: a
+    point does not lie on the map, or on ground that cannot be used.
     """
     vehicle = ground.site.vehicle.name
     where, of = ("", "") if compared is None else (f"in {compared} ({vehicle}), ", f"{vehicle}: ")

@@ -222,22 +222,9 @@ def _as_line(cost: NDArray[np.floating], line: NDArray[np.floating]) -> Line:
 def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     """Cut a line at the borders of tiles.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Cost per length; infinite where closed. It decides where a line runs along a border: there the dearer tile
-        counts.
-    line : array (n, 2) float64
-        Field coordinates of the corners, within the window.
-
-    Returns
-    -------
-    TracedLine
-
-    Raises
-    ------
-    ValueError
-        The line leaves the window.
+    ``cost`` (rows, cols): cost per length; infinite where closed. It decides where a line runs along a border: there
+    the dearer tile counts; ``line`` (n, 2): field coordinates of the corners, within the window. Raises ValueError: the
+    line leaves the window.
     """
     checked = _as_line(cost, line)
     if line.size and ((line < 0.0) | (line > np.array(cost.shape))).any():
@@ -253,12 +240,7 @@ def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
 def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
     """Return the exact integral of the cost along a line, in tiles; infinite if it crosses a closed tile.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Cost per length; infinite where closed.
-    line : array (n, 2) float64
-        Field coordinates of the corners.
+    ``cost`` (rows, cols): cost per length; infinite where closed; ``line`` (n, 2): field coordinates of the corners.
     """
     out = np.empty(1)
     sum_cost(_as_line(cost, line), out)
@@ -268,14 +250,8 @@ def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
 def is_clear(cost: NDArray[np.floating], line: NDArray[np.floating], margin: float = 0.0) -> bool:
     """Say whether a line keeps a margin from all closed tiles; see the module for start and goal.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Infinite where closed.
-    line : array (n, 2) float64
-        Field coordinates of the corners.
-    margin : float
-        Tiles, at least 0 and below 0.5.
+    ``cost`` (rows, cols): infinite where closed; ``line`` (n, 2): field coordinates of the corners; ``margin``: tiles,
+    at least 0 and below 0.5.
     """
     out = np.empty(1, np.bool_)
     check_clear(_as_line(cost, line), as_margin(margin), out)
@@ -347,14 +323,8 @@ def thin_out(
 ) -> Floats:
     """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
 
-    Parameters
-    ----------
-    cost, line
-        As `pull_tight`; the line keeps more than the margin, or the arcs stay as they are.
-    margin : float
-        Tiles, at least 0 and below 0.5.
-    least_saving : float
-        What a corner saves at least, tiles.
+    ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
+    tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
     kept = as_margin(margin) + _SPARE
     thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
@@ -366,10 +336,7 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
 
     A line along a border costs what the dearer side does: there, the last bit of a coordinate would decide.
 
-    Parameters
-    ----------
-    cost, line, margin
-        As `pull_tight`.
+    ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
     moved = line.copy()
     for i in range(1, len(line) - 1):

@@ -95,14 +95,7 @@ def turn_of(x: float, y: float) -> float:
 def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
     """Sum the horizontal unit vectors of the points whose distance is in ``reach`` (from, below), m.
 
-    Parameters
-    ----------
-    points : (points, 3) float32
-        m.
-    reach : (2,) float64
-        m.
-    total : (2,) float64
-        Filled: sums of x and of y.
+    ``points`` (points, 3): m; ``reach`` (2,): m; ``total`` (2,): filled: sums of x and of y.
     """
     sx = sy = 0.0
     for i in range(len(points)):
@@ -120,15 +113,8 @@ def place_points(
 ) -> None:
     """Find the cell and the pixel of every point.
 
-    Parameters
-    ----------
-    points : (points, 3) float32
-        m.
-    grid : ZoneGrid
-    out : PointPlaces
-        Filled.
-    polar : (2, ``BLOCK``) float64
-        Scratch: distance and turn of so many points at a time.
+    ``points`` (points, 3): m; ``out``: filled; ``polar`` (2, ``BLOCK``): scratch: distance and turn of so many points
+    at a time.
     """
     edges, sectors, rings, pixels = grid.edges, grid.sectors, grid.rings, grid.pixels
     zones = len(sectors)
@@ -192,16 +178,8 @@ def count_labels(
 ) -> None:
     """Find the most frequent label of each listed sector, the smallest of equals.
 
-    Parameters
-    ----------
-    label : (points,) uint16
-        Below 32,768.
-    by_cell, cells
-        As in ``measure_sectors``.
-    tally : (32768,) int32
-        Scratch, zeros before and after.
-    most : (sectors,) int16
-        Filled.
+    ``label`` (points,): below 32,768; ``by_cell``, ``cells``: as in ``measure_sectors``; ``tally`` (32768,): scratch,
+    zeros before and after; ``most`` (sectors,): filled.
     """
     starts, order = by_cell.starts, by_cell.order
     for s in range(len(cells)):

@@ -75,21 +75,8 @@ def ground_ends(
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """Find the cells in which the ground drops by more than the clearance of the belly, and where it ends.
 
-    Parameters
-    ----------
-    ground : GroundPoints
-    by_cell : CellOrder
-    grid : ZoneGrid
-    settings : PolarSettings
-    height_m : float
-        Of the origin above the ground.
-    buffers : SectorBuffers
-
-    Returns
-    -------
-    drops : (cells,) bool
-    end : (directions,) float32
-        Distance at which the farthest ground in each direction ends, m; from sector 0 on, counter-clockwise.
+    ``height_m``: of the origin above the ground. Returns ``end`` (directions,): distance at which the farthest ground
+    in each direction ends, m; from sector 0 on, counter-clockwise.
     """
     cells = len(ground.slope)
     lowest = DropScratch(
@@ -150,17 +137,8 @@ def find_ground(
     them, are ground as well; parts in which points rise from the ground without a gap are plants. A scan whose ground
     would lie above its sensor has none: its axes are not what they are said to be.
 
-    Parameters
-    ----------
-    points : (m, 3) float32
-        m.
-    places : PointPlaces
-    by_cell : CellOrder
-    settings : PolarSettings
-    start : float
-        Azimuth of sector 0, rad.
-    buffers : SectorBuffers, optional
-        Hold ``things`` and the order of the ground points until the next call.
+    ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
+    points until the next call.
     """
     buffers = buffers or SectorBuffers()
     geometry = _geometry(settings, start)

@@ -43,23 +43,9 @@ def polar_sectors(
 ) -> SectorStack:
     """Cut a scan into sectors, find the ground in those that hold enough points, and measure it.
 
-    Parameters
-    ----------
-    scan : Scan
-    settings : PolarSettings, optional
-        The default is the paper's grid with a zone before it.
-    buffers : SectorBuffers, optional
-        Reused from earlier scans; the returned arrays do not share their memory.
-
-    Returns
-    -------
-    SectorStack
-        Sorted by zone, ring, sector; empty if no sector holds enough points.
-
-    Raises
-    ------
-    BadInputError
-        A label is 32,768 or more.
+    ``settings``: the default is the paper's grid with a zone before it; ``buffers``: reused from earlier scans; the
+    returned arrays do not share their memory. Sectors are sorted by zone, ring, sector; there are none if none
+    holds enough points. Raises BadInputError: a label is 32,768 or more.
     """
     settings = settings or PolarSettings()
     points = np.ascontiguousarray(scan.points, np.float32)

@@ -23,7 +23,8 @@ from bumpymap.core import NO_CLASS, Scan, SectorRide, SectorStack, sector_bounds
 from bumpymap.lab.worlds.scans.lidar import SENSORS, Sensor, _World, posture, simulate_scan
 from bumpymap.lab.worlds.scans.scene import Scene, make_scene
 from bumpymap.rating import find_calibration
-from bumpymap.scan import SectorRater, polar_sectors
+from bumpymap.scan import polar_sectors
+from bumpymap.scan.methods import SectorRater
 from bumpymap.survey import map_survey
 
 THEMES = ("meadow", "mire", "quarry", "bushland")

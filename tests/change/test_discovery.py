@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from bumpymap.change import hold_false_discoveries, two_sided, upper_sided, widening
+from bumpymap.change.compare import hold_false_discoveries, two_sided, upper_sided, widening
 
 CHANCES = st.lists(st.one_of(st.floats(0.0, 1.0), st.just(float("nan"))), min_size=0, max_size=40)
 

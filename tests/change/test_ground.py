@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from bumpymap.change import CommonError, coarsen, compare_heights, ride_z
+from bumpymap.change.compare import CommonError, coarsen, compare_heights, ride_z
 
 LAGS = [(0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0)]
 

@@ -10,7 +10,8 @@ import pytest
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.shared_kernels import fill_holes
-from bumpymap.scan import classify_filter, polar_sectors, turn_of
+from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.scan._place_kernels import turn_of
 from bumpymap.scan._sector_kernels import _heights_of, sector_scratch
 from bumpymap.scan.polar import anchor_of
 from bumpytiles.native import jitted
