@@ -48,12 +48,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-
 _FREEDOM = 30.0
 """Degrees of freedom of the tails."""
-
-
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -103,12 +99,8 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
 
 _STRIP_PIXELS = 1 << 20
 """Most pixels that are compared at once."""
-
-
 _SEEN = 0.5
 """Share of the cells of a tile that both surveys should have seen."""
-
-
 _LEAST_SIDE = 5
 """Fewest cells along a tile."""
 
@@ -178,8 +170,6 @@ def _differences(pair: SurveyPair, cell: int) -> Iterator[tuple[slice, NDArray[n
 
 _TAIL = float(ndtri(0.9))
 """Half the width of an 80 % interval, in standard deviations."""
-
-
 _LEAST_OWN = 0.5
 """Least share of a spread that is the survey's own."""
 
@@ -238,20 +228,12 @@ def _number(value: object) -> float:
 
 LEAST_CELLS = 16
 """Fewest pixels that both surveys have seen, for a tile to be compared."""
-
-
 _CUT = 1.5
 """Where differences are cut off, in standard deviations."""
-
-
 _FLOOR_M = 1e-3
 """Least standard deviation of the differences, m: heights are stored to a millimetre."""
-
-
 _EXACT, _MOST_T = 1e-9, 100.0
 """Differences that are all alike leave no error: their t is limited."""
-
-
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 """Pairs of pixels of z_shape: rows and columns between them."""
 
@@ -345,7 +327,8 @@ def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
     widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape), "c_r": widening(z_c_r)}
     height = ground.z_height / widened["height"]
     # What all tiles have in common is no change of any: a shift of one survey makes every shape differ a little.
-    common = max(0.0, _median(ground.z_shape))
+    known = ground.z_shape[np.isfinite(ground.z_shape)]
+    common = max(0.0, float(np.median(known))) if len(known) else 0.0
     shape = (ground.z_shape - common) / widened["shape"]
     ride = z_c_r / widened["c_r"]
     of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), upper_sided(shape)))
@@ -357,8 +340,3 @@ def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
     code[rides] = np.where(ride[rides] > 0.0, _ROUGHER, _SMOOTHER)
     code[np.isnan(of_ground)] = np.nan
     return Decision(height, shape, ride, code, widened)
-
-
-def _median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else 0.0

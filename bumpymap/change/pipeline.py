@@ -40,7 +40,6 @@ from bumpymap.core import (
 from bumpymap.layers import (
     ChangeField,
     Layers,
-    RouteMap,
     SurveyPair,
     SurveyTiles,
     change_regions,
@@ -55,29 +54,18 @@ if TYPE_CHECKING:
 
 __all__ = ["ChangeResult", "diff_surveys", "find_changes", "remarks"]
 
-
 _DENSITY = 2.0
 """Ratio of the densities from which surveys are unlike."""
-
-
 _WIDE = 1.5
 """Widening from which the surveys do not fit each other."""
-
-
 _MOST_CHANGED = 0.3
 """Share of changed tiles from which the rest may be no measure of what has not changed."""
-
-
 _RIDE = 0.05
 """Median change of the ride cost, as a share, that is told."""
 
 
-def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return remarks and warnings, a sentence each."""
-    return tuple(_remarks(fit, counts))
-
-
-def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
+def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
+    """Yield remarks and warnings, a sentence each."""
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
         level = abs(fit["offset_m"]) < 0.0005
@@ -241,7 +229,11 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     offset = height_offset(pair, cell)
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
-    decision = decide(ground, _ride(pair, *surveys), config.fdr)
+    # Both have one calibration, or they could not be compared; one may be of an earlier version, and say nothing of it.
+    first, second = (CommonError.of(site.manifests[0]) for site in (pair.before, pair.after))
+    bands = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
+    ride = ride_z(*bands, first if first == second else CommonError())
+    decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {
         "offset_m": None if np.isnan(offset) else round(offset, 4),
@@ -250,28 +242,13 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     }
     counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
     transitions = _transitions(*surveys, shared)
-    notes = remarks(fit, counts)
+    notes = tuple(remarks(fit, counts))
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing layers", None)
         own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
         files = write_change(field, config.out, manifest=own, overwrite=config.overwrite)
     return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
-
-
-def _ride(pair: SurveyPair, before: SurveyTiles, after: SurveyTiles) -> NDArray[np.float64]:
-    # Both have one calibration, or they could not be compared.
-    return ride_z(
-        (before.c_r, before.c_r_low, before.c_r_high),
-        (after.c_r, after.c_r_low, after.c_r_high),
-        _common(pair),
-    )
-
-
-def _common(pair: SurveyPair) -> CommonError:
-    """Return what both maps have in common; one may be of an earlier version, and say nothing of it."""
-    found = [CommonError.of(site.manifests[0]) for site in (pair.before, pair.after)]
-    return found[0] if found[0] == found[1] else CommonError()
 
 
 def _field(
@@ -304,18 +281,13 @@ def _fit(
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = after.c_r[shared] / before.c_r[shared]
     known = ratio[np.isfinite(ratio)]
-    versions = [_version(site) for site in (pair.before, pair.after)]
+    versions = [site.manifests[0].get("versions", {}).get("bumpymap") for site in (pair.before, pair.after)]
     return {
         "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
         "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
-        "versions": versions,
+        "versions": [None if version is None else str(version) for version in versions],
     }
-
-
-def _version(site: RouteMap) -> str | None:
-    found = site.manifests[0].get("versions", {}).get("bumpymap")
-    return None if found is None else str(found)
 
 
 def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared: NDArray[np.bool_]) -> dict[str, Any]:
@@ -346,8 +318,12 @@ def _manifest(
     counts: Mapping[str, Any],
     transitions: NDArray[np.int64],
 ) -> dict[str, Any]:
+    kept = "survey", "inputs", "files"  # what identifies the layers of a run
     sources = {
-        name: {"folders": list(site.folders), "runs": [_run(manifest) for manifest in site.manifests]}
+        name: {
+            "folders": list(site.folders),
+            "runs": [{key: manifest.get(key) for key in kept} for manifest in site.manifests],
+        }
         for name, site in (("before", pair.before), ("after", pair.after))
     }
     return {
@@ -359,8 +335,3 @@ def _manifest(
         "counts": counts,
         "classes": {"names": [*CLASS_NAMES, "unknown"], "tiles_before_after": transitions},
     }
-
-
-def _run(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies the layers of a run: its survey and inputs, and the checksums of its files."""
-    return {name: manifest.get(name) for name in ("survey", "inputs", "files")}

@@ -50,7 +50,6 @@ from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_m
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
-    "agreement_by_class",
     "agreement_of",
     "check_drives",
     "drive_warnings",
@@ -106,15 +105,6 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
         inside=float(inside.mean()),
         same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
     )
-
-
-def agreement_by_class(stretches: DrivenStretches) -> dict[int, MapAgreement]:
-    """Return the agreement over the stretches of each class of the map that was driven."""
-    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
-    return {
-        int(number): agreement_of(stretches, stretches.class_id == number)
-        for number in np.unique(stretches.class_id[on])
-    }
 
 
 _OTHER_SPEED = 0.2
@@ -367,15 +357,16 @@ def _measured(
     field: TileField | None,
 ) -> _Done:
     """Measure one drive, cut it, and read the map along it."""
-    if site is None or field is None or places is None:
-        drive = measure_drive(log, places, config.band_hz)
-        cut = cut_stretches(drive, config.window_m)
-        refuse_without_stretches(drive, cut)
-        return _Done(log, drive, cut)
-    slopes = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M))
-    drive = with_ground(measure_drive(log, places, config.band_hz, slopes.slope_at), field)
+    slope_at = None
+    if site is not None and places is not None:
+        slope_at = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M)).slope_at
+    drive = measure_drive(log, places, config.band_hz, slope_at)
+    if field is not None:
+        drive = with_ground(drive, field)
     cut = cut_stretches(drive, config.window_m)
     refuse_without_stretches(drive, cut)
+    if field is None:
+        return _Done(log, drive, cut)
     steps = drive_steps(drive, cut, field)
     return _Done(log, drive, cut, steps, read_along(steps, len(cut.start_s), field))
 
@@ -401,6 +392,9 @@ def _compared(done: list[_Done], site: RouteMap | None, field: TileField | None)
         raise BadInputError(
             f"no stretch of the drives lies on ground that {ground.folder} knows. Give the layers of the driven ground"
         )
+    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
+    classes = map(int, np.unique(stretches.class_id[on]))
+    by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
     on_tiles = [
         (one.drive, one.steps, float(np.median(one.drive.track.way_sd(one.cut.start_s, one.cut.end_s) / one.cut.way_m)))
@@ -413,7 +407,7 @@ def _compared(done: list[_Done], site: RouteMap | None, field: TileField | None)
         stretches=stretches,
         tiles=driven_tiles(on_tiles, field, limits),
         agreement=agreement,
-        by_class=agreement_by_class(stretches),
+        by_class=by_class,
         warnings=tuple(map_warnings(ground, speeds, agreement)),
     )
 

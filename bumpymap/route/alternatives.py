@@ -9,6 +9,7 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Planned
 def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, float]]:
     """Return the ways on the hull, the least ride cost first."""
     ends = [(plan(0.0, None), 0.0), (best, risk), (plan(_SAFEST_RISK, None), _SAFEST_RISK)]
-    known = sorted(((way, at) for way, at in ends if way is not None), key=_weight)
+    known = sorted(((way, at) for way, at in ends if way is not None), key=itemgetter(1))
     searching = True
     while searching and len(known) < _MOST_ON_HULL:
         searching = False
@@ -66,7 +67,7 @@ def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, f
             between = _between(plan, left, right, risk)
             if between is not None:
                 known.append(between)
-                known.sort(key=_weight)
+                known.sort(key=itemgetter(1))
                 searching = True
     return known
 
@@ -113,10 +114,6 @@ def _elsewhere(plan: Plan, found: list[tuple[PlannedWay, float]], risk: float) -
 
 def _differs(way: PlannedWay, found: list[tuple[PlannedWay, float]], share: float) -> bool:
     return all(way.shared(other) <= share for other, _ in found)
-
-
-def _weight(each: tuple[PlannedWay, float]) -> float:
-    return each[1]
 
 
 def _cost(way: PlannedWay) -> float:

@@ -40,7 +40,6 @@ from bumpytiles import helper, kernel
 __all__ = [
     "LEAST_SAVING",
     "Corners",
-    "Shortcuts",
     "Tightening",
     "as_cost",
     "as_margin",
@@ -75,15 +74,6 @@ class Tightening(NamedTuple):
     """Corners are moved by steps down to this, tiles."""
 
 
-class Shortcuts(NamedTuple):
-    """What `leave_out` fills for n corners."""
-
-    best: Annotated[Floats, 1]
-    """(n,) cost up to each."""
-    before: Annotated[Integers, 1]
-    """(n,) the corner before each, if the line went through it."""
-
-
 class Corners(NamedTuple):
     """What `move_corners` works on."""
 
@@ -102,24 +92,31 @@ def _ends(a: int, b: int, count: int) -> int:
 
 
 @kernel
-def leave_out(tightening: Tightening, points: Annotated[Floats, 2], most: int, out: Shortcuts) -> None:
+def leave_out(
+    tightening: Tightening,
+    points: Annotated[Floats, 2],
+    most: int,
+    best: Annotated[Floats, 1],
+    before: Annotated[Integers, 1],
+) -> None:
     """Find the cheapest line through some of the corners in order, at most ``most`` - 1 left out between two of them.
 
     Of lines that cost nearly the same, the one with fewer corners wins: corners on straight lines go.
+    ``best`` (n,): filled: cost up to each; ``before`` (n,): filled: the corner before each if the line went through it.
     """
     cost, n = tightening.cost, points.shape[0]
-    out.best[0], out.before[0] = 0.0, 0
+    best[0], before[0] = 0.0, 0
     for j in range(1, n):
         r1, c1 = points[j, 0], points[j, 1]
-        out.best[j] = out.best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
-        out.before[j] = j - 1
+        best[j] = best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
+        before[j] = j - 1
         for i in range(max(0, j - most), j - 1):
             r0, c0 = points[i, 0], points[i, 1]
             # From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
-            allowed = tightening.worth if out.before[j] == j - 1 else -tightening.worth
-            total = segment_cost(cost, r0, c0, r1, c1, out.best[j] + allowed - out.best[i])
+            allowed = tightening.worth if before[j] == j - 1 else -tightening.worth
+            total = segment_cost(cost, r0, c0, r1, c1, best[j] + allowed - best[i])
             if total < math.inf and segment_clear(cost, r0, c0, r1, c1, tightening.margin, _ends(i, j, n)):
-                out.best[j], out.before[j] = out.best[i] + total, i
+                best[j], before[j] = best[i] + total, i
 
 
 @helper
@@ -358,11 +355,11 @@ def _leave_out(tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
     while True:
         count = len(line)
-        found = Shortcuts(np.empty(count), np.empty(count, np.int64))
-        leave_out(tightening, line, _SKIPPED, found)
+        before = np.empty(count, np.int64)
+        leave_out(tightening, line, _SKIPPED, np.empty(count), before)
         kept = [count - 1]
         while kept[-1] > 0:
-            kept.append(int(found.before[kept[-1]]))
+            kept.append(int(before[kept[-1]]))
         if len(kept) == count:
             return line
         line = line[kept[::-1]]

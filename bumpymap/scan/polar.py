@@ -16,7 +16,6 @@ from bumpymap.scan._drop_kernels import GroundPoints
 from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
-    PointPlaces,
     ZoneGrid,
     count_labels,
     place_points,
@@ -55,14 +54,13 @@ def polar_sectors(
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
     cell, pixel, order = (buffers.empty(name, len(points), np.int32) for name in ("cell", "pixel", "order"))
-    places = PointPlaces(cell, pixel)
-    place_points(points, grid, places, np.empty((2, BLOCK)))
+    place_points(points, grid, cell, pixel, np.empty((2, BLOCK)))
     by_cell = CellOrder(np.zeros(int(sectors @ rings) + 2, np.int64), order)
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     ground = (
-        find_ground(points, places, by_cell, settings, start, buffers)
+        find_ground(points, pixel, by_cell, settings, start, buffers)
         if settings.ground_only
         else all_ground(by_cell, points, settings.pixels)
     )
