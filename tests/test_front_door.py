@@ -241,6 +241,39 @@ def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
         copy.copy(other)
 
 
+IN_A_FORK = """
+import multiprocessing, sys
+from pathlib import Path
+
+import bumpymap
+
+part, out = map(Path, sys.argv[1:])
+
+
+def made(out):
+    global kept
+    kept = bumpymap.map_survey(part, out, local=True)
+    return kept.folder, {file["path"]: file["sha256"] for file in kept.manifest["files"]}
+
+
+_, before = made(out)
+with multiprocessing.get_context("fork").Pool(1) as pool:
+    folder, after = pool.apply_async(made, (None,)).get(timeout=100)
+    pool.close()
+    pool.join()
+assert after == before
+assert not folder.exists()
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere multiprocessing does not fork by itself")
+def test_a_process_that_is_forked_after_a_map_makes_the_same_map_and_leaves_nothing(tmp_path):
+    """As `multiprocessing` makes its workers: GDAL would wait for ever for threads that have stayed in the parent."""
+    command = [sys.executable, "-c", IN_A_FORK, PART, tmp_path / "parent"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 LOOP_OVER_MAPS = """
 import gc, sys, tracemalloc
 from pathlib import Path

@@ -57,6 +57,7 @@ def test_the_container_copies_what_the_wheel_is_built_from(project, containerfil
     packages = project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]
     assert {"pyproject.toml", own["readme"], *own["license-files"], ".ci/hashes.txt", ".ci/install"} <= set(copied)
     assert {package.split("/")[0] for package in packages} <= set(copied)
+    assert set(project["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]) <= set(copied)
 
 
 def test_the_container_runs_the_command_as_another_user_than_root(containerfile):

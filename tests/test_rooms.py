@@ -47,7 +47,7 @@ ROOMS = {
     "check": ({"core", "readers", "layers"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "laspy", "matplotlib", "numpy", "onnx", "open3d", "pyproj", "scipy", "torch"},
+        {"dartpy", "matplotlib", "numpy", "onnx", "open3d", "scipy", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "survey", "scan", "route", "change", "check", "lab"},

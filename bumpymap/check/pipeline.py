@@ -3,6 +3,7 @@
 Read a drive, put its positions on the map, measure, cut into stretches, read the map along them, compare, write.
 """
 
+import logging
 import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -229,7 +230,7 @@ def check_drives(
     CheckResult
         ``agreement`` and ``by_class`` say how well they agree, ``drives`` what was found of each drive and its
         sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says. ``skipped`` names
-        the drives that could not be used, with the reason.
+        the drives that could not be used, with the reason; it is logged as a warning too.
 
     Raises
     ------
@@ -265,6 +266,8 @@ def check_drives(
 
 Found = TypeVar("Found")
 
+_log = logging.getLogger(__name__)
+
 _MARGIN_M = 12.0
 """Of the map that is read around a drive: errors of positions reach so far."""
 
@@ -283,7 +286,7 @@ class _Done:
 def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[CheckResult, tuple[Path, ...]]:
     """Compare a map with drives as the settings ask, and write what was found; return it, and the files.
 
-    Drives that cannot be used are left out; ``skipped`` of the result names them.
+    Drives that cannot be used are left out; ``skipped`` of the result names them, and each is logged as a warning.
 
     Raises
     ------
@@ -310,6 +313,8 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     progress.start("measuring drives", len(logs))
     left = counted(list(logs.items()), progress)
     done = _usable(((place, partial(_measured, *log, config, site, field)) for place, log in left), skipped)
+    for place, why in skipped.items():
+        _log.warning("%s is left out: %s", place, why)
     result = replace(_compared(list(done.values()), site, field), skipped=skipped)
     files: list[Path] = []
     if config.out is not None:

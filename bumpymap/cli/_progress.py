@@ -170,11 +170,12 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
     as_json : bool
         Print events; otherwise show bars on a terminal, and print lines if standard error is not a terminal.
     """
-    if quiet:
-        yield _Quiet()
-        return
     from bumpytiles import compiling_reports
 
+    if quiet:
+        with compiling_reports(lambda _done, _total: None):  # who asks for no reports is warned
+            yield _Quiet()
+        return
     if as_json:
         events = EventProgress()
         with compiling_reports(events.compiling), _calling_every(events.tick, _EVENT_SECONDS):

@@ -1,5 +1,6 @@
 """``bumpymap demo``: map a synthetic survey as an example."""
 
+import shutil
 from pathlib import Path
 
 import click
@@ -7,9 +8,12 @@ import click
 from bumpymap.cli._options import PATH, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import print_line
-from bumpymap.core import MapConfig
+from bumpymap.core import BadInputError, MapConfig, OutputError, atomic
 
 __all__ = ["command"]
+
+_SAMPLE = Path("sample_data") / "quarry.laz"
+"""In an installed package it lies inside, in the sources beside it."""
 
 
 @click.command("demo")
@@ -25,7 +29,7 @@ __all__ = ["command"]
     "--survey",
     type=PATH,
     metavar="FILE",
-    help="Survey to map [default: a synthetic quarry, generated in DIR].",
+    help="Survey to map [default: a synthetic quarry, copied to DIR].",
 )
 @output_options()
 def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> None:
@@ -35,9 +39,7 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     from bumpymap.survey import map_surveys
 
     if survey is None:
-        from bumpymap.lab import make_quarry_survey
-
-        survey = make_quarry_survey(out / "survey").survey
+        survey = _copy_sample(out / "survey" / _SAMPLE.name)
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = map_surveys(config, progress)
@@ -50,3 +52,18 @@ def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> N
     show(result, config, as_json=False)
     print_line(f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS.")
     print_line(f"Open {config.out / REPORT_NAME} in a browser.")
+
+
+def _copy_sample(survey: Path) -> Path:
+    """Copy the sample survey and return the copy."""
+    package = Path(__file__).resolve().parents[1]
+    found = [path for path in (package / _SAMPLE, package.parent / _SAMPLE) if path.is_file()]
+    if not found:
+        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again, or give --survey FILE")
+    try:
+        survey.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write the survey to {survey.parent}: {error}. Choose another --out") from error
+    with atomic(survey) as beside:
+        shutil.copyfile(found[0], beside)
+    return survey

@@ -194,7 +194,7 @@ def _summary(findings: "Findings", files: list[Path]) -> None:
         for name, own in found.agreement.items():
             print_line(
                 f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
-                f"same class {percent(own.steps.same):>7s}"
+                f"same class {percent(own.steps['same']):>7s}"
             )
     print_line(f"wrote {files[0]}")
 
@@ -214,9 +214,10 @@ def _summarise_scans(findings: "ScanFindings") -> None:
     if findings.ground:
         mean = findings.ground[-1]
         print_line(
-            f"ground of {mean.points:,} labelled points: precision {percent(mean.precision)}, recall "
-            f"{percent(mean.recall)}, F1 {percent(mean.f1)}"
+            f"ground of {mean['points']:,} labelled points: precision {percent(mean['precision'])}, recall "
+            f"{percent(mean['recall'])}, F1 {percent(mean['f1'])}"
         )
     for name, score in findings.obstacles.items():
-        if score.points:
-            print_line(f"{name:8s} {percent(score.in_free / score.points)} of the points of obstacles in free sectors")
+        if score["points"]:
+            free = percent(score["in_free"] / score["points"])
+            print_line(f"{name:8s} {free} of the points of obstacles in free sectors")

@@ -2,7 +2,7 @@
 
 import platform
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,22 +101,13 @@ class CalibrationSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings that affect the numbers and the library versions, as plain JSON values."""
+        own = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in ("profile", "drive")}
+        versions = {name: version(name) for name in ("bumpymap", "dartpy", "numpy")}
         return {
             "vehicle": self.profile.to_dict(),
-            "seed": self.seed,
-            "patches": self.patches,
-            "starts": self.starts,
-            "z_range": list(self.z_range),
-            "terrains": self.terrains,
-            "terrain_starts": self.terrain_starts,
-            "tile_size": self.tile_size,
-            "pixels": self.pixels,
+            **own | {"z_range": list(self.z_range)},
             "drive": asdict(self.drive),
-            "versions": {
-                **{name: version(name) for name in ("bumpymap", "dartpy", "numpy")},
-                "python": platform.python_version(),
-                "machine": platform.machine(),
-            },
+            "versions": {**versions, "python": platform.python_version(), "machine": platform.machine()},
         }
 
 
@@ -137,16 +128,17 @@ class TableJob:
 
 @dataclass(frozen=True, slots=True)
 class LibraryJob:
-    """Drives over one terrain of the library."""
+    """Drives over one terrain of the library, for the ``purpose`` that its key begins with."""
 
     kind: str
     index: int
     starts: int
+    purpose: str = "library"
 
     @property
     def key(self) -> "Key":
         """Name of the job in a journal."""
-        return ("library", self.kind, self.index)
+        return (self.purpose, self.kind, self.index)
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,7 +184,18 @@ SMALL = 128 << 20
 _SPARSE_FROM = 16 << 20
 """Size as a scratch raster from which a mostly empty raster is written by `write_sparse_cog`, bytes."""
 _gdal = threading.Lock()
-"""Held while GDAL makes a raster, see `_integrity`."""
+"""Held while GDAL makes a raster, see above."""
+_is_fork = False
+"""Whether this process was forked: GDAL's threads, if it had any, have stayed in the other."""
+
+
+def _reset_after_fork() -> None:
+    global _gdal, _is_fork
+    _gdal, _is_fork = threading.Lock(), True
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def write_cog(
@@ -309,9 +320,11 @@ def gdal_threads() -> str:
 
     Blocks are written in order, so the bytes do not depend on it. GDAL waits forever for a thread that could not be
     started (seen in 3.10), so it gets one thread if address space is limited (with ``ulimit -v``, GDAL's own memory may
-    leave no space for a thread's stack) or if one thread for each core cannot be started right now.
+    leave no space for a thread's stack), if one thread for each core cannot be started right now, or in a forked
+    process, in which those that it has started are not.
     """
-    if resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY:
+    limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
+    if limited or _is_fork:
         return "1"
     end = threading.Event()
     started: list[threading.Thread] = []

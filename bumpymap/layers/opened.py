@@ -3,10 +3,10 @@
 import os
 import shutil
 import tempfile
-import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cached_property
+from multiprocessing.util import Finalize
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,7 +80,8 @@ class Layers:
         self._sheets = sheet_folders(self._folder)
         self._checked: set[str] = set()
         if in_memory:
-            weakref.finalize(self, _remove, self._folder, os.getpid())
+            # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
+            Finalize(self, shutil.rmtree, (self._folder, True), exitpriority=0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the path of the folder; of layers in memory, the files."""
@@ -467,12 +468,6 @@ def _unpickled(files: dict[str, bytes]) -> Layers:
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-
-
-def _remove(folder: Path, process: int) -> None:
-    """Delete a folder of layers in memory; not in a fork of the process that has them."""
-    if os.getpid() == process:
-        shutil.rmtree(folder, ignore_errors=True)
 
 
 def temporary_folder() -> str:

@@ -286,7 +286,9 @@ _STEPS = 4096
 _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
 _NEAR_M = 5000.0
-"""How far from the map areas may lie whose numbers are thought to be swapped, m."""
+"""How far from the map areas may lie whose numbers are thought to be swapped or degrees, m."""
+_MOST_NAMED = 5
+"""Areas that a message names at most."""
 
 
 def read_areas(
@@ -304,18 +306,19 @@ def read_areas(
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
     route_map : RouteMap
     allow_outside : bool
-        Whether it is no error that no area lies on the map.
+        Whether it is no error that an area does not lie on the map.
 
     Returns
     -------
     array (n,) of shapely polygons
-        In metres on the grid, cut off somewhat beyond the map; empty if none lies on it, which is logged as a warning.
+        In metres on the grid, cut off somewhat beyond the map; without those that do not lie on it, which a warning
+        names.
 
     Raises
     ------
     BadInputError
         The file is missing, damaged or of another format, holds something else than polygons, or states no CRS while
-        the map has one, or one while the map has none; or no area lies on the map.
+        the map has one, or one while the map has none; or an area does not lie on the map.
     """
     path = Path(path)
     if not path.is_file() or path.suffix.lower() not in _SUFFIXES:
@@ -326,38 +329,60 @@ def read_areas(
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
         held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
         raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
-    areas = _on_map(path, layer.geometry, layer.crs, route_map)
-    if not len(areas):
-        hint = ""
-        if _near_swapped(layer.geometry, route_map):
-            hint = "They would if x (east) and y (north), or longitude and latitude, changed places. "
-        said = f"no area of {path}, read in {_system(layer.crs, route_map)}, lies on the map. {hint}"
+    areas, is_on = _on_map(path, layer.geometry, layer.crs, route_map)
+    if not is_on.all():
+        said = f"{_beside(path, layer, is_on, route_map)}. {_hint(layer.geometry[~is_on], layer.crs, route_map)}"
         if not allow_outside:
             raise BadInputError(
-                f"{said}Give areas on the map, or pass `allow_outside=True` if there need be none, as when one file "
-                "serves several maps"
+                f"{said}Give areas on the map, or pass `allow_outside=True` if they need not be there, as when one "
+                "file serves several maps"
             )
         _log.warning("%s", said.strip())
     return areas
 
 
-def _on_map(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
-    """Return the polygons that lie on the map, in metres on the grid."""
+def _on_map(
+    path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap
+) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
+    """Return the polygons that lie on the map, in metres on the grid, and which of the geometries (n,) have such."""
     placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
-    areas: NDArray[np.object_] = shapely.get_parts(placed)
-    areas = areas[np.isin(shapely.get_type_id(areas), _POLYGONS) & ~shapely.is_empty(areas)]
-    return np.asarray(areas[shapely.intersects(areas, _outline(route_map))], object)
+    parts, owner = shapely.get_parts(placed, return_index=True)
+    is_on = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
+    is_on &= shapely.intersects(parts, _outline(route_map))
+    return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
 
 
-def _near_swapped(geometry: NDArray[np.object_], route_map: RouteMap) -> bool:
-    """Return whether a corner lies near the map if its two numbers change places, as degrees or in the map's CRS."""
-    x, y = shapely.get_coordinates(geometry).T[::-1]
-    places = [route_map.to_grid(x, y)]
-    degrees = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-    if route_map.has_crs and degrees.any():
-        places.append(route_map.from_lonlat(x[degrees], y[degrees]))
+def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map: RouteMap) -> str:
+    """Say which areas do not lie on the map; there is at least one."""
+    of_file = f"of {path}, read in {_system(layer.crs, route_map)},"
+    if not is_on.any():
+        return f"no area {of_file} lies on the map"
+    off = np.flatnonzero(~is_on)
+    shown = [f"{index + 1} ({name})" if (name := layer.names[index]) else f"{index + 1}" for index in off[:_MOST_NAMED]]
+    more = f" and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
+    verb = "does" if len(off) == 1 else "do"
+    return f"{len(off)} of the {len(is_on)} areas {of_file} {verb} not lie on the map: number {', '.join(shown)}{more}"
+
+
+def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> str:
+    """Say as what areas would lie near the map, if anything is known."""
+    x, y = shapely.get_coordinates(geometry).T
+    if crs is None and _is_near(x, y, route_map, degrees=True):
+        return "As longitude and latitude they would: degrees and coordinates in the survey's CRS need a file each. "
+    if _is_near(y, x, route_map, degrees=False) or _is_near(y, x, route_map, degrees=True):
+        return "They would if x (east) and y (north), or longitude and latitude, changed places. "
+    return ""
+
+
+def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: RouteMap, *, degrees: bool) -> bool:
+    """Return whether a corner lies near the map, as degrees or in the map's CRS."""
     near = shapely.buffer(_outline(route_map), _NEAR_M)
-    return any(bool(shapely.intersects_xy(near, *place).any()) for place in places)
+    if not degrees:
+        return bool(shapely.intersects_xy(near, *route_map.to_grid(x, y)).any())
+    can_be = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
+    if not (route_map.has_crs and can_be.any()):
+        return False
+    return bool(shapely.intersects_xy(near, *route_map.from_lonlat(x[can_be], y[can_be])).any())
 
 
 def _system(crs: CRS | None, route_map: RouteMap) -> str:

@@ -7,7 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, FeatureSettings, PatchStack, Reason
-from bumpymap.patches import kernels
+from bumpymap.patches.kernels.measure import (
+    MeasureSettings,
+    PointsByTile,
+    TileMeasures,
+    measure_scratch,
+    measure_tiles,
+)
 from bumpytiles import TilePoints
 
 __all__ = ["join_stacks", "measure", "points_by_tile"]
@@ -37,20 +43,18 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     count = np.diff(measured.starts)
     tiles, px, most = len(points.col), grid.pixels, int(count.max(initial=0))
     maps = [np.empty((tiles, px, px), np.float32) for _ in range(3)]
-    out = kernels.TileMeasures(
-        np.empty((tiles, _SCALARS)), maps[0], maps[1], maps[2], np.empty((tiles, px, px), np.int32)
-    )
-    thresholds = kernels.MeasureSettings(
+    out = TileMeasures(np.empty((tiles, _SCALARS)), maps[0], maps[1], maps[2], np.empty((tiles, px, px), np.int32))
+    thresholds = MeasureSettings(
         tile_size=grid.tile_size,
         threshold=settings.ransac_threshold,
         gap=settings.stray_gap,
         depth=max(1, round(settings.max_hole / grid.pixel_size)),
     )
-    kernels.measure_tiles(
+    measure_tiles(
         measured,
         thresholds,
         out,
-        kernels.measure_scratch(most, px, settings.stray_points),
+        measure_scratch(most, px, settings.stray_points),
     )
     scalars, relief_map = out.scalars, out.relief
     reason = _reasons(count, scalars, settings)
@@ -78,14 +82,14 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
     )
 
 
-def points_by_tile(points: TilePoints, *, ground_only: bool) -> kernels.PointsByTile:
+def points_by_tile(points: TilePoints, *, ground_only: bool) -> PointsByTile:
     """Return the points that are measured: all, or those of the ground alone."""
     starts, place = points.starts, (points.easting, points.northing, points.upward)
     if ground_only:
         ground = points.flag == POINT_GROUND
         starts = np.concatenate(([0], np.cumsum(ground)))[starts]
         place = (place[0][ground], place[1][ground], place[2][ground])
-    return kernels.PointsByTile(starts, *place, points.col, points.row)
+    return PointsByTile(starts, *place, points.col, points.row)
 
 
 def _reasons(count: NDArray[np.int64], scalars: NDArray[np.float64], settings: FeatureSettings) -> NDArray[np.uint8]:

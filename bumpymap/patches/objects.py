@@ -4,7 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import EMPTY, STEEP, ObjectStack, PatchStack, VehicleBody
-from bumpymap.patches import kernels
+from bumpymap.patches.kernels import solids
+from bumpymap.patches.kernels.measure import PointsByTile
+from bumpymap.patches.kernels.objects import ObjectLimits, TileObjects, find_in_tiles, object_scratch
 from bumpytiles import Grid, TilePoints
 
 __all__ = ["find_objects", "find_steep", "settle_solids"]
@@ -45,18 +47,16 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
     tiles, pixels = len(points.col), points.grid.pixels
     state = np.empty((tiles, pixels, pixels), np.uint8)
     scalars = np.empty((tiles, _SCALARS))
-    kernels.find_in_tiles(
-        kernels.PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row),
-        kernels.ObjectLimits(
+    find_in_tiles(
+        PointsByTile(points.starts, points.easting, points.northing, points.upward, points.col, points.row),
+        ObjectLimits(
             tile_size=points.grid.tile_size,
             low=body.lowest_obstacle_m,
             high=body.height_m,
             share=_SHARE,
         ),
-        kernels.TileObjects(
-            np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars
-        ),
-        kernels.object_scratch(pixels),
+        TileObjects(np.ascontiguousarray(points.flag, np.uint8), patches.heights, patches.spread_count, state, scalars),
+        object_scratch(pixels),
     )
     return ObjectStack(state, *scalars.T.astype(np.float32))
 
@@ -98,11 +98,11 @@ def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> ND
         ring tells.
     """
     out = np.empty_like(objects)
-    kernels.settle_solids(
+    solids.settle_solids(
         np.ascontiguousarray(objects),
         grid.pixels,
         max_hole / grid.pixel_size,
-        kernels.solid_scratch(*objects.shape),
+        solids.solid_scratch(*objects.shape),
         out,
     )
     return out

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, POINT_OTHER, PatchStack, VehicleBody
-from bumpymap.patches import kernels
+from bumpymap.patches.kernels.standing import StandingLimits, mark_standing, standing_scratch
 from bumpytiles import BLOCK_TILES, TilePoints
 
 __all__ = ["find_standing", "take_off_standing"]
@@ -94,11 +94,11 @@ def find_standing(
     disc, foot = max(1.5, 0.5 * width / pixel), max(1.5, _REACH / pixel)  # at least the eight neighbours
     belly = body.lowest_obstacle_m
     raised, drop, lowest = (float(np.float32(limit)) for limit in (_RAISED * belly, _DROP * belly, least))
-    limits = kernels.StandingLimits(disc, foot, raised, drop, lowest, _STEEP)
+    limits = StandingLimits(disc, foot, raised, drop, lowest, _STEEP)
     marks = np.empty(heights.shape, np.bool_)
     rows, cols = heights.shape
-    scratch = kernels.standing_scratch(rows, cols, disc)
-    kernels.mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
+    scratch = standing_scratch(rows, cols, disc)
+    mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
     return marks
 
 

@@ -6,8 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import DENSE_COVERAGE, HOLE_POINTS, HOLE_SHARE, FeatureSettings, PatchStack, Reason
-from bumpymap.patches import kernels
 from bumpymap.patches.features import points_by_tile
+from bumpymap.patches.kernels.measure import (
+    MeasureSettings,
+    PointsByTile,
+    TileMeasures,
+    measure_scratch,
+    measure_tiles,
+)
+from bumpymap.patches.kernels.standing import PAIR_MEASURES, PairSettings, measure_pairs, pair_scratch
 from bumpytiles import TilePoints
 
 __all__ = ["ThinPatches", "measure_thin"]
@@ -50,12 +57,12 @@ def measure_thin(
     tiles = points_by_tile(points, ground_only=ground_only)
     thin = (patches.coverage > 0) & (patches.coverage < DENSE_COVERAGE)
     limit = np.where(thin, _MOST_POINTS, _NOISE_POINTS)
-    pairs = np.empty((len(points.col), kernels.PAIR_MEASURES))
-    kernels.measure_pairs(
+    pairs = np.empty((len(points.col), PAIR_MEASURES))
+    measure_pairs(
         tiles,
-        kernels.PairSettings(grid.tile_size, settings.stray_gap, limit, (np.array(_REACH_PX) * grid.pixel_size) ** 2),
+        PairSettings(grid.tile_size, settings.stray_gap, limit, (np.array(_REACH_PX) * grid.pixel_size) ** 2),
         pairs,
-        kernels.pair_scratch(_MOST_POINTS, settings.stray_points),
+        pair_scratch(_MOST_POINTS, settings.stray_points),
     )
     pairs[_has_real_holes(patches) | _is_refused(patches, settings), _SEEN] = 0.0
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
@@ -80,12 +87,12 @@ def _is_refused(patches: PatchStack, settings: FeatureSettings) -> NDArray[np.bo
     return np.asarray(raised & (patches.count < settings.min_points))
 
 
-def _take(tiles: kernels.PointsByTile, wanted: NDArray[np.bool_]) -> kernels.PointsByTile:
+def _take(tiles: PointsByTile, wanted: NDArray[np.bool_]) -> PointsByTile:
     """Select tiles and their points."""
     count = np.diff(tiles.starts)
     kept = np.repeat(wanted, count)
     starts = np.concatenate(([0], np.cumsum(count[wanted])))
-    return kernels.PointsByTile(
+    return PointsByTile(
         starts,
         tiles.easting[kept],
         tiles.northing[kept],
@@ -95,20 +102,18 @@ def _take(tiles: kernels.PointsByTile, wanted: NDArray[np.bool_]) -> kernels.Poi
     )
 
 
-def _filled(
-    tiles: kernels.PointsByTile, settings: FeatureSettings, tile_size: float, pixels: int
-) -> NDArray[np.float32]:
+def _filled(tiles: PointsByTile, settings: FeatureSettings, tile_size: float, pixels: int) -> NDArray[np.float32]:
     """Return relief maps with holes of any width filled, (n, pixels, pixels) m; NaN where the points span no plane."""
     shape = (len(tiles.col), pixels, pixels)
     relief = np.empty(shape, np.float32)
-    out = kernels.TileMeasures(
+    out = TileMeasures(
         np.empty((len(tiles.col), 9)),
         np.empty(shape, np.float32),
         np.empty(shape, np.float32),
         relief,
         np.empty(shape, np.int32),
     )
-    thresholds = kernels.MeasureSettings(tile_size, settings.ransac_threshold, settings.stray_gap, depth=pixels)
+    thresholds = MeasureSettings(tile_size, settings.ransac_threshold, settings.stray_gap, depth=pixels)
     most = int(np.diff(tiles.starts).max())
-    kernels.measure_tiles(tiles, thresholds, out, kernels.measure_scratch(most, pixels, settings.stray_points))
+    measure_tiles(tiles, thresholds, out, measure_scratch(most, pixels, settings.stray_points))
     return relief

@@ -2,7 +2,7 @@
 
 Two numbers move: a shift of ln C_r, and a tilt of it (how much more it moves on rough ground than on smooth); a third,
 the floor of the profile, if left-out parts of the drives are predicted better with it. Before any drive, shift and tilt
-are 0, give or take what vehicles differ from their profiles (tests/benchmarks/unlike_vehicles.py) and more, since no
+are 0, give or take what vehicles differ from their profiles (docs/pages/check.md has the table) and more, since no
 simulation holds all of a vehicle. A calibration is moved only if it then predicts left-out parts better, and only from
 a stated length of drive on.
 """

@@ -1,4 +1,4 @@
-"""Sums of the points of each flight line in each cell of a grid, and heights without the offset of their line.
+"""Watch LAS records; sum the points of each flight line in each cell of a grid; level the heights of the lines.
 
 The sums are integers of 0.1 mm, so that they do not depend on the order of the points. Sums that exceed 64 bits wrap
 around; differences of them are right again.
@@ -15,7 +15,6 @@ from bumpytiles import coordinates, helper, kernel, tile_index
 __all__ = [
     "AXIS_BITS",
     "CELL",
-    "KEPT",
     "LINE_BITS",
     "QUANTA",
     "SLOTS",
@@ -23,85 +22,24 @@ __all__ = [
     "SUMS",
     "CellTable",
     "Corrections",
-    "CountedPoints",
     "CountedRecords",
-    "FilePoints",
     "LinedPoints",
     "RecordCounts",
     "RecordRules",
     "ScaledLinedPoints",
     "StripPlaces",
-    "WatchCounts",
-    "WatchRules",
     "add_points",
     "add_scaled_points",
     "correct_heights",
-    "filter_points",
     "filter_records",
 ]
 
-_FIRST = 5
-"""Place in ``counts`` of the number of the first point that is not finite; -1 where there is none."""
-KEPT = 6
-"""Place in ``counts`` of the points that count, so far."""
-_FINITE = float(np.finfo(np.float64).max)
-
 Floats = Annotated[NDArray[np.float64], 1]
 Bytes = Annotated[NDArray[np.uint8], 1]
-Flags = Annotated[NDArray[np.bool_], 1]
 Lines = Annotated[NDArray[np.uint16], 1]
 Counts = Annotated[NDArray[np.int64], 1]
 Records = Annotated[NDArray[np.uint8], 2]
 Words = Annotated[NDArray[np.int32], 1]
-
-
-class FilePoints(NamedTuple):
-    """Points as a file holds them, (n,) each."""
-
-    x: Floats
-    """m, as the two that follow."""
-    y: Floats
-    z: Floats
-    class_id: Bytes
-    """LAS classes; 7 and 18 are noise."""
-    withheld: Flags
-    line: Lines
-    """Flight lines."""
-
-
-class WatchRules(NamedTuple):
-    """What points are held to."""
-
-    box: Floats
-    """(4,) west, south, east, north that every point must lie in, m."""
-    nan_is_no_return: bool
-    """A row with NaN does not count; otherwise it is bad, as infinite ones are."""
-    start: int
-    """Number of the first point in the file."""
-    kinds: Bytes
-    """(256,) kind of the points of each class."""
-
-
-class CountedPoints(NamedTuple):
-    """Where points that count go, (n,) each; may be the arrays that they come from."""
-
-    x: Floats
-    """m, as the two that follow."""
-    y: Floats
-    z: Floats
-    kind: Bytes
-    line: Lines
-
-
-class WatchCounts(NamedTuple):
-    """What was seen; brought up to date."""
-
-    extremes: Floats
-    """(5,) lowest easting and northing, highest easting and northing, largest distance of a height from zero, m."""
-    counts: Counts
-    """(7,) withheld, noise, not a number, outside, not finite, first not finite: as in ``PointStats``; those kept."""
-    classes: Counts
-    """(256,) points that count, by class."""
 
 
 class RecordRules(NamedTuple):
@@ -136,55 +74,6 @@ class RecordCounts(NamedTuple):
     """(4,) withheld, noise, outside, kept."""
     classes: Counts
     """(256,) points that count, by class."""
-
-
-@helper
-def _watch(e: float, n: float, u: float, number: int, rules: WatchRules, counts: Counts) -> bool:
-    """Look closely at a point with which something may be wrong; False where it is no point."""
-    box = rules.box
-    if e < box[0] or n < box[1] or e > box[2] or n > box[3]:
-        counts[3] += 1
-    if not (np.isfinite(e) and np.isfinite(n) and np.isfinite(u)):
-        if rules.nan_is_no_return and (np.isnan(e) or np.isnan(n) or np.isnan(u)):
-            counts[2] += 1
-            return False
-        counts[4] += 1
-        if counts[_FIRST] < 0:
-            counts[_FIRST] = number
-    return True
-
-
-@kernel
-def filter_points(points: FilePoints, rules: WatchRules, out: CountedPoints, watched: WatchCounts) -> None:
-    """Watch points and append those that count."""
-    extremes, counts, box = watched.extremes, watched.counts, rules.box
-    west, south, east, north, highest = extremes[0], extremes[1], extremes[2], extremes[3], extremes[4]
-    # Nothing is wrong with a point in here; the others are looked at closely.
-    inner_west, inner_south = max(box[0], -_FINITE), max(box[1], -_FINITE)
-    inner_east, inner_north = min(box[2], _FINITE), min(box[3], _FINITE)
-    to = counts[KEPT]
-    for i in range(len(points.x)):
-        e, n, u = points.x[i], points.y[i], points.z[i]
-        # In this order NaN leaves the extremes alone, as comparisons with it are false; it lies nowhere, too.
-        west, east = min(west, e), max(east, e)
-        south, north = min(south, n), max(north, n)
-        highest = max(highest, abs(u))
-        fine = inner_west <= e <= inner_east and inner_south <= n <= inner_north and abs(u) <= _FINITE
-        if not fine and not _watch(e, n, u, rules.start + i, rules, counts):
-            continue
-        if points.withheld[i]:
-            counts[0] += 1
-            continue
-        code = points.class_id[i]
-        if code == 7 or code == 18:  # noqa: PLR1714 (numba builds no set in a loop)
-            counts[1] += 1
-            continue
-        out.x[to], out.y[to], out.z[to], out.kind[to] = e, n, u, rules.kinds[code]
-        out.line[to] = points.line[i]
-        watched.classes[code] += 1
-        to += 1
-    counts[KEPT] = to
-    extremes[0], extremes[1], extremes[2], extremes[3], extremes[4] = west, south, east, north, highest
 
 
 @helper

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.conversion import RecordLayout
 from bumpymap.readers.decoder import DecoderError, decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.point_stats import OUTSIDE
@@ -307,15 +306,12 @@ def _depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:
     return np.lexsort(keys[::-1]) if keys else np.zeros(nodes.size, np.int64).argsort(kind="stable")
 
 
-def count_points_outside_node(
-    records: NDArray[np.uint8], layout: RecordLayout, metres_per_unit: float, box: Bounds, nodes: ChunkTable
-) -> int:
+def count_points_outside_node(records: NDArray[np.uint8], scaling: Scaling, box: Bounds, nodes: ChunkTable) -> int:
     """Count points inside the file's bounds, but more than ``OUTSIDE`` outside the cube of their node.
 
     Checked by node, so that the result does not depend on the chunks. Only nodes whose minimum or maximum lies outside
     are checked point by point.
     """
-    scaling = Scaling(layout.scales, layout.offsets, (metres_per_unit,) * 3)
 
     def outside(words: NDArray[np.int32], boxes: NDArray[np.float64]) -> NDArray[np.bool_]:
         points = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(2)], axis=1)

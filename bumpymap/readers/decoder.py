@@ -37,7 +37,6 @@ __all__ = [
     "DecoderError",
     "Guard",
     "LocalDecoder",
-    "Stream",
     "StreamLostError",
     "close_decoder",
     "decoder",
@@ -151,6 +150,10 @@ _MALLOC = {"MALLOC_TRIM_THRESHOLD_": str(1 << 26), "MALLOC_MMAP_THRESHOLD_": str
 """Makes glibc keep the memory that lazrs allocates for each LAZ chunk; else it comes from the system each time."""
 
 
+_numbers = itertools.count(1)
+"""Numbers of streams: a stream of another decoder, such as that of the process before a fork, is lost, not mistaken."""
+
+
 class StreamLostError(Exception):
     """The stream was lost for a reason unrelated to its file; open a new one."""
 
@@ -168,7 +171,6 @@ class Decoder:
         self._lock = threading.Lock()
         self.guard = Guard(_start, "decodes LAZ", "lazrs")
         """Its process decodes all streams."""
-        self._numbers = itertools.count(1)
         self._streams: set[int] = set()
         """Open streams of the running child."""
         self._further, self._adding = further, threading.Lock()
@@ -206,16 +208,16 @@ class Decoder:
             self._lock.release()
         return out.data
 
-    def stream(self, record: bytes, read_at: ReadAt, start: int, file_size: int) -> "Stream":
-        """Open a stream that decodes a file sequentially from offset ``start``."""
-        number = next(self._numbers)
+    def open_stream(self, record: bytes, read_at: ReadAt, start: int, file_size: int) -> int:
+        """Open a stream that decodes a file sequentially from offset ``start``; return its number."""
+        number = next(_numbers)
         with self._lock:
             self._call("open_stream", number, record, start, file_size, read_at=read_at)
             self._streams.add(number)
-        return Stream(self, number, read_at)
+        return number
 
     def read_stream(self, number: int, read_at: ReadAt, size: int) -> Bytes:
-        """Decode the next ``size`` bytes of points of a stream."""
+        """Decode the next ``size`` bytes of points of a stream. May also raise StreamLostError."""
         out = self.allocate(size)
         with self._lock:
             if number not in self._streams or not self._is_alive():
@@ -294,21 +296,6 @@ class LocalDecoder(Decoder):
 
     def _end(self) -> None:
         """Do nothing: there is no child."""
-
-
-class Stream:
-    """Sequential decoding of the points of a file."""
-
-    def __init__(self, owner: Decoder, number: int, read_at: ReadAt) -> None:
-        self._owner, self._number, self._supply = owner, number, read_at
-
-    def read(self, size: int) -> Bytes:
-        """Decode the next ``size`` bytes of points. May also raise StreamLostError."""
-        return self._owner.read_stream(self._number, self._supply, size)
-
-    def close(self) -> None:
-        """Close the stream."""
-        self._owner.close_stream(self._number)
 
 
 def _start() -> Child:

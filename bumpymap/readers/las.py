@@ -1,16 +1,24 @@
 """The reader of LAS, LAZ and COPC. lazrs decodes only the fields that bumpymap needs."""
 
+import math
 import threading
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Place, georeference
-from bumpymap.readers.conversion import NO_POINTS, PointChecks, RecordLayout, convert_las_points
+from bumpymap.core import BadInputError, Georeference, Place, PointCloud, georeference
+from bumpymap.readers._kernels import (
+    CountedRecords,
+    LinedPoints,
+    RecordCounts,
+    RecordRules,
+    ScaledLinedPoints,
+    filter_records,
+)
 from bumpymap.readers.copc import (
     ChunkTable,
     check_layers,
@@ -21,16 +29,16 @@ from bumpymap.readers.copc import (
     read_table,
     refuse_density,
 )
-from bumpymap.readers.decoder import Stream, StreamLostError, decoder
-from bumpymap.readers.las_header import RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import LineRules
+from bumpymap.readers.decoder import StreamLostError, decoder
+from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
+from bumpymap.readers.point_stats import KINDS, OUTSIDE, LineRules, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
     ChunkPoints,
     ReadOptions,
-    SurveyBase,
     SurveyInfo,
+    SurveyReader,
     group_laz_chunks,
     split_rows,
 )
@@ -43,7 +51,7 @@ from bumpymap.readers.source import (
     refuse_count,
     refuse_header_bounds,
 )
-from bumpytiles import DECIMALS, Bounds
+from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
 __all__ = ["LasSurvey"]
 
@@ -57,6 +65,7 @@ _PIECE_BYTES = 1 << 20
 """Bytes of uncompressed points that are read at a time, at most."""
 _SKIPPED = 100_000
 """Points that are decoded at a time to skip them."""
+_LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 
 
 _buffers = threading.local()
@@ -183,7 +192,7 @@ class LazStream(RecordSource):
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
         super().__init__(path, header)
         self._record, self._next = record, 0
-        self._stream: Stream | None = None
+        self._stream: int | None = None
         if table is None:
             size = header.size - header.offset_to_points
             refuse_density(path, np.array([header.point_count]), np.array([size]))
@@ -216,13 +225,13 @@ class LazStream(RecordSource):
         if stream is None or chunk.first < self._next:
             self._close()
             start, size = self._header.offset_to_points, self._header.size
-            stream = self._stream = decoder().stream(self._record, self._supply, start, size)
+            stream = self._stream = decoder().open_stream(self._record, self._supply, start, size)
             self._next = 0
         while self._next < chunk.first:
             skipped = min(_SKIPPED, chunk.first - self._next)
-            stream.read(skipped * self._header.point_size)
+            decoder().read_stream(stream, self._supply, skipped * self._header.point_size)
             self._next += skipped
-        data = stream.read(chunk.points * self._header.point_size)
+        data = decoder().read_stream(stream, self._supply, chunk.points * self._header.point_size)
         self._next += chunk.points
         return data
 
@@ -235,15 +244,111 @@ class LazStream(RecordSource):
     def _close(self) -> None:
         stream, self._stream = self._stream, None
         if stream is not None:
-            stream.close()
+            decoder().close_stream(stream)
 
 
-def has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
-    """Return whether a LAZ chunk is too large to be decoded at once."""
-    return bool((table.counts * header.point_size > HUGE_CHUNK).any())
+def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds | None) -> RecordRules:
+    """Return what records are held to: LAS 1.4 R15, tables 7 and 10.
+
+    Parameters
+    ----------
+    layered : bool
+        Whether the point format is 6 or higher, with a separate class byte.
+    line : int
+        Flight line of points whose point source id is 0: the id of the file.
+    scaling : Scaling
+    bounds : Bounds or None
+        Extent in the header, m; points more than ``OUTSIDE`` beyond it are counted.
+    """
+    fields = [16, 255, 15, 4, 20, line] if layered else [15, 31, 15, 128, 18, line]
+    limits = ((-math.inf, math.inf), (-math.inf, math.inf))
+    if bounds is not None:
+        limits = (
+            (bounds.west - OUTSIDE, bounds.east + OUTSIDE),
+            (bounds.south - OUTSIDE, bounds.north + OUTSIDE),
+        )
+    box = [_integers_between(scaling, axis, low, high) for axis, (low, high) in enumerate(limits)]
+    return RecordRules(np.array(fields), np.array(box).reshape(-1), KINDS)
 
 
-class LasSurvey(SurveyBase):
+def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
+    """Return the lowest and the highest integer whose coordinate lies between two others; low > high: none does."""
+
+    def first(is_past: Callable[[float], bool]) -> int:
+        """Return the first integer whose coordinate passes a test that holds for all after it."""
+        before, at = _LOWEST - 1, _HIGHEST + 1
+        while at - before > 1:
+            middle = (before + at) // 2
+            before, at = (before, middle) if is_past(float(scaling.coordinates(axis, middle))) else (middle, at)
+        return at
+
+    if scaling.scales[axis] > 0:
+        return first(lambda place: place >= low), first(lambda place: place > high) - 1
+    return first(lambda place: place <= high), first(lambda place: place < low) - 1
+
+
+def convert_records(
+    pieces: Iterable[Records], chunk: Chunk, rules: RecordRules, scaling: Scaling, lines: LineRules
+) -> ChunkPoints:
+    """Convert LAS point records to points, drop unusable ones, and count all of them.
+
+    Parameters
+    ----------
+    pieces : iterable of uint8 (n, bytes of a point)
+        The records; may be iterated again. Each piece is only valid until the next is taken.
+    chunk : Chunk
+        The chunk that they are of.
+    rules : RecordRules
+    scaling : Scaling
+    lines : LineRules
+    """
+    x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
+    out = CountedRecords(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
+    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64), np.zeros(256, np.int64))
+    number = 0
+    for records in pieces:
+        filter_records(records, rules, out, seen)
+        number += len(records)
+    withheld, noise, outside, kept = seen.counts.tolist()
+    stats = PointStats()
+    if number:
+        # Coordinates grow, or fall, with their integers: the ends are enough.
+        (west, east), (south, north), (low, high) = (
+            sorted(scaling.coordinates(axis, seen.extremes[2 * axis : 2 * axis + 2]).tolist()) for axis in range(3)
+        )
+        highest = max(abs(low), abs(high))
+        stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest)
+    if not math.isfinite(max(abs(side) for side in (stats.west, stats.south, stats.east, stats.north, stats.highest))):
+        stats = replace(stats, **_not_finite(pieces, scaling, chunk.first))
+    kept = 0 if stats.bad else kept
+    x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
+    if lines.corrects:
+        in_metres = LinedPoints(*ScaledPoints(x, y, z, kind, scaling).coordinates(), kind, line)
+        lines.correct(in_metres)
+        cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind)
+        return ChunkPoints(cloud, stats, lines.sums(in_metres), seen.classes)
+    sums = lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
+    if kept < number // 2:
+        # A view would keep the memory of the dropped points.
+        x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
+    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums, seen.classes)
+
+
+def _not_finite(pieces: Iterable[Records], scaling: Scaling, first: int) -> dict[str, int]:
+    """Count the points with infinite coordinates, and find the first; ``first`` is the number of the first point."""
+    bad, first_bad = 0, -1
+    for records in pieces:
+        words = np.ascontiguousarray(records[:, :12]).view("<i4")
+        places = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(3)])
+        found = np.flatnonzero(~np.isfinite(places).all(axis=0))
+        if len(found) and first_bad < 0:
+            first_bad = first + int(found[0])
+        bad += len(found)
+        first += len(records)
+    return {"not_finite": bad, "first_not_finite": first_bad}
+
+
+class LasSurvey(SurveyReader):
     """A LAS, LAZ or COPC file.
 
     A coordinate is ``integer * scale + offset``, rounded to 1e-8 of the file's unit and then converted to metres. The
@@ -252,7 +357,8 @@ class LasSurvey(SurveyBase):
     files (about 1e-3) and above that of float64 up to 6.7e7 units, so coordinates are not changed otherwise.
     """
 
-    def __init__(self, path: Location, options: ReadOptions) -> None:
+    def _open(self, options: ReadOptions) -> SurveyInfo:
+        path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
             raw = read_raw_header(stream, path)
             _refuse_scales(path, raw)
@@ -263,40 +369,37 @@ class LasSurvey(SurveyBase):
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
             self._source = _source(stream, path, raw, None if bounds is None else place.metres_per_unit)
-        self._layout = _layout(raw)
+        units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
+        self._scaling = Scaling(raw.scales, raw.offsets, units)
+        layered = raw.point_format >= LAYERED
+        self._rules = record_rules(layered=layered, line=raw.source_id, scaling=self._scaling, bounds=bounds)
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
         sequential, parallel = isinstance(self._source, LazStream), isinstance(self._source, LazChunks)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
-        super().__init__(replace(info, sequential=sequential, parallel=parallel, header_date=raw.created))
+        return replace(info, sequential=sequential, parallel=parallel, header_date=raw.created)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree."""
         return self._source.chunks(points)
 
-    def fetch(self, chunk: Chunk) -> Records | PlainRecords:
+    def _fetch(self, chunk: Chunk) -> Records | PlainRecords:
         """Read and decode the point records of a chunk; uncompressed ones are read when they are converted."""
         return self._source.fetch(chunk)
 
-    def convert(self, chunk: Chunk, fetched: Records | PlainRecords) -> ChunkPoints:
-        """Convert the records of a chunk to points in metres."""
-        info = self.info
-        checks = PointChecks(chunk.first, info.bounds)
+    def _convert(self, chunk: Chunk, fetched: Records | PlainRecords) -> ChunkPoints:
         pieces = fetched if isinstance(fetched, PlainRecords) else (fetched,)
-        converted = convert_las_points(pieces, chunk.points, self._layout, info.georeference, checks, self._lines)
-        nodes = self._source.nodes(chunk)
-        if isinstance(fetched, PlainRecords) or nodes is None or info.bounds is None:
+        converted = convert_records(pieces, chunk, self._rules, self._scaling, self._lines)
+        nodes, bounds = self._source.nodes(chunk), self.info.bounds
+        if isinstance(fetched, PlainRecords) or nodes is None or bounds is None:
             return converted
-        points_outside_node = count_points_outside_node(
-            fetched, self._layout, info.georeference.metres_per_unit, info.bounds, nodes
-        )
-        return (
-            converted
-            if not points_outside_node
-            else ChunkPoints(NO_POINTS, replace(converted.stats, points_outside_node=points_outside_node))
-        )
+        outside = count_points_outside_node(fetched, self._scaling, bounds, nodes)
+        if not outside:
+            return converted
+        empty = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint8))
+        return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
 
 
 def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:
@@ -308,29 +411,16 @@ def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: f
         return LazStream(path, raw, record, None)
     if raw.is_copc:
         nodes = read_octree(stream, path, raw, metres_per_unit)
-        if not has_huge_chunks(nodes, raw):
+        if not _has_huge_chunks(nodes, raw):
             return LazChunks(path, raw, record, nodes)
     table = read_table(stream, path, raw, record)
-    source = LazStream if has_huge_chunks(table, raw) else LazChunks
+    source = LazStream if _has_huge_chunks(table, raw) else LazChunks
     return source(path, raw, record, table)
 
 
-def _layout(raw: RawHeader) -> RecordLayout:
-    """Return where the fields are: LAS 1.4 R15, tables 7 and 10; formats 6 and up have a separate class byte.
-
-    A point source id of 0 stands for that of the file.
-    """
-    layered = raw.point_format >= 6
-    return RecordLayout(
-        raw.scales,
-        raw.offsets,
-        class_byte=16 if layered else 15,
-        class_mask=255 if layered else 31,
-        withheld_byte=15,
-        withheld_mask=4 if layered else 128,
-        line_byte=20 if layered else 18,
-        line=raw.source_id,
-    )
+def _has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
+    """Return whether a LAZ chunk is too large to be decoded at once."""
+    return bool((table.counts * header.point_size > HUGE_CHUNK).any())
 
 
 def _refuse_scales(path: Location, raw: RawHeader) -> None:

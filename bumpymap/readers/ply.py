@@ -1,12 +1,12 @@
 """The reader of PLY files: text, binary, and binary with lists, all read in chunks."""
 
 import io
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from struct import Struct
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,52 +22,32 @@ _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": 
 
 
 @dataclass(frozen=True, slots=True)
-class PlyProperty:
-    """A property as declared in the header."""
-
-    name: str
-    code: str
-    """NumPy type code of its values, without byte order."""
-    length_code: str | None = None
-    """NumPy type code of the list length; None for a scalar."""
-
-
-@dataclass(frozen=True, slots=True)
 class PlyElement:
     """An element as declared in the header."""
 
     name: str
     count: int
-    properties: list[PlyProperty] = field(default_factory=list)
+    properties: dict[str, tuple[str, str | None]] = field(default_factory=dict)
+    """Name -> NumPy type code of its values, without byte order, and that of the list length; None for a scalar."""
 
     @property
     def lists(self) -> tuple[bool, ...]:
-        """Whether each property is a list."""
-        return tuple(prop.length_code is not None for prop in self.properties)
-
-    @property
-    def has_lists(self) -> bool:
-        """Whether any property is a list, so that rows differ in size."""
-        return any(self.lists)
-
-    @property
-    def scalars(self) -> list[str]:
-        """Names of the properties that are not lists."""
-        return [prop.name for prop in self.properties if prop.length_code is None]
+        """Whether each property is a list. If any is, rows differ in size."""
+        return tuple(length is not None for _, length in self.properties.values())
 
     def dtype(self, byte_order: str) -> np.dtype[np.void]:
         """Return the dtype of its rows, without lists."""
-        return np.dtype([(p.name, byte_order + p.code) for p in self.properties if p.length_code is None])
+        kinds = self.properties.items()
+        return np.dtype([(name, byte_order + code) for name, (code, length) in kinds if length is None])
 
     def least_bytes(self, *, text: bool) -> int:
         """Return the minimum size of a row in bytes: a list has at least its length."""
         if text:
             return max(2 * len(self.properties) - 1, 1)
-        return max(sum(np.dtype(prop.length_code or prop.code).itemsize for prop in self.properties), 1)
+        return max(sum(np.dtype(length or code).itemsize for code, length in self.properties.values()), 1)
 
 
-@dataclass(frozen=True, slots=True)
-class PlyHeader:
+class PlyHeader(NamedTuple):
     """The contents of a PLY header that are needed to read its vertices."""
 
     byte_order: str
@@ -79,16 +59,6 @@ class PlyHeader:
     """Elements whose data precedes the vertices."""
     columns: tuple[str, str, str]
     """Names of the x, y and z properties."""
-
-    @property
-    def text(self) -> bool:
-        """Whether the data is text."""
-        return self.byte_order == "="
-
-    @property
-    def lines_before(self) -> int:
-        """Lines between the header and the vertices of a text file."""
-        return sum(element.count for element in self.before)
 
 
 def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
@@ -107,18 +77,17 @@ def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
         held = ", ".join(head.name for head in elements) or "nothing"
         raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
     vertex = elements[place]
-    names = {prop.name.lower(): prop for prop in reversed(vertex.properties)}
-    missing = [axis for axis in "xyz" if axis not in names or names[axis].length_code is not None]
+    names = {name.lower(): name for name in reversed(vertex.properties)}
+    missing = [axis for axis in "xyz" if axis not in names or vertex.properties[names[axis]][1] is not None]
     if missing:
-        held = ", ".join(prop.name for prop in vertex.properties) or "no properties"
+        held = ", ".join(vertex.properties) or "no properties"
         raise BadInputError(
             f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
             "x, y and z"
         )
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
-    columns = (names["x"].name, names["y"].name, names["z"].name)
-    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), columns)
+    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), (names["x"], names["y"], names["z"]))
 
 
 def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
@@ -149,32 +118,30 @@ def _parse(lines: list[str]) -> tuple[str, list[PlyElement]]:
     for line in lines[2:-1]:
         match line.split():
             case ["element", name, count] if count.isdecimal():
-                _refuse_twice(name, elements, line)
+                known: Iterable[str] = [other.name for other in elements]
                 elements.append(PlyElement(name, int(count)))
             case ["property", *words] if elements:
-                prop = _property(words, line)
-                _refuse_twice(prop.name, elements[-1].properties, line)
-                elements[-1].properties.append(prop)
+                name, *codes = _property(words, line)
+                known = list(elements[-1].properties)
+                elements[-1].properties[name] = (codes[0], codes[1] if len(codes) > 1 else None)
             case _:
                 raise ValueError(f"{line!r} is neither an element with a count nor a property of one")
+        if name in known:
+            raise ValueError(f"{line!r} declares the name {name} a second time")
     return byte_order, elements
 
 
-def _property(words: list[str], line: str) -> PlyProperty:
+def _property(words: list[str], line: str) -> tuple[str, ...]:
+    """Return the name, and the type codes of the values and, of a list, of its length."""
     match words:
         case [kind, name] if kind in PLY_TYPES:
-            return PlyProperty(name, PLY_TYPES[kind])
+            return name, PLY_TYPES[kind]
         case ["list", length, kind, name] if kind in PLY_TYPES and PLY_TYPES.get(length, "f")[0] != "f":
-            return PlyProperty(name, PLY_TYPES[kind], PLY_TYPES[length])
+            return name, PLY_TYPES[kind], PLY_TYPES[length]
     raise ValueError(
         f"{line!r} is neither 'property TYPE NAME' nor 'property list WHOLE_TYPE TYPE NAME'; the types are "
         f"{', '.join(PLY_TYPES)}"
     )
-
-
-def _refuse_twice(name: str, known: list[PlyElement] | list[PlyProperty], line: str) -> None:
-    if any(other.name == name for other in known):
-        raise ValueError(f"{line!r} declares the name {name} a second time")
 
 
 _STRUCT = {"i1": "b", "u1": "B", "i2": "h", "u2": "H", "i4": "i", "u4": "I", "f4": "f", "f8": "d"}
@@ -209,27 +176,6 @@ class ListedRows(SerialRows):
         return np.concatenate(blocks)
 
 
-def data_start(file: OpenFile, header: PlyHeader, size: int) -> int:
-    """Return the offset of the vertices in a binary file; elements with lists that come before are read through.
-
-    Raises
-    ------
-    BadInputError
-        The file ends before the vertices.
-    """
-    path, at = file.path, header.data_at
-    for element in header.before:
-        if element.has_lists:
-            with decoding(path, f"the element '{element.name}'"), file.open() as stream:
-                stream.seek(at)
-                rows = sum(1 for _ in _rows(stream, element, header.byte_order, size))
-                refuse_count(path, element.count, rows, f"'{element.name}'")
-                at = stream.tell()
-        else:
-            at += element.count * element.dtype(header.byte_order).itemsize
-    return at
-
-
 def _rows(stream: BinaryIO, element: PlyElement, byte_order: str, size: int) -> Iterator[tuple[Any, ...]]:
     """Yield the scalar values of each row, up to the end of the file; ``stream`` is left after the last row."""
     runs = _runs(element, byte_order)
@@ -257,11 +203,11 @@ def _rows(stream: BinaryIO, element: PlyElement, byte_order: str, size: int) -> 
 def _runs(element: PlyElement, byte_order: str) -> list[tuple[Struct, int]]:
     """Split a row after each list length; return the parts with the item size of the list that follows (0: none)."""
     runs, letters = [], ""
-    for prop in element.properties:
-        if prop.length_code is None:
-            letters += _STRUCT[prop.code]
+    for code, length in element.properties.values():
+        if length is None:
+            letters += _STRUCT[code]
         else:
-            runs.append((Struct(f"{byte_order}{letters}{_STRUCT[prop.length_code]}"), np.dtype(prop.code).itemsize))
+            runs.append((Struct(f"{byte_order}{letters}{_STRUCT[length]}"), np.dtype(code).itemsize))
             letters = ""
     return [*runs, (Struct(f"{byte_order}{letters}"), 0)] if letters else runs
 
@@ -287,14 +233,22 @@ class PlyTable(PointTable):
             with decoding(path, "the header"):
                 self._header = header = read_ply_header(stream, path)
             size = stream.seek(0, io.SEEK_END)
+        text = header.byte_order == "="
         self._dtype = header.vertex.dtype(header.byte_order)
-        types = {name: self._dtype[name] for name in header.vertex.scalars}
+        types = {name: self._dtype[name] for name in self._dtype.names or ()}
         _refuse_size(header, path, size)
         type_names = " ".join(dict.fromkeys(types[name].name for name in header.columns))
-        row_bytes = 8 * len(header.columns) if header.text else self._dtype.itemsize
+        row_bytes = 8 * len(header.columns) if text else self._dtype.itemsize
         kind = f"PLY, {_ENDIAN[header.byte_order]}, {type_names}"
-        super().__init__(path, TableInfo(kind, size, header.vertex.count, row_bytes, types, header.text))
-        self._serial = self._serial_rows(wanted)
+        super().__init__(path, TableInfo(kind, size, header.vertex.count, row_bytes, types, text))
+        self._serial: SerialRows | None = None  # rows of a fixed size are read anywhere
+        if text:
+            names, before = list(self.info.find(wanted).values()), sum(element.count for element in header.before)
+            dtype = np.dtype([(name, np.float64) for name in names])
+            places = [list(types).index(name) for name in names]
+            self._serial = TextRows(file, header.data_at, before, dtype, places, header.vertex.lists)
+        elif any(header.vertex.lists):
+            self._serial = ListedRows(file, self._vertices_at, header.vertex, header.byte_order, size)
 
     @property
     def sequential(self) -> bool:
@@ -314,26 +268,25 @@ class PlyTable(PointTable):
 
     @cached_property
     def _vertices_at(self) -> int:
-        return data_start(self._file, self._header, self.info.size)
-
-    def _serial_rows(self, wanted: Wanted) -> SerialRows | None:
-        """Return a sequential reader for text and for rows with lists; None if rows have a fixed size."""
-        header = self._header
-        if header.text:
-            names = list(self.info.find(wanted).values())
-            dtype = np.dtype([(name, np.float64) for name in names])
-            places = [header.vertex.scalars.index(name) for name in names]
-            return TextRows(self._file, header.data_at, header.lines_before, dtype, places, header.vertex.lists)
-        if header.vertex.has_lists:
-            return ListedRows(self._file, self._vertices_at, header.vertex, header.byte_order, self.info.size)
-        return None
+        """Offset of the vertices in a binary file; elements with lists that come before are read through."""
+        header, at = self._header, self._header.data_at
+        for element in header.before:
+            if any(element.lists):
+                with decoding(self.path, f"the element '{element.name}'"), self._file.open() as stream:
+                    stream.seek(at)
+                    rows = sum(1 for _ in _rows(stream, element, header.byte_order, self.info.size))
+                    refuse_count(self.path, element.count, rows, f"'{element.name}'")
+                    at = stream.tell()
+            else:
+                at += element.count * element.dtype(header.byte_order).itemsize
+        return at
 
 
 def _refuse_size(header: PlyHeader, path: Location, size: int) -> None:
     """Check the declared counts against the size of the file, before memory is allocated for them."""
     room = size - header.data_at
     for head in (*header.before, header.vertex):
-        least = head.least_bytes(text=header.text)
+        least = head.least_bytes(text=header.byte_order == "=")
         held = room // least
         if held < head.count:
             refuse_count(path, head.count, max(held, 0), "points" if head is header.vertex else f"'{head.name}'")

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import POINT_BUILDING, POINT_GROUND, POINT_PLANT, BadInputError
 from bumpymap.readers._kernels import (
     AXIS_BITS,
     LINE_BITS,
@@ -34,7 +34,21 @@ from bumpymap.readers._kernels import (
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
 from bumpytiles import Bounds, Scaling
 
-__all__ = ["EARTH_LIMIT", "OUTSIDE", "LineCorrection", "LineRules", "LineSums", "PointStats", "cell_indices", "verify"]
+__all__ = [
+    "EARTH_LIMIT",
+    "KINDS",
+    "OUTSIDE",
+    "LineCorrection",
+    "LineRules",
+    "LineSums",
+    "PointStats",
+    "cell_indices",
+    "verify",
+]
+
+KINDS = np.zeros(256, np.uint8)
+"""(256,) kind of the points of each LAS class."""
+KINDS[2], KINDS[3:6], KINDS[6] = POINT_GROUND, POINT_PLANT, POINT_BUILDING
 
 MOST_ROWS = 50_000
 """Rows of the sample at most: 4.4 MB."""

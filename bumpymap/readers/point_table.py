@@ -4,22 +4,29 @@ import io
 import warnings
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CrsStatement, Georeference, Place, georeference
-from bumpymap.readers.conversion import PointChecks, RawPoints, convert_table_points
-from bumpymap.readers.protocol import CHUNK_POINTS, Chunk, ChunkPoints, ReadOptions, SurveyBase, SurveyInfo, split_rows
+from bumpymap.core import CrsStatement, Place, PointCloud, georeference
+from bumpymap.readers.point_stats import KINDS, PointStats
+from bumpymap.readers.protocol import (
+    CHUNK_POINTS,
+    Chunk,
+    ChunkPoints,
+    ReadOptions,
+    SurveyInfo,
+    SurveyReader,
+    split_rows,
+)
 from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 from bumpytiles import DECIMALS
 
 __all__ = [
-    "CLASSES",
     "CLASS_COLUMNS",
     "PointTable",
     "SerialRows",
@@ -27,12 +34,14 @@ __all__ = [
     "TableSurvey",
     "TextRows",
     "Wanted",
-    "metres",
+    "convert_points",
     "precision_note",
     "read_rows",
 ]
 
 _BLOCK = 100_000
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(slots=True)
@@ -134,26 +143,54 @@ _LARGE = 1e5
 """From here on the resolution of float32 is 1 cm or coarser, in the file's unit."""
 
 
-def metres(rows: Any, columns: tuple[str, str, str], class_column: str | None, place: Georeference) -> RawPoints:
-    """Convert table rows to points.
+def convert_points(
+    axes: tuple[Floats, Floats, Floats], class_id: NDArray[Any] | None, first: int, *, nan_is_no_return: bool
+) -> ChunkPoints:
+    """Drop unusable points of a table, and count all of them.
 
     Parameters
     ----------
-    rows : structured array (n,)
-    columns : (str, str, str)
-        Names of x, y and z.
-    class_column : str or None
-    place : Georeference
-        Its units are used.
-
-    Returns
-    -------
-    RawPoints
+    axes : three float64 (n,)
+        Easting, northing and height, m.
+    class_id : (n,) numbers or None
+        LAS classes; what is none becomes 0. None: the table has no classes.
+    first : int
+        Number of the first point in the file.
+    nan_is_no_return : bool
+        Whether a point with NaN is a beam without return, rather than an error.
     """
-    # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file.
-    units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
-    x, y, z = (_coordinate(rows[name], unit) for name, unit in zip(columns, units, strict=True))
-    return RawPoints(x, y, z, None if class_column is None else np.asarray(rows[class_column]))
+    size = len(axes[0])
+    codes = np.zeros(size, np.uint8)
+    if class_id is not None:
+        codes = np.where((class_id >= 0) & (class_id <= 255) & (class_id % 1 == 0), class_id, 0).astype(np.uint8)
+    bad, no_return = np.zeros((2, size), np.bool_)
+    ends = [(axis.min(initial=np.inf), axis.max(initial=-np.inf)) for axis in axes]
+    if size and not np.isfinite(ends).all():
+        ends = [(np.fmin.reduce(axis, initial=np.inf), np.fmax.reduce(axis, initial=-np.inf)) for axis in axes]
+        if nan_is_no_return:
+            no_return = np.logical_or.reduce([np.isnan(axis) for axis in axes])
+        bad = ~np.logical_and.reduce([np.isfinite(axis) for axis in axes]) & ~no_return
+    noise = ((codes == 7) | (codes == 18)) & ~no_return
+    (west, east), (south, north), (low, high) = np.array(ends).tolist()
+    stats = PointStats(
+        points=size,
+        noise=int(noise.sum()),
+        not_a_number=int(no_return.sum()),
+        not_finite=int(bad.sum()),
+        first_not_finite=first + int(bad.argmax()) if bad.any() else -1,
+        west=west,
+        south=south,
+        east=east,
+        north=north,
+        highest=max(0.0, -low, high),
+    )
+    kept = ~(noise | no_return)
+    if not kept.all():
+        axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
+    classes = np.bincount(codes, minlength=256)
+    if stats.bad:
+        axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
+    return ChunkPoints(PointCloud(*axes, KINDS[codes]), stats, classes=classes)
 
 
 def read_rows(file: OpenFile, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
@@ -163,7 +200,8 @@ def read_rows(file: OpenFile, data_at: int, dtype: np.dtype[np.void], first: int
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
-    # Overflow becomes infinity; infinity and NaN are rejected later.
+    # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
+    # infinity and NaN are rejected later.
     with np.errstate(over="ignore", invalid="ignore"):
         value: NDArray[np.float64] = np.asarray(column, np.float64).round(DECIMALS)
         return value if unit == 1.0 else value * unit
@@ -197,7 +235,7 @@ def precision_note(first: tuple[float, float, float] | None, types: Sequence[Any
 
 Wanted = dict[str, tuple[str, ...]]
 """Optional quantities beside x, y and z: a key, and names (in lower case) of columns that may hold the quantity."""
-CLASSES: Wanted = {"class": CLASS_COLUMNS}
+_CLASSES: Wanted = {"class": CLASS_COLUMNS}
 _PLACE: Wanted = {axis: (axis,) for axis in "xyz"}
 
 
@@ -259,12 +297,18 @@ class PointTable(ABC):
         return rows
 
 
-class TableSurvey(SurveyBase):
+class TableSurvey(SurveyReader):
     """A survey in a table. These formats have neither CRS nor units: metres are assumed, unless ``--crs`` is given."""
 
-    def __init__(self, table: PointTable, options: ReadOptions) -> None:
-        self._table, head = table, table.info
-        names = head.find(CLASSES)
+    def __init__(
+        self, path: Location, options: ReadOptions, open_table: Callable[[OpenFile, Wanted, int], PointTable]
+    ) -> None:
+        self._open_table = open_table
+        super().__init__(path, options)
+
+    def _open(self, options: ReadOptions) -> SurveyInfo:
+        self._table = table = self._open_table(OpenFile(self._path), _CLASSES, options.memory)
+        head, names = table.info, table.info.find(_CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()
         place, notes = georeference(Place(table.path, first), CrsStatement(), options.given_crs, options.z_unit)
@@ -272,32 +316,25 @@ class TableSurvey(SurveyBase):
             notes += precision_note(first, [head.types[name] for name in self._columns])
         notes += head.notes
         has_classes = self._class_column is not None
-        super().__init__(
-            SurveyInfo(
-                table.path,
-                head.format,
-                head.size,
-                head.count,
-                place,
-                None,
-                has_classes,
-                notes,
-                sequential=table.sequential,
-            )
-        )
+        info = SurveyInfo(table.path, head.format, head.size, head.count, place, None, has_classes, notes)
+        return replace(info, sequential=table.sequential)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split between any two rows."""
         return split_rows(self._table.info.count, points, self._table.info.row_bytes)
 
-    def fetch(self, chunk: Chunk) -> Any:
+    def _fetch(self, chunk: Chunk) -> Any:
         """Return the rows of a chunk: a structured array with at least the needed columns."""
         return self._table.rows(chunk.first, chunk.points)
 
-    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Convert the rows of a chunk to points in metres."""
-        raw = metres(fetched, self._columns, self._class_column, self.info.georeference)
-        return convert_table_points(raw, PointChecks(chunk.first, None, self._table.nan_is_no_return))
+    def _convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
+        place, columns = self.info.georeference, self._columns
+        x, y, z = (
+            _coordinate(fetched[name], unit)
+            for name, unit in zip(columns, (place.metres_per_unit,) * 2 + (place.metres_per_unit_z,), strict=True)
+        )
+        class_id = None if self._class_column is None else np.asarray(fetched[self._class_column])
+        return convert_points((x, y, z), class_id, chunk.first, nan_is_no_return=self._table.nan_is_no_return)
 
     def _first(self) -> tuple[float, float, float] | None:
         """Return the first point with finite coordinates among the first ``searched`` rows; None if there is none."""

@@ -1,17 +1,18 @@
-"""The interface of survey readers: options, header information, chunks of points."""
+"""The readers of surveys: options, header information, chunks of points, the version and the checksum of the file."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from datetime import date
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Georeference, GivenCrs, PieceRuns, PointCloud, UsageError, ZUnit
+from bumpymap.core import BadInputError, FileHash, Georeference, GivenCrs, PieceRuns, PointCloud, UsageError, ZUnit
 from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, verify
-from bumpymap.readers.source import Location, Version
+from bumpymap.readers.source import Location, Version, is_url, pinned_version, read_range, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
 __all__ = [
@@ -19,7 +20,6 @@ __all__ = [
     "Chunk",
     "ChunkPoints",
     "ReadOptions",
-    "SurveyBase",
     "SurveyInfo",
     "SurveyReader",
     "chunk_capacity",
@@ -130,29 +130,71 @@ class ChunkPoints:
         return group_points(grid, points.easting, points.northing, points.upward, points.kind)
 
 
-class SurveyReader(Protocol):
-    """A point cloud file that is read in chunks: ``fetch`` and ``convert`` each, then ``verify`` their merged stats."""
+class SurveyReader(ABC):
+    """A point cloud file that is read in chunks: ``fetch`` and ``convert`` each, then ``verify`` their merged stats.
+
+    Every call checks that the file is still of the version that was opened. Subclasses for the formats read the header
+    (`_open`), split the file, and read and convert chunks.
+
+    Parameters
+    ----------
+    path : Path or str
+    options : ReadOptions
+
+    Raises
+    ------
+    BadInputError
+        Here and in ``fetch``, ``convert`` and ``verify``: the file is not what it must be, or was changed or removed.
+    """
+
+    def __init__(self, path: Location, options: ReadOptions) -> None:
+        self._path, self._version = path, version_of(path)
+        self._hash = FileHash(self._version["size"]) if options.checksum and not is_url(path) else None
+        with pinned_version(path, self._version, None if self._hash is None else self._hash.add):
+            self._info = replace(self._open(options), version=self._version)
+        if self._hash is not None:
+            self._hash.drop_copies()  # thousands of files may be open
+        self._dropped, self._line_sums = PointStats().dropped, LineSums()
+        self._classes = np.zeros(256, np.int64)
+
+    @abstractmethod
+    def _open(self, options: ReadOptions) -> SurveyInfo:
+        """Read the header."""
+
+    @abstractmethod
+    def _fetch(self, chunk: Chunk) -> Any:
+        """Read and decode a chunk."""
+
+    @abstractmethod
+    def _convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
+        """Convert the result of ``_fetch``."""
 
     @property
     def info(self) -> SurveyInfo:
         """Contents of the header."""
+        return self._info
 
     @property
     def dropped(self) -> dict[str, int]:
         """Number of dropped points, by reason; complete when ``clouds`` is exhausted."""
+        return dict(self._dropped)
 
     @property
     def classes(self) -> dict[int, int]:
         """Number of points of each LAS class, dropped ones left out; complete when ``clouds`` is exhausted."""
+        return {code: count for code, count in enumerate(self._classes.tolist()) if count}
 
     @property
     def lines(self) -> LineSums:
         """Sums to compare flight lines; complete when ``clouds`` is exhausted."""
+        return self._line_sums
 
     @property
     def checksum(self) -> str | None:
         """The checksum of the file, see `bumpymap.core.FileHash`, after ``verify``; None for a URL, or if not asked."""
+        return None if self._hash is None else self._hash.checksum
 
+    @abstractmethod
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file into chunks of about ``points`` points; the result is the same on every machine.
 
@@ -162,31 +204,54 @@ class SurveyReader(Protocol):
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a chunk, in any order; reading order is fastest.
 
-        Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set.
+        Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set. ``convert`` hashes what was read.
 
         Raises
         ------
         BadInputError
             The chunk is damaged.
         """
+        unhashed = None if self._hash is None else _Unhashed(self._hash)
+        with self._reading(None if unhashed is None else unhashed.add):
+            fetched = self._fetch(chunk)
+        return fetched if unhashed is None else (fetched, unhashed)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert the result of ``fetch`` to points in metres and drop some. Thread-safe; overwrites ``fetched``."""
+        add = None
+        if self._hash is not None:
+            fetched, unhashed = fetched
+            unhashed.finish()
+            add = self._hash.add
+        with self._reading(add):
+            return self._convert(chunk, fetched)
 
     def verify(self, stats: PointStats) -> None:
-        """Check the merged statistics of all chunks against the header.
+        """Check the merged statistics of all chunks against the header, and that the file is unchanged.
+
+        Bytes that no chunk has are read here, for the checksum.
 
         Raises
         ------
         BadInputError
             The header and the points disagree, or points are not on Earth.
         """
+        with self._may_be_bad():
+            require_unchanged(self._path, self._version)
+            verify(stats, self._info.path, self._info.point_count, self._info.bounds)
+            if self._hash is not None and self._hash.checksum is None:
+                with pinned_version(self._path, self._version):
+                    self._hash.finish(lambda start, size: read_range(self._path, start, size))
+                require_unchanged(self._path, self._version)
 
     def take_hashed(self) -> PieceRuns:
         """Return what of the checksum is new since the last call, for a reader of the same file elsewhere or later."""
+        return () if self._hash is None else self._hash.take()
 
     def put_hashed(self, pieces: PieceRuns) -> None:
         """Take over what ``take_hashed`` of another reader returned."""
+        if self._hash is not None:
+            self._hash.put(pieces)
 
     def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
         """Yield the points, in metres, in reading order, at most ``points`` at a time.
@@ -196,54 +261,6 @@ class SurveyReader(Protocol):
         BadInputError
             As ``fetch`` and ``verify``; the errors of ``verify`` are raised at the end.
         """
-
-
-class SurveyBase(ABC):
-    """A ``SurveyReader`` without checksum; subclasses for the formats split, read and convert the chunks."""
-
-    def __init__(self, info: SurveyInfo) -> None:
-        self._info = info
-        self._dropped, self._line_sums = PointStats().dropped, LineSums()
-        self._classes = np.zeros(256, np.int64)
-
-    @property
-    def info(self) -> SurveyInfo:
-        """Contents of the header."""
-        return self._info
-
-    @property
-    def dropped(self) -> dict[str, int]:
-        """Number of points dropped so far, by reason."""
-        return dict(self._dropped)
-
-    @property
-    def classes(self) -> dict[int, int]:
-        """Number of points of each LAS class so far; see ``SurveyReader.classes``."""
-        return {code: count for code, count in enumerate(self._classes.tolist()) if count}
-
-    @property
-    def lines(self) -> LineSums:
-        """Sums of flight lines so far; see ``SurveyReader.lines``."""
-        return self._line_sums
-
-    @abstractmethod
-    def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Split the file into chunks; see ``SurveyReader.chunks``."""
-
-    @abstractmethod
-    def fetch(self, chunk: Chunk) -> Any:
-        """Read and decode a chunk; see ``SurveyReader.fetch``."""
-
-    @abstractmethod
-    def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
-        """Convert a chunk to points in metres; see ``SurveyReader.convert``."""
-
-    def verify(self, stats: PointStats) -> None:
-        """Check all points against the header; see ``SurveyReader.verify``."""
-        verify(stats, self._info.path, self._info.point_count, self._info.bounds)
-
-    def clouds(self, points: int = 1_000_000) -> Iterator[PointCloud]:
-        """Yield the points of the file; see ``SurveyReader.clouds``."""
         if points < 1:
             raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
         stats, self._line_sums, self._classes = PointStats(), LineSums(), np.zeros(256, np.int64)
@@ -253,19 +270,58 @@ class SurveyBase(ABC):
             self._dropped = stats.dropped
             self._line_sums = self._line_sums.merge(converted.lines)
             self._classes += converted.classes
-            if not stats.bad:
-                yield from _split(converted.cloud, points)
+            for first in range(0, 0 if stats.bad else converted.cloud.easting.size, points):
+                part, cloud = slice(first, first + points), converted.cloud
+                yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])
         self.verify(stats)
 
+    @contextmanager
+    def _reading(self, hashed: Callable[[int, Any], None] | None) -> Iterator[None]:
+        """Read from the file in the body; a change of it is noticed.
 
-def _split(cloud: PointCloud, points: int) -> Iterator[PointCloud]:
-    for first in range(0, cloud.easting.size, points):
-        part = slice(first, first + points)
-        yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])
+        A URL is checked with every response; to ask for its version would cost one more request for each chunk.
+        """
+        with self._may_be_bad(), pinned_version(self._path, self._version, hashed):
+            yield
+        if not is_url(self._path):
+            require_unchanged(self._path, self._version)
+
+    @contextmanager
+    def _may_be_bad(self) -> Iterator[None]:
+        """Free memory if the file turns out to be bad."""
+        try:
+            yield
+        except BadInputError:
+            if self._hash is not None:
+                self._hash.drop_copies()
+            raise
+
+
+class _Unhashed:
+    """Bytes that were read for a chunk and are hashed later, by another thread, up to a limit."""
+
+    def __init__(self, file_hash: FileHash) -> None:
+        self._hash, self._size = file_hash, 0
+        self._held: list[tuple[int, Any]] = []
+
+    def add(self, start: int, data: Any) -> None:
+        """Keep bytes, or hash them now if too many are kept."""
+        self._size += len(data)
+        if self._size > _MOST_HELD:
+            self._hash.add(start, data)
+        else:
+            self._held.append((start, data))
+
+    def finish(self) -> None:
+        """Hash what is kept."""
+        for start, data in self._held:
+            self._hash.add(start, data)
 
 
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
+_MOST_HELD = 1 << 25
+"""Bytes of a chunk that are kept until they are hashed."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:
@@ -302,11 +358,10 @@ def group_laz_chunks(
     while first < ends.size:
         last = max(int(np.searchsorted(ends, before + step, side="right")), first + 1)
         end = int(ends[last - 1])
-        bounds = None if boxes is None else _around(boxes[first:last])
+        bounds = None
+        if boxes is not None:
+            sides = (*boxes[first:last, :2].min(axis=0).tolist(), *boxes[first:last, 2:].max(axis=0).tolist())
+            bounds = Bounds(*sides)
         chunks.append(Chunk(len(chunks), before, end - before, bounds))
         first, before = last, end
     return chunks
-
-
-def _around(boxes: NDArray[np.float64]) -> Bounds:
-    return Bounds(*boxes[:, :2].min(axis=0).tolist(), *boxes[:, 2:].max(axis=0).tolist())

@@ -7,12 +7,13 @@ is read.
 import hashlib
 import io
 import os
+import re
+import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -21,7 +22,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write, remote_files
 from bumpymap.readers._decoder_child import CallbackFile
-from bumpymap.readers.web import StalledServerError, is_web, read_web, web_info
 from bumpytiles import Bounds
 
 __all__ = [
@@ -107,12 +107,6 @@ def add_to_hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None
         pinned.hashed(start, data)
 
 
-def is_hashed(path: Path) -> bool:
-    """Return whether the bytes of a file are to be hashed."""
-    pinned = PINNED.get()
-    return pinned is not None and pinned.hashed is not None and pinned.location == path
-
-
 def file_changed(location: Location, how: str) -> BadInputError:
     """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
     return BadInputError(
@@ -173,11 +167,16 @@ def open_source(location: Location) -> BinaryIO:
     stream: BinaryIO
     with _reading(location):
         if isinstance(location, str):
-            size = size_of(location)
-            stream = io.BufferedReader(CallbackFile(partial(_read_remote, location), size), _BLOCK)
+
+            def read_at(start: int, buffer: memoryview) -> int:
+                return read_into(location, start, np.frombuffer(buffer, np.uint8))
+
+            stream = io.BufferedReader(CallbackFile(read_at, size_of(location)), _BLOCK)
         else:
             _refuse_special(location)
-            stream = io.BufferedReader(HashedFile(location)) if is_hashed(location) else location.open("rb")
+            pinned = PINNED.get()
+            hashed = pinned is not None and pinned.hashed is not None and pinned.location == location
+            stream = io.BufferedReader(HashedFile(location)) if hashed else location.open("rb")
     return stream
 
 
@@ -251,7 +250,12 @@ def version_of(location: Location) -> Version:
             finally:
                 os.close(descriptor)
             return {"size": found.st_size, "mtime_ns": str(found.st_mtime_ns)}
-        said = _server_info(location)
+        files, name = remote_files(location)
+        if is_web(location):
+            _, said = _ask_web(files, name, 0, None)
+        else:
+            files.invalidate_cache(name)
+            said = files.info(name)
     if said.get("size") is None:
         raise BadInputError(f"the server of {location} does not report the size of the file. Download the file first")
     return {"size": int(said["size"]), "version": version_text(said)}
@@ -324,7 +328,7 @@ def is_folder(url: str) -> bool:
         files, name = remote_files(url)
         if is_web(url):
             # fsspec would parse any file as a list of links.
-            page = web_info(files, name)
+            _, page = _ask_web(files, name, 0, None)
             if "html" not in page.get("content-type", "") or not 0 < (page["size"] or 1) <= _LARGEST_PAGE:
                 return False
         return bool(files.isdir(name))
@@ -342,7 +346,7 @@ def list_folder(url: str) -> list[str]:
 def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
     files, name = remote_files(url)
     if is_web(url):
-        got, said = read_web(files, name, start, data)
+        got, said = _ask_web(files, name, start, data)
         require_pinned(url, said)
         return got
     found = files.cat_file(name, start=start, end=start + data.size)
@@ -350,20 +354,6 @@ def _from_server(url: str, start: int, data: NDArray[np.uint8]) -> int:
         raise BadInputError(f"the server of {url} does not support range requests. Download the file first")
     data[: len(found)] = np.frombuffer(found, np.uint8)
     return len(found)
-
-
-def _server_info(url: str) -> Mapping[str, Any]:
-    """Request the current metadata of a file from its server."""
-    files, name = remote_files(url)
-    if is_web(url):
-        return web_info(files, name)
-    files.invalidate_cache(name)
-    said: Mapping[str, Any] = files.info(name)
-    return said
-
-
-def _read_remote(url: str, start: int, buffer: memoryview) -> int:
-    return read_into(url, start, np.frombuffer(buffer, np.uint8))
 
 
 def _fill(stream: Any, data: NDArray[np.uint8]) -> int:
@@ -381,6 +371,82 @@ def _refuse_special(path: Path) -> None:
     mode = path.stat().st_mode
     if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
         raise BadInputError(f"cannot read {path}: it is a pipe or a device. Name a file of points or a folder of them")
+
+
+# fsspec reads the whole body of a response before it checks it, and waits five minutes for one. So only its session
+# (URLs, proxies, passwords) is used for web servers, and the ranges are requested directly.
+STALL_S = 60.0
+"""Seconds that a server may send nothing."""
+_WHOLE, _RANGE, _PAST_THE_END = 200, 206, 416
+
+
+class StalledServerError(BadInputError):
+    """A server sent nothing for ``STALL_S`` seconds."""
+
+
+def is_web(url: str) -> bool:
+    """Return whether a URL is http or https."""
+    return url.lower().startswith(("http://", "https://"))
+
+
+def _ask_web(files: Any, url: str, start: int, data: NDArray[np.uint8] | None) -> tuple[int, Mapping[str, Any]]:
+    """Read bytes of a URL from offset ``start`` into an array, or request a single byte if there is none.
+
+    Returns
+    -------
+    int
+        Number of bytes read; fewer than the array has at the end of the file.
+    mapping
+        Headers of the response by name in lower case, and ``size``: bytes of the file, None if it is not reported.
+
+    Raises
+    ------
+    BadInputError
+        The server does not support range requests, sends other bytes, or (`StalledServerError`) sends none.
+    """
+    from fsspec.asyn import sync
+
+    try:
+        found: tuple[int, Mapping[str, Any]] = sync(files.loop, _request, files, url, start, data)
+    except TimeoutError as error:
+        raise StalledServerError(
+            f"the server of {url} sent nothing for {STALL_S:g} s. Try again later, or download the file first"
+        ) from error
+    return found
+
+
+async def _request(files: Any, url: str, start: int, data: NDArray[np.uint8] | None) -> tuple[int, Mapping[str, Any]]:
+    from aiohttp import ClientTimeout
+
+    size = 1 if data is None else data.size
+    session = await files.set_session()
+    wanted = {"Range": f"bytes={start}-{start + size - 1}", "Accept-Encoding": "identity"}
+    options = files.kwargs | {"headers": files.kwargs.get("headers", {}) | wanted}
+    timeout = ClientTimeout(total=None, connect=STALL_S, sock_connect=STALL_S, sock_read=STALL_S)
+    async with session.get(files.encode_url(url), timeout=timeout, **options) as response:
+        if response.status != _PAST_THE_END:
+            response.raise_for_status()
+        first, total = 0, response.content_length  # of a response with the whole file
+        if response.status != _WHOLE:
+            found = re.match(r"bytes (?:(\d+)-\d+|\*)/(\d+)", response.headers.get("Content-Range", ""))
+            first, total = (int(found[1] or 0), int(found[2])) if found else (0, None)
+        info = {name.lower(): value for name, value in response.headers.items()} | {"size": total}
+        if data is None or response.status == _PAST_THE_END:
+            return 0, info
+        if response.status != _RANGE and not (start == 0 and total is not None and total <= size):
+            raise BadInputError(
+                f"the server of {url} does not support range requests. Download the file first, such as "
+                f"with: curl -O {shlex.quote(url)}"
+            )
+        if first != start:
+            raise BadInputError(f"the server of {url} returned byte {first:,} instead of byte {start:,}")
+        got = 0
+        async for part in response.content.iter_any():
+            if got + len(part) > size:
+                raise BadInputError(f"the server of {url} returned more bytes than requested")
+            data[got : got + len(part)] = np.frombuffer(part, np.uint8)
+            got += len(part)
+    return got, info
 
 
 @contextmanager

@@ -28,8 +28,8 @@ class CostSettings:
     """Cost per metre of unknown ground; None: it is not crossed."""
     avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE")] = None
     only: Annotated[Path | None, Setting("Polygons that are not left", "FILE")] = None
-    allow_outside: Annotated[bool, Setting("It is no error if no polygon lies on the map")] = False
-    """It is no error that no polygon of ``avoid`` or ``only`` lies on the map."""
+    allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map")] = False
+    """It is no error that a polygon of ``avoid`` or ``only`` lies off the map."""
     through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way")] = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
 

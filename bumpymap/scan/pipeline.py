@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
 
@@ -82,7 +82,9 @@ from bumpymap.scan.frames import (
 )
 from bumpymap.scan.merge import PlacedPoints
 from bumpymap.scan.methods import Method, choose_method
-from bumpymap.survey import MapResult, map_surveys
+
+if TYPE_CHECKING:
+    from bumpymap.survey import MapResult
 
 __all__ = [
     "ScanRun",
@@ -114,7 +116,7 @@ class ScanRun:
     """Frames that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]
     """Wall time by stage."""
-    drive: MapResult | None = None
+    drive: "MapResult | None" = None
     """The map of the merged frames; None without poses, or without ground to map."""
     merged: Mapping[str, Any] | None = None
     """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
@@ -275,11 +277,13 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
     return drive
 
 
-def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> MapResult | None:
+def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> "MapResult | None":
     """Map the merged frames; return None if none of their points is ground.
 
     ``accumulated``: number of merged ``points``, and of those that are ``ground``.
     """
+    from bumpymap.survey import map_surveys  # only for a drive: its kernels need not be compiled for frames
+
     if not accumulated["ground"]:
         _log.warning("no map was made: none of the %d gathered points is ground", accumulated["points"])
         return None

@@ -1,5 +1,6 @@
 """Draw docs/pages/img/quarry_truth.png: the relief of the sample site, and its zones. Needs matplotlib."""
 
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
@@ -10,7 +11,9 @@ import numpy as np
 from matplotlib.colors import LightSource
 from matplotlib.patches import Circle
 
-from bumpymap.lab.worlds.sample import ZONES, QuarrySite
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
+
+from made_quarry import ZONES, QuarrySite
 
 STEP = 0.1
 LABELS = {

@@ -67,7 +67,7 @@ def _processor() -> str:
 
 def tables(results: Results) -> str:
     """Return the Markdown of all tables."""
-    parts = [_machine_text(results), _goals(results), _surveys(results), _sides(results), _patches(results)]
+    parts = [_machine_text(results), _goals(results), _surveys(results), _sides(results)]
     return "\n\n".join(part for part in parts if part)
 
 
@@ -140,23 +140,3 @@ def _sides(results: Results) -> str:
             )
     head = ("case", "program", "wall time [s]", "user time [s]", "system time [s]", "peak memory [GB]", "runs")
     return table(head, rows)
-
-
-def _patches(results: Results) -> str:
-    rows = []
-    steps = ("heightmap", "variance", "open3d", "sklearn", "class")
-    for title, records in results["patch"].items():
-        theirs = [[record["steps_ms"].get(step) for record in records] for step in steps]
-        ours = statistics.median(record["ours_ms"] for record in records)
-        shown = ("" if None in values else f"{statistics.median(values):.3f}" for values in theirs)
-        rows.append((title, f"{records[0]['points_per_tile']:,}", f"{ours:.3f}", *shown))
-    head = (
-        "patches of",
-        "points per patch",
-        "bumpymap, all steps [ms]",
-        "heightmap",
-        "variance",
-        "open3d",
-        "scikit-learn",
-    )
-    return table((*head, "class"), rows)

@@ -5,13 +5,12 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["METHODS", "goals", "table"]
+__all__ = ["goals", "table"]
 
 Results = dict[str, Any]
 Row = tuple[str, str, str, str]
 """Measure, measured value (empty if there is none), target, whether it is met."""
 
-METHODS = {"open3d": "open3d", "sklearn": "scikit-learn", "both": "both, one after the other"}
 _GB = 1e9
 _PDAL = {"real": (1.5, 1.2), "20m-laz": (1.7, 1.4), "20m-las": (3.5, 2.8)}
 """Case -> least time of PDAL, and of PDAL with ``binmode``, relative to ``map``."""
@@ -40,7 +39,7 @@ def table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
 
 def goals(results: Results) -> list[Row]:
     """Return all targets, with the figures that were measured."""
-    parts = (_speed, _before, _machine_use, _growth, _same_bits, _start, _patches)
+    parts = (_speed, _before, _machine_use, _growth, _same_bits, _start)
     return [row for part in parts for row in part(results)]
 
 
@@ -166,14 +165,3 @@ def _start(results: Results) -> list[Row]:
         _goal("`bumpymap --help`", (help_text,), float, _Limit("at most", 0.1, " s")),
         _goal(label, (first, second), lambda once, again: once - again, _Limit("at most", 15.0, " s")),
     ]
-
-
-def _patches(results: Results) -> list[Row]:
-    rows = []
-    for title, records in results["patch"].items():
-        ours = statistics.median(record["ours_ms"] for record in records)
-        for way in records[0]["methods_ms"]:
-            theirs = statistics.median(record["methods_ms"][way] for record in records)
-            label = f"a patch of {title}: the paper's method with {METHODS[way]}, time relative to ours"
-            rows.append(_goal(label, (theirs, ours), _ratio, _Limit("at least", 100.0)))
-    return rows

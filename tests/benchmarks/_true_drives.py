@@ -12,20 +12,23 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import label
 
+from bumpymap.core import Barred, TileField
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Vehicle
+from bumpymap.route import CostSettings, Planner
 from bumpytiles import TileWindow
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 
-from _route_trial import RoutePlanner, RouteTrialSettings, choose_pairs
 from driven_ways import RecordSettings, ReliefGround, Stop, record_way
 from sensed_drives import TrueDrive, read_motion, save_motion
 
 _ROOM_TILES = 3
 _STOP_S = 3.0
 _SMOOTH_SEED, _ROUGH_SEED = 11, 23
+_LEAST_M, _MOST_M, _MOST_TRIED = 60.0, 150.0, 5000
 
 
 GroundAlong = Callable[[NDArray[np.float64]], tuple[ReliefGround, NDArray[np.float64]]]
@@ -90,17 +93,44 @@ def _planned_ways(layers: Path, count: int, weights: tuple[float, float]) -> lis
     ride, fail = weights
     rule = replace(opened.rule, ride_weight=ride, fail_weight=fail)
     site = replace(opened, sheets=tuple(replace(sheet, rule=rule) for sheet in opened.sheets))
-    seed = _SMOOTH_SEED if ride else _ROUGH_SEED
-    settings = RouteTrialSettings(total_pairs=count, seed=seed, least_m=60.0, most_m=150.0, most_shared=1.0)
-    pairs = choose_pairs(site.read(site.window), RoutePlanner.of(site), settings, _Silent())
-    return [_placed(site, pair.best) for pair in pairs]
+    planner = Planner(site, CostSettings(), site.window.cols * site.window.rows)
+    lines = []
+    for ends in _ends(site.read(site.window), _SMOOTH_SEED if ride else _ROUGH_SEED):
+        if (line := planner.line(*(planner.at(place, site.window) for place in ends))) is None:
+            continue
+        corners = np.array([planner.place(corner, site.window) for corner in line])
+        corners[[0, -1]] = ends
+        east, south = site.window.col + corners[:, 1], site.window.row + site.window.rows - corners[:, 0]
+        lines.append(np.stack([east, south], axis=1) * site.grid.tile_size)
+        if len(lines) == count:
+            break
+    return lines
 
 
-def _placed(site: RouteMap, line: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert field coordinates to easting and northing, m."""
-    window = site.window
-    corners = np.stack([window.col + line[:, 1], window.row + window.rows - line[:, 0]], axis=1)
-    return corners * site.grid.tile_size
+def _ends(field: TileField, seed: int) -> Iterator[NDArray[np.float64]]:
+    """Yield centres of two joined passable tiles (2, 2), in tiles from north and west, with known C_r between them."""
+    with np.errstate(invalid="ignore"):
+        cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+    passable = (field.barred == Barred.NO) & np.isfinite(cost)
+    part, tiles, rng = label(passable)[0], np.argwhere(passable), np.random.default_rng(seed)
+    for _ in range(_MOST_TRIED if len(tiles) else 0):
+        ends = tiles[rng.integers(len(tiles), size=2)]
+        metres = float(np.hypot(*(ends[1] - ends[0]))) * field.grid.tile_size
+        if _LEAST_M <= metres <= _MOST_M and part[tuple(ends[0])] == part[tuple(ends[1])]:
+            row, col = _tiles_between(*(ends + 0.5))
+            if np.isfinite(field.c_r[row, col]).all():
+                yield ends + 0.5
+
+
+def _tiles_between(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the row and column (2, n) of the tiles that a line from ``a`` to ``b`` crosses."""
+    cuts = [np.array([0.0, 1.0])]
+    for start, end in zip(a.tolist(), b.tolist(), strict=True):
+        if start != end:
+            borders = np.arange(math.floor(min(start, end)) + 1, math.ceil(max(start, end)))
+            cuts.append((borders - start) / (end - start))
+    at = np.unique(np.concatenate(cuts))
+    return np.floor(a + (b - a) * ((at[1:] + at[:-1]) / 2)[:, None]).astype(np.int64).T
 
 
 def heights_of(layers: Path) -> GroundAlong:
@@ -146,13 +176,3 @@ def _make(task: WayTask, ground_along: GroundAlong, kept: KeptDrive) -> None:
         "layers": str(kept.layers.name),
     }
     (kept.folder / f"{kept.name}.json").write_text(json.dumps(facts), encoding="utf-8")
-
-
-class _Silent:
-    """Progress that shows nothing."""
-
-    def start(self, *_: object) -> None:
-        """Begin."""
-
-    def advance(self, *_: object) -> None:
-        """Go on."""

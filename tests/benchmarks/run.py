@@ -1,4 +1,4 @@
-"""Compare the time of bumpymap with reading only, with PDAL, with another bumpymap and with the paper's method.
+"""Compare the time of bumpymap with reading only, with PDAL and with another bumpymap.
 
 python tests/benchmarks/run.py --data FOLDER [--survey FILE --crs EPSG:CODE] [--before PATH/bumpymap] [--rounds 5]
 
@@ -18,14 +18,13 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow.parquet as pq
-from _cases import EXTRA, MADE, ONCE, Bench, Case, answer, prepare
+from _cases import EXTRA, MADE, ONCE, Bench, Case, prepare
 from _file_bytes import bytes_of, count_file_bytes
 from _measure import Sample, run_timed, warm_page_cache
 from _page import insert_tables, machine, tables
 
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "docs" / "pages" / "benchmarks.md"
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 _TRACED = "20m-las"
 """The case whose bytes are counted."""
 
@@ -63,20 +62,10 @@ def run_traced(case: Case, results: dict[str, Any]) -> None:
             }
 
 
-def run_patches(cases: list[Case], results: dict[str, Any]) -> None:
-    """Time the paper's method once on 200 tiles."""
-    for case in cases:
-        record = answer([sys.executable, str(HERE / "paper_method.py"), str(case.survey)], _ONE_THREAD)
-        results["patch"].setdefault(results["titles"][case.key], []).append(record)
-        methods = {"ours": record["ours_ms"], **record["methods_ms"]}
-        figures = "  ".join(f"{way} {value:.3f} ms" for way, value in methods.items())
-        sys.stderr.write(f"{case.key:14} patches     {figures}\n")
-
-
 def load(given: argparse.Namespace) -> dict[str, Any]:
     """Return the figures so far if they were measured here, in these versions and at this scale; else none."""
     here = {"machine": machine(), "scale": given.scale}
-    fresh = {"surveys": {}, "titles": {}, "samples": {}, "patch": {}, "same_bits": {}, "bytes_read": {}}
+    fresh = {"surveys": {}, "titles": {}, "samples": {}, "same_bits": {}, "bytes_read": {}}
     path = given.data / "results.json"
     if path.exists():
         old: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -133,8 +122,6 @@ def measure(given: argparse.Namespace, wanted: list[str], results: dict[str, Any
     cases = prepare(given, bench, wanted, results)
     for case in cases:
         results["samples"][case.key] = {}
-    if "patch" in wanted:
-        results["patch"] = {}
     bench.warm_up()
     peaks: dict[tuple[str, str], float] = {}
     for number in range(given.rounds):
@@ -143,8 +130,6 @@ def measure(given: argparse.Namespace, wanted: list[str], results: dict[str, Any
             if number == 0 or case.key not in ONCE:
                 run_round(case, results, peaks)
                 save(given.data, results)
-        if "patch" in wanted:
-            run_patches([case for case in cases if case.key == "20m-laz" or case.key.startswith("real")], results)
     for case in [case for case in cases if case.key == _TRACED]:
         run_traced(case, results)
     check_layers(bench, results)
@@ -155,7 +140,7 @@ def main() -> None:
     """Measure and print the tables; insert them into the documentation after a complete run."""
     given = _arguments()
     real = [f"real{number + 1}" for number in range(len(given.survey))]
-    possible = [*real, *MADE, "sample", "start", "patch"]
+    possible = [*real, *MADE, "sample", "start"]
     wanted = given.only.split(",") if given.only else [key for key in possible if key not in EXTRA]
     if unknown := sorted(set(wanted) - set(possible)):
         sys.exit(f"--only names {', '.join(unknown)}; there are: {', '.join(possible)}")
@@ -178,7 +163,7 @@ def _arguments() -> argparse.Namespace:
     add("--crs", action="append", default=[], help="its CRS if it has none; as often as --survey")
     add("--before", metavar="COMMAND", help="another bumpymap to compare with, as PATH/bumpymap")
     add("--rounds", type=int, default=5)
-    add("--only", default="", metavar="CASE,...", help="some cases: real1, 20m-laz, 1000m-laz, start, patch, ...")
+    add("--only", default="", metavar="CASE,...", help="some cases: real1, 20m-laz, 1000m-laz, start, ...")
     add("--tables", action="store_true", help="measure nothing, print the tables of the figures so far")
     add("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     add("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")

@@ -10,17 +10,17 @@ sector by sector with scikit-learn, SciPy and scikit-image.
 import argparse
 import math
 import time
+import tracemalloc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from _records import show_records
-from _tile_trials import peak_bytes
 from numpy.typing import NDArray
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarSettings, Scan, point_classes
+from bumpymap.lab.evaluate.report import number, table
 from bumpymap.lab.evaluate.scans import read_frames, simulated_scans
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.lab.train.scan_sectors import UNSEEN
@@ -99,8 +99,8 @@ def _stripes(heights: NDArray[np.float64], settings: StripeFilter) -> float:
     rows = np.arange(len(heights))[:, None]
     waves = np.cos(2 * math.pi * (rows / settings.wavelength_px + heights / settings.metres_per_stripe))
     seen: NDArray[np.bool_] = np.zeros(waves.shape, np.bool_)
-    for number in range(settings.orientations):
-        theta = math.pi * number / settings.orientations
+    for turn in range(settings.orientations):
+        theta = math.pi * turn / settings.orientations
         kernel: NDArray[np.float64] = np.asarray(gabor_kernel(1 / settings.wavelength_px, theta, bandwidth=1)).real
         down, right = np.indices(kernel.shape) - (np.array(kernel.shape) // 2)[:, None, None]
         own = np.cos(2 * math.pi * (right * math.cos(theta) + down * math.sin(theta)) / settings.wavelength_px)
@@ -249,10 +249,20 @@ def method_costs(
             sectors,
             float(np.median(clock[name])) / 1e6,
             float(np.median(processor[name])) / 1e6,
-            peak_bytes(partial(classify, scan)) / 1e6,
+            peak_bytes(classify, scan) / 1e6,
         )
         for name, classify in methods.items()
     ]
+
+
+def peak_bytes(classify: Callable[[Scan], ClassedSectors], scan: Scan) -> int:
+    """Return the peak memory that Python allocates while a scan is classified, bytes."""
+    tracemalloc.start()
+    try:
+        classify(scan)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def plain_cost(scan: Scan, model: StripeModel) -> PlainCost:
@@ -276,6 +286,16 @@ def full_turn(scan: Scan, seed: int) -> Scan:
     """Resample a scan to one point per beam of the sensor, by repeating or omitting points at random."""
     rows = np.random.default_rng(seed).permutation(np.resize(np.arange(len(scan.points)), _FULL_TURN))
     return Scan(scan.points[np.sort(rows)], name=scan.name)
+
+
+def show_records(title: str, rows: Sequence[Any]) -> None:
+    """Print dataclasses of one kind as a Markdown table, a row each; nothing without rows."""
+    if rows:
+        cells = [
+            [number(value, 4) if isinstance(value, float) else str(value) for value in asdict(row).values()]
+            for row in rows
+        ]
+        print("\n".join([f"## {title}", "", *table(list(asdict(rows[0])), cells)]), flush=True)
 
 
 def main() -> None:

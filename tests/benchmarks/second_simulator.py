@@ -26,7 +26,7 @@ import numpy as np
 from _mujoco_vehicle import SETUPS, MujocoVehicle, Setup
 from numpy.typing import NDArray
 
-from bumpymap.lab.simulate.drive import DriveSettings, Outcome, PatchDrives, follow, start_seed
+from bumpymap.lab.simulate.drive import DriveSettings, Outcome, PatchDrives, follow
 from bumpymap.lab.simulate.model import Physics
 from bumpymap.lab.simulate.plan import read_library
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
@@ -70,7 +70,9 @@ def compare(
         if first.index >= each or (first.kind, first.index) in done:
             continue
         stream = (_LIBRARY_STREAM, KINDS.index(first.kind), first.index)
-        seeds = [start_seed(calibration.settings["seed"], (*stream, k)) for k in range(starts)]
+        seed = calibration.settings["seed"]
+        draws = [np.random.SeedSequence(seed, spawn_key=(*stream, k)) for k in range(starts)]  # as `drive_patch`
+        seeds = [int(draw.generate_state(1, np.uint64)[0]) for draw in draws]
         second = drive_terrain(profile, terrains[number].heights, seeds, setup)
         yield {
             "kind": first.kind,

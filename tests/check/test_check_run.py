@@ -48,7 +48,7 @@ def test_a_drive_without_positions_or_wheels_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("parked", [False, True])
-def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, parked):
+def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, caplog, parked):
     """Whether its file is none, or it is refused when it is measured."""
     good, bad = csv_of(tmp_path), str(tmp_path / "bad.csv")
     (tmp_path / "bad.csv").write_text("hello")
@@ -63,7 +63,12 @@ def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, parked):
     assert [drive.name for drive in result.drives] == ["imu,gnss"]
     page = html.unescape((tmp_path / "out" / "check.html").read_text())
     assert all(bad in text and why in text for text in (done.output, page))
+    assert done.output.count(f"{bad} is left out") == 1
     assert check_drives(None, [good, bad]).skipped == result.skipped
+    assert f"{bad} is left out: {why}" in caplog.text
+    quiet = CliRunner().invoke(main, ["check", "--drive", bad, "--drive", good, "--quiet"])
+    assert (quiet.exit_code, quiet.stdout) == (4, "")
+    assert f"{bad} is left out: {why}" in quiet.stderr
 
 
 def test_with_no_usable_drive_there_is_no_check(tmp_path):

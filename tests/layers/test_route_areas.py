@@ -176,6 +176,25 @@ def test_areas_beside_the_map_are_an_error_unless_that_is_allowed(tmp_path, capl
     assert "no area of" in caplog.text
 
 
+def test_one_area_beside_the_map_is_an_error_that_names_it(tmp_path, caplog):
+    """A way leads through what an area in a wrong place was to close."""
+    on, off = shapely.Point(SITE.to_lonlat(*at(150.0, 120.0))).buffer(1e-4), shapely.Point(11.0, 48.0).buffer(1e-3)
+    path = geojson(tmp_path / "a.geojson", feature(on, name="pit"), feature(off, name="pond"), feature(off))
+    with pytest.raises(BadInputError, match=r"2 of the 3 areas of .*: number 2 \(pond\), 3\. .*allow_outside=True"):
+        read_areas(path, SITE)
+    assert len(read_areas(path, SITE, allow_outside=True)) == 1
+    assert "number 2 (pond), 3" in caplog.text
+
+
+def test_degrees_among_projected_numbers_are_an_error(tmp_path):
+    degrees = shapely.Point(SITE.to_lonlat(*at(150.0, 120.0))).buffer(1e-4)
+    path = geojson(tmp_path / "a.geojson", feature(blob(3)), feature(degrees, name="pit"))
+    with pytest.raises(
+        BadInputError, match=r"1 of the 2 areas .*: number 2 \(pit\)\. As longitude and latitude they would"
+    ):
+        read_areas(path, SITE)
+
+
 def test_projected_numbers_of_a_geojson_are_in_the_crs_of_the_map(tmp_path, caplog):
     """Read as degrees they would lie nowhere, and the way would lead through."""
     area = blob(3)

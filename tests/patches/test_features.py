@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from jitted_helpers import jitted
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches.kernels.heightmap import LANES, pixel_index
-from bumpymap.patches.kernels.measure import SUMS, fit_plane, stray_bounds
+from bumpymap.patches.kernels.measure import SUMS, fit_plane, measure_tiles, stray_bounds
 from bumpytiles import Grid
-from bumpytiles.native import jitted
 
 STRAY_BOUNDS, FIT_PLANE, PIXEL_INDEX = jitted(stray_bounds), jitted(fit_plane), jitted(pixel_index)
 EAST, NORTH = 500_001.0, 4_000_002.0  # south-west corner of a tile
@@ -343,13 +343,11 @@ def test_tiles_are_measured_alike_in_any_company(measure_points):
 
 
 def test_compiled_kernels_and_plain_python_agree(measure_points, monkeypatch):
-    from bumpymap.patches import kernels
-
     x, y, rng = tile_points(21, n=120)
     z = 0.2 * (x - EAST) + 0.05 * rng.normal(size=120)
     z[5] += 9.0
     compiled = measure_points(x, y, z)
-    monkeypatch.setattr(kernels, "measure_tiles", kernels.measure_tiles.plain)
+    monkeypatch.setattr("bumpymap.patches.features.measure_tiles", measure_tiles.plain)
     with np.errstate(all="ignore"):
         plain = measure_points(x, y, z)
     for name in ("z_variance", "ransac_residual", "slope", "z_range", "relief", "heights", "relief_map"):

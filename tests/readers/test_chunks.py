@@ -10,11 +10,10 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from pypcd4 import Encoding, PointCloud
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.types import Georeference
-from bumpymap.readers import PointStats, ReadOptions, open_survey, reopen_survey
-from bumpymap.readers.conversion import PointChecks, RecordLayout, convert_las_points
-from bumpymap.readers.point_stats import OUTSIDE
-from bumpytiles import Bounds
+from bumpymap.readers import Chunk, PointStats, ReadOptions, open_survey, reopen_survey
+from bumpymap.readers.las import convert_records, record_rules
+from bumpymap.readers.point_stats import OUTSIDE, LineRules
+from bumpytiles import Bounds, Scaling
 
 FORMATS = [("1.2", fmt) for fmt in range(4)] + [("1.3", 4), ("1.3", 5)] + [("1.4", fmt) for fmt in range(11)]
 CORNER = np.array([500_000.0, 4_000_000.0, 0.0])
@@ -196,12 +195,14 @@ def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, mar
     records = np.zeros((len(words), 30), np.uint8)
     records[:, :12] = words.view(np.uint8)
     records[:, 16], records[:, 15] = np.array(marks)[: len(words)].T
-    layout = RecordLayout((scale,) * 3, (offset,) * 3, 16, 255, 15, 4, 20, 0)
+    scaling = Scaling((scale,) * 3, (offset,) * 3, (unit,) * 3)
     with np.errstate(over="ignore"):
         expected = np.round(words * np.float64(scale) + offset, 8) * unit
         box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
     pieces = (records[:cut], records[cut:])
-    batch = convert_las_points(pieces, len(words), layout, Georeference(None, unit, unit), PointChecks(5, box))
+    rules = record_rules(layered=True, line=0, scaling=scaling, bounds=box)
+    lines = LineRules(measure=False, corrections=())
+    batch = convert_records(pieces, Chunk(0, 5, len(words)), rules, scaling, lines)
     stats = batch.stats
     finite = np.isfinite(expected).all(axis=1)
     assert stats.points == len(words)

@@ -17,7 +17,7 @@ from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.processes import Child, SharedMemory
 from bumpymap.readers import decoder, open_survey
-from bumpymap.readers.decoder import Decoder, DecoderError, LocalDecoder
+from bumpymap.readers.decoder import Decoder, LocalDecoder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 
@@ -135,20 +135,6 @@ def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
     monkeypatch.undo()
     monkeypatch.setattr(decoder, "current", child)
     assert len(reader.fetch(chunk)) == 200_000
-
-
-def test_panics_say_nothing_but_their_answer(child, capfd):
-    record = bytes(12) + b"\0\0\0\0" + bytes(16) + b"\x01\0" + b"\x06\0\x14\0\x02\0"
-    with pytest.raises(DecoderError):
-        child.check(record)
-    with pytest.raises(DecoderError):
-        child.chunks(b"", [(10, 10)], child.allocate(10), 100)
-    said = capfd.readouterr()
-    assert (said.out, said.err) == ("", "")
-    first = pid_of(child)
-    with pytest.raises(DecoderError):
-        child.check(record)
-    assert pid_of(child) == first
 
 
 def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child, monkeypatch):

@@ -35,12 +35,6 @@ def test_every_encoding_and_precision(tmp_path, read, encoding, dtype, chunk):
     assert encoding.value in reader.info.format
 
 
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_one_point(tmp_path, read, encoding):
-    points, _ = read(open_survey(write(tmp_path / "a.pcd", POINTS[:1], encoding)))
-    assert np.array_equal(points, POINTS[:1])
-
-
 @pytest.mark.parametrize("chunk", [1, 2, 100])
 @pytest.mark.parametrize("encoding", ENCODINGS)
 def test_rows_of_nan_are_beams_without_return(tmp_path, read, encoding, chunk):
@@ -96,18 +90,6 @@ def test_more_points_promised_than_there_are(tmp_path, encoding, promised):
     path.write_bytes(path.read_bytes().replace(b"POINTS 4", b"POINTS %d" % promised))
     with pytest.raises(BadInputError, match=f"declares {promised:,} points but holds"):
         list(open_survey(path).clouds())
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_a_file_cut_anywhere(tmp_path, encoding):
-    path = write(tmp_path / "a.pcd", encoding=encoding)
-    data = path.read_bytes()
-    # Without its last digits, or its line end, a text still looks whole.
-    last_line = data.rstrip().rindex(b"\n") + 1
-    for length in range(12, last_line if encoding is Encoding.ASCII else len(data), 3):
-        path.write_bytes(data[:length])
-        with pytest.raises(BadInputError):
-            list(open_survey(path).clouds())
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats
-from bumpymap.readers.conversion import PointChecks, RawPoints, convert_table_points
-from bumpymap.readers.point_stats import EARTH_LIMIT, OUTSIDE, verify
+from bumpymap.readers.point_stats import EARTH_LIMIT, verify
+from bumpymap.readers.point_table import convert_points
 from bumpytiles import Bounds
 
 BOX = Bounds(0.0, 0.0, 100.0, 50.0)
@@ -17,31 +17,24 @@ numbers = st.one_of(st.floats(-150, 150), st.sampled_from([np.nan, np.inf, -np.i
 rows = st.lists(st.tuples(numbers, numbers, numbers, st.sampled_from([0, 1, 2, 7, 18])), max_size=40)
 
 
-def batch(points, *, first=0, file=BOX, no_return=False):
-    table = np.array(points, float).reshape(-1, 4)
-    x, y, z, class_id = (np.ascontiguousarray(column) for column in table.T.copy())
-    return convert_table_points(RawPoints(x, y, z, class_id), PointChecks(first, file, no_return))
-
-
-def beyond(x, y, box):
-    far = OUTSIDE
-    return (x < box.west - far) | (y < box.south - far) | (x > box.east + far) | (y > box.north + far)
+def batch(points, *, first=0, no_return=False):
+    x, y, z, class_id = np.array(points, float).reshape(-1, 4).T.copy()
+    return convert_points((x, y, z), class_id, first, nan_is_no_return=no_return)
 
 
 @settings(deadline=None, max_examples=300)
-@given(rows, st.booleans(), st.booleans(), st.integers(0, 10**12))
-def test_the_kernel_sees_what_numpy_sees(points, no_return, boxed, first):
+@given(rows, st.booleans(), st.integers(0, 10**12))
+def test_rows_of_a_table_are_counted_and_dropped(points, no_return, first):
     table = np.array(points, float).reshape(-1, 4)
     x, y, z, class_id = table.T
-    found = batch(points, first=first, no_return=no_return, file=BOX if boxed else None)
+    found = batch(points, first=first, no_return=no_return)
     stats = found.stats
     empty = np.isnan(table[:, :3]).any(axis=1) & no_return
     bad = ~np.isfinite(table[:, :3]).all(axis=1) & ~empty
     noise = np.isin(class_id, (7, 18)) & ~empty
-    outside = beyond(x, y, BOX) & boxed
     assert stats.points == len(table)
     assert stats.dropped == {"withheld": 0, "noise": int(noise.sum()), "not_a_number": int(empty.sum())}
-    assert (stats.outside, stats.not_finite) == (outside.sum(), bad.sum())
+    assert stats.not_finite == bad.sum()
     assert stats.first_not_finite == (first + int(bad.argmax()) if bad.any() else -1)
     sides = (x, -np.inf), (y, -np.inf), (-x, -np.inf), (-y, -np.inf), (np.abs(z), 0.0)
     east, north, west, south, highest = (np.fmax.reduce(values, initial=start) for values, start in sides)

@@ -9,7 +9,7 @@ import pytest
 from range_server import serving
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.readers import find_surveys, identity, is_url, open_survey, web
+from bumpymap.readers import find_surveys, identity, is_url, open_survey, source
 from bumpymap.readers.source import read_range, size_of
 
 fsspec = pytest.importorskip("fsspec")
@@ -129,7 +129,7 @@ def test_a_server_that_stalls(las, server, monkeypatch):
     address, handler = server
     path = las.write()
     reader = open_survey(f"{address}/{path.name}")
-    monkeypatch.setattr(web, "STALL_S", 0.2)
+    monkeypatch.setattr(source, "STALL_S", 0.2)
     handler.stalled = threading.Event()
     try:
         with pytest.raises(BadInputError, match=r"^the server of .*a\.las sent nothing for 0\.2 s"):

@@ -12,7 +12,7 @@ import bumpymap.readers.las as las_module
 from bumpymap.core import hash_file
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import PointStats, PointSummaryBuilder, ReadOptions, detect, open_survey
+from bumpymap.readers import PointStats, PointSummaryBuilder, ReadOptions, open_survey, protocol
 from bumpytiles import Grid
 
 COUNT = 3000
@@ -132,13 +132,13 @@ def test_one_that_stays_the_same_is_read_and_says_which_version_it_is(las, laz):
 @pytest.fixture
 def read_again(monkeypatch):
     """The number of bytes that were read only for a checksum."""
-    sizes, original = [], detect.read_range
+    sizes, original = [], protocol.read_range
 
     def read_range(path, start, size):
         sizes.append(size)
         return original(path, start, size)
 
-    monkeypatch.setattr(detect, "read_range", read_range)
+    monkeypatch.setattr(protocol, "read_range", read_range)
     return sizes
 
 
@@ -176,13 +176,13 @@ def test_no_checksum_unless_it_is_asked_for(las, laz, read_again):
 def test_a_change_before_the_checksum_is_complete(las, laz, monkeypatch):
     path = FORMATS["laz"](las, laz, POINTS)
     reader = open_survey(path, ReadOptions(checksum=True))
-    original = detect.read_range
+    original = protocol.read_range
 
     def read_range(*arguments):
         later(path)
         return original(*arguments)
 
-    monkeypatch.setattr(detect, "read_range", read_range)
+    monkeypatch.setattr(protocol, "read_range", read_range)
     with pytest.raises(BadInputError, match="the same size, but was written again"):
         list(reader.clouds())
     assert path.exists()

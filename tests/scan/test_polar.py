@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from jitted_helpers import jitted
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
@@ -13,7 +14,6 @@ from bumpymap.core.shared_kernels import fill_holes
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan._sector_kernels import _heights_of, sector_scratch
 from bumpymap.scan.polar import anchor_of
-from bumpytiles.native import jitted
 
 FIXED = PolarSettings(anchored=False, ground_only=False)
 

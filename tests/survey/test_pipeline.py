@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import laspy
@@ -12,6 +14,7 @@ import pytest
 import rasterio
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
+from made_quarry import QuarrySite
 from pyproj import CRS
 
 from bumpymap.cli import main
@@ -493,9 +496,18 @@ def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
     assert counts[:4].min() > 50
 
 
-def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
-    from bumpymap.lab.worlds.sample import QuarrySite
+def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
+    assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
+    assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
+    counts = json.loads((tmp_path / "demo" / "layers" / "run.json").read_text())["counts"]
+    assert counts["points"] == 1_228_501 + 4  # ground, and the strays among it
+    (tmp_path / "file").write_text("in the way", encoding="utf-8")
+    refused = run("demo", "--out", tmp_path / "file")
+    assert refused.exit_code == 3
+    assert "cannot write the survey" in refused.output
 
+
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
     run("map", QUARRY, "--out", tmp_path / "layers")
     with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
@@ -606,3 +618,38 @@ def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp
     assert run("map", survey, "--out", left, "--resume").exit_code == 0
     assert layers_of(left) == layers_of(layers)
     assert not (left / ".bumpymap-run").exists()
+
+
+KERNELS_OF_A_MAP = """
+import sys
+from pathlib import Path
+
+from bumpymap.core import MapConfig, SilentProgress
+from bumpymap.survey import BatchConfig, map_surveys, run_batch
+
+survey, out = map(Path, sys.argv[1:])
+found = []
+
+
+def look(*_):
+    files = {name: module.__file__ for name, module in sys.modules.items() if name.startswith("bump")}
+    found.append({name for name, file in files.items() if "\\n@kernel\\n" in Path(file).read_text()})
+
+
+class Look(SilentProgress):
+    start = look
+
+
+if out.name == "batch":
+    run_batch(BatchConfig(survey.parent, out), begin=look)
+map_surveys(MapConfig((survey,), out.with_name("map")), Look())
+assert len(found) > 1
+print(*(found[-1] - found[0]))
+"""
+
+
+@pytest.mark.parametrize("command", ["map", "batch"])
+def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path, command):
+    """So a new installation compiles all at once, a batch before its workers, and tells from the first how many."""
+    words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / command]
+    assert subprocess.run(words, capture_output=True, text=True, check=True).stdout.split() == []

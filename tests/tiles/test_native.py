@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from jitted_helpers import jitted
 
-from bumpytiles.native import Kernel, jitted
+from bumpytiles.native import Kernel
 
 pytestmark = pytest.mark.slow
 
@@ -70,12 +71,16 @@ def place(tmp_path):
 ALONE = "from bumpytiles import native; native._kernels.clear()\n"  # the package's own kernels stay out of it
 
 
-def run(place, code=RUN, cache="cache"):
+def ran(place, code=RUN, cache="cache"):
     paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(place / cache)}
     done = subprocess.run([sys.executable, "-c", ALONE + code], env=env, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    return done
+
+
+def run(*where, **how):
+    return ran(*where, **how).stdout.strip()
 
 
 def kept(place):
@@ -103,6 +108,19 @@ def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):
     (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     run(place, "import other\n" + RUN)
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
+
+
+def test_what_is_loaded_is_compiled_before_it_is_called(place):
+    (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
+    (place / "third.py").write_text(SOURCE.replace("weigh(", "third("))
+    run(place, "import tiny, other\nnative.compile_loaded()")
+    assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
+
+
+def test_a_program_that_asks_for_no_reports_is_told_that_kernels_are_compiled(place):
+    """A notebook would look hung."""
+    assert "compiling 1 numerical kernel, once" in ran(place).stderr
+    assert ran(place).stderr == ""
 
 
 def test_it_tells_how_many_kernels_are_compiled(place):

@@ -27,6 +27,7 @@ from .grouping import (
 )
 from .native import (
     blocked_signals as blocked_signals,
+    compile_loaded as compile_loaded,
     compile_packages as compile_packages,
     compiling_reports as compiling_reports,
     helper as helper,

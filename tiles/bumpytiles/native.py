@@ -9,7 +9,8 @@ numba is the compiler, and importing it and its cache takes longer than many a m
 - LLVM alone optimises that function, writes it to the cache, and loads it in later runs; ctypes calls it.
 
 Compiling happens in processes beside the run, for all kernel modules at once: it takes less time, and the memory that
-a compiler needs is not taken from the run. It takes many seconds, so it is told how far it is (`compiling_reports`).
+a compiler needs is not taken from the run. It takes many seconds, so it is told how far it is (`compiling_reports`);
+where nobody asks for that, a warning says that it has begun.
 
 What that asks of a kernel: annotated parameters and no result. A parameter is a number, an array
 (``Annotated[NDArray[np.float64], 2]``: two dimensions, C-contiguous) or a NamedTuple of these. No allocation, no
@@ -26,6 +27,7 @@ neither is a link. All else is as if it were not there, and nothing is kept wher
 import ctypes
 import gc
 import hashlib
+import importlib.util
 import json
 import logging
 import os
@@ -34,24 +36,24 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
+from inspect import signature
 from pathlib import Path
-from typing import Any, Generic, ParamSpec, TypeVar
+from typing import Annotated, Any, Generic, NamedTuple, ParamSpec, TypeVar, get_args, get_origin
 from uuid import uuid4
 
-from bumpytiles._compiler import Code, KernelSource, Options, compile_source, jit, link, linkable, machine, versions
+import numpy as np
 
 __all__ = [
     "Kernel",
-    "Store",
     "blocked_signals",
+    "compile_loaded",
     "compile_packages",
     "compiling_reports",
     "helper",
-    "jitted",
     "kernel",
     "order_free",
     "start_python",
@@ -59,42 +61,161 @@ __all__ = [
 
 _log = logging.getLogger(__name__)
 
+_OPTIONS = {"error_model": "numpy"}
+_INSIDE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+"""Options of what only compiled code calls; saves a fifth of the time."""
+_LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow", "sqrt"})
+"""What machine code may call outside itself."""
+_SAFE_PATH = "PYTHONSAFEPATH"
 
-class Store:
-    """Where the machine code of one kernel is kept: one file for each kind of processor, replaced when it is stale."""
+P = ParamSpec("P")
+F = TypeVar("F", bound=Callable[..., Any])
 
-    def __init__(self, source: KernelSource) -> None:
-        processor = machine()
-        parts = [*source.parts(), *_own_source(), versions(), processor, source.name.encode()]
-        self._key = hashlib.sha256(b"\0".join(parts)).hexdigest()
-        name = f"{source.file.stem}.{source.name}.{hashlib.sha256(processor).hexdigest()[:8]}.native"
-        self._files = [folder / name for folder in _folders(source.file)]
+_helpers: dict[Callable[..., Any], Mapping[str, Any]] = {}
+"""Functions that kernels may call, and how each is compiled."""
+_kernels: dict[str, list["Kernel[Any]"]] = {}
+"""Kernels by module."""
+_compiling = threading.Lock()
+
+
+def helper(function: F) -> F:
+    """Mark a function that kernels and other helpers call."""
+    _helpers[function] = {}
+    return function
+
+
+def order_free(function: F) -> F:
+    """Mark a helper that takes minima and maxima of numbers without NaN: any order of them gives the same bits."""
+    _helpers[function] = {"fastmath": {"nnan", "nsz"}}
+    return function
+
+
+def kernel(function: Callable[P, None]) -> "Kernel[P]":
+    """Mark a function that Python calls as compiled code; see the module for what it may do."""
+    return Kernel(function)
+
+
+class Leaf(NamedTuple):
+    """A number, or an array where it has dimensions."""
+
+    name: str
+    dtype: np.dtype[Any]
+    dims: int
+
+
+class Code(NamedTuple):
+    """Machine code of a kernel."""
+
+    symbol: str
+    outside: list[str]
+    """What it calls outside itself."""
+    code: bytes
+    """An object file."""
+
+
+class Kernel(Generic[P]):
+    """A compiled function that Python calls; its C function takes the lengths of all arrays, then a value a leaf.
+
+    Its machine code is kept in one file for each kind of processor, which is replaced when it is stale.
+
+    Parameters
+    ----------
+    function : callable
+        The plain function.
+    """
+
+    def __init__(self, function: Callable[P, None]) -> None:
+        self.plain, self.name = function, function.__name__
+        self._call: Callable[..., None] | None = None
+        self._lock = threading.Lock()
+        _kernels.setdefault(function.__module__, []).append(self)
+
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> None:
+        """Run the machine code; the interpreter's lock is free meanwhile."""
+        if named:
+            raise TypeError(f"{self.name} takes its arguments by position")
+        if self._call is None:
+            with self._lock:
+                self._call = self._call or self._ready()
+        self._call(*self._c_arguments(arguments))
+
+    def _ready(self) -> Callable[..., None]:
+        code = self.load()
+        if code is None and self.can_keep():
+            _children.compile(self.plain.__module__)
+            code = self.load()
+        if code is None:
+            code = self.compile()
+            self.save(code)
+        numbers = np.ctypeslib.as_ctypes_type
+        kinds = (ctypes.c_void_p if leaf.dims else numbers(leaf.dtype) for leaf in self._leaves)
+        return ctypes.CFUNCTYPE(None, ctypes.c_void_p, *kinds)(_link(code))
+
+    @cached_property
+    def _parameters(self) -> list[tuple[type[Any] | None, list[Leaf]]]:
+        """Each parameter: the NamedTuple that it is, or None, and its leaves."""
+        found: list[tuple[type[Any] | None, list[Leaf]]] = []
+        for name, parameter in signature(self.plain).parameters.items():
+            kind = parameter.annotation
+            group = kind if isinstance(kind, type) and issubclass(kind, tuple) else None
+            fields = {name: kind} if group is None else group.__annotations__
+            found.append((group, [_leaf(*field) for field in fields.items()]))
+        return found
 
     @property
+    def _leaves(self) -> list[Leaf]:
+        return [leaf for _, leaves in self._parameters for leaf in leaves]
+
+    @cached_property
+    def called(self) -> list[Callable[..., Any]]:
+        """The function and all helpers below it."""
+        called: list[Callable[..., Any]] = [self.plain]
+        for one in called:  # grows on the way
+            below = (value for _, value in _globals(one) if callable(value) and value in _helpers)
+            called += [value for value in dict.fromkeys(below) if value not in called]
+        return called
+
+    @cached_property
+    def _kept(self) -> tuple[str, list[Path]]:
+        """Return what the machine code must be of, and the files that may hold it."""
+        processor = _machine()
+        parts = [repr([[tuple(map(str, leaf)) for leaf in leaves] for _, leaves in self._parameters]).encode()]
+        for each in self.called:
+            numbers = [pair for pair in _globals(each) if isinstance(pair[1], int | float | tuple | np.generic)]
+            parts += [Path(each.__code__.co_filename).read_bytes(), repr(numbers).encode()]
+        parts += [Path(__file__).read_bytes(), _versions(), processor, self.name.encode()]
+        source = Path(self.plain.__code__.co_filename)
+        name = f"{source.stem}.{self.name}.{hashlib.sha256(processor).hexdigest()[:8]}.native"
+        return hashlib.sha256(b"\0".join(parts)).hexdigest(), [folder / name for folder in _folders(source)]
+
     def can_keep(self) -> bool:
-        """Whether there is a folder for it; where there is none, it is said once why."""
-        faults = {str(file.parent): _fault(file.parent) for file in self._files}
-        if None in faults.values():
-            return True
+        """Return whether there is a folder for the machine code; where there is none, it is said once why."""
+        faults = {}
+        for file in self._kept[1]:
+            faults[file.parent] = _fault(file.parent)
+            if faults[file.parent] is None:
+                return True
         _say_once(", ".join(f"{folder} ({fault})" for folder, fault in faults.items()))
         return False
 
     def load(self) -> Code | None:
-        """Return the machine code, None where there is none for this source, compiler and processor."""
-        for file in self._files:
+        """Return the machine code; None where none is kept for this source, compiler and processor."""
+        key, files = self._kept
+        for file in files:
             with suppress(OSError, ValueError, KeyError):
                 head, _, code = _read(file).partition(b"\n")
                 record = json.loads(head)
                 whole = record["digest"] == hashlib.sha256(code).hexdigest()
-                if whole and record["key"] == self._key and linkable(record["outside"]):
+                if whole and record["key"] == key and _linkable(record["outside"]):
                     return Code(record["symbol"], record["outside"], code)
         return None
 
     def save(self, code: Code) -> None:
         """Keep machine code in the first folder that will do; a file appears whole or not at all."""
+        key, files = self._kept
         digest = hashlib.sha256(code.code).hexdigest()
-        record = {"key": self._key, "digest": digest, "symbol": code.symbol, "outside": code.outside}
-        for file in self._files:
+        record = {"key": key, "digest": digest, "symbol": code.symbol, "outside": code.outside}
+        for file in files:
             try:
                 file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
                 _write(file, json.dumps(record).encode() + b"\n" + code.code)
@@ -102,6 +223,80 @@ class Store:
                 _log.debug("cannot keep compiled kernels in %s: %s", file.parent, error)
             else:
                 return
+
+    def compile(self) -> Code:
+        """Compile in this process; raises TypeError where the kernel needs more than itself and libm."""
+        from numba import carray, cfunc, from_dtype, types
+
+        with _compiling:
+            _register({**_helpers, self.plain: {}})
+            plain = [(from_dtype(leaf.dtype), leaf.dims) for leaf in self._leaves]
+            kinds = [types.CPointer(kind) if dims else kind for kind, dims in plain]
+            names = {"carray": carray, "kernel": self.plain}
+            names |= {f"group{place}": group for place, (group, _) in enumerate(self._parameters)}
+            exec(self._c_source(), names)  # noqa: S102 (of names and numbers alone)
+            compiled = cfunc(types.void(types.CPointer(types.intp), *kinds), **_OPTIONS)(names["c_function"])
+            module = _alone(compiled.inspect_llvm(), compiled.native_name)
+            outside = {f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")}
+            outside |= {g.name for g in module.global_variables if g.is_declaration}
+            if not _linkable(outside):
+                raise TypeError(f"the kernel {self.name} cannot be kept: it calls {', '.join(sorted(outside))}")
+            # All kernels are linked together, and numba's names of two with equal parameters may be the same.
+            symbol = f"{self.name}_{hashlib.sha256(str(module).encode()).hexdigest()}"
+            module.get_function(compiled.native_name).name = symbol
+            code: bytes = _target().emit_object(module)
+            return Code(symbol, sorted(outside), code)
+
+    def _c_arguments(self, arguments: tuple[Any, ...]) -> Iterator[Any]:
+        """Turn the kernel's arguments into those of the C function; raises TypeError where one does not fit."""
+        if len(arguments) != len(self._parameters):
+            raise TypeError(f"{self.name} takes {len(self._parameters)} arguments, not {len(arguments)}")
+        lengths: list[int] = []
+        values: list[Any] = []
+        for argument, (group, leaves) in zip(arguments, self._parameters, strict=True):
+            if group is not None and type(argument) is not group:
+                raise TypeError(f"{self.name} takes a {group.__name__}, not a {type(argument).__name__}")
+            for value, leaf in zip((argument,) if group is None else argument, leaves, strict=True):
+                if not leaf.dims:
+                    values.append(leaf.dtype.type(value).item())
+                    continue
+                if value.dtype != leaf.dtype or value.ndim != leaf.dims or not value.flags.c_contiguous:
+                    raise TypeError(
+                        f"{leaf.name} of {self.name} is {value.dtype} with {value.ndim} dimensions; "
+                        f"it must be {leaf.dtype} with {leaf.dims}, C-contiguous"
+                    )
+                lengths += value.shape
+                values.append(value.ctypes.data)
+        yield (ctypes.c_ssize_t * len(lengths))(*lengths)
+        yield from values
+
+    def _c_source(self) -> str:
+        """Write the C function in Python: it puts arrays and NamedTuples together and calls the kernel."""
+        names: list[str] = []
+        arguments: list[str] = []
+        lengths = 0
+        for place, (group, leaves) in enumerate(self._parameters):
+            values = []
+            for leaf in leaves:
+                names.append(f"v{len(names)}")
+                shape = "".join(f"lengths[{lengths + axis}], " for axis in range(leaf.dims))
+                values.append(f"carray({names[-1]}, ({shape}))" if leaf.dims else names[-1])
+                lengths += leaf.dims
+            arguments.append(f"group{place}({', '.join(values)})" if group else values[0])
+        return f"def c_function(lengths, {', '.join(names)}):\n    kernel({', '.join(arguments)})\n"
+
+
+def _leaf(name: str, annotation: Any) -> Leaf:
+    if get_origin(annotation) is not Annotated:
+        return Leaf(name, np.dtype(annotation), 0)
+    array, dims = get_args(annotation)
+    return Leaf(name, np.dtype(get_args(get_args(array)[1])[0]), dims)
+
+
+def _globals(function: Callable[..., Any]) -> list[tuple[str, Any]]:
+    """List the global names that a function uses, with their values."""
+    own = function.__globals__
+    return [(name, own[name]) for name in function.__code__.co_names if name in own]
 
 
 def _folders(source: Path) -> list[Path]:
@@ -118,20 +313,18 @@ def _folders(source: Path) -> list[Path]:
 
 
 def _fault(folder: Path) -> str | None:
-    """Say why nothing can be kept in a folder; None where it can, though it may have to be made."""
+    """Make a folder that is not there; say why nothing can be kept in it, None where it can."""
     try:
-        if os.path.lexists(folder):
-            os.close(_open_folder(folder))
-            return None if os.access(folder, os.W_OK) else "it cannot be written"
-        above = next(parent for parent in folder.parents if parent.exists())
+        if not os.path.lexists(folder):
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        os.close(_open_folder(folder))
     except OSError as error:
         return error.strerror or str(error)
-    return None if above.is_dir() and os.access(above, os.W_OK) else "it cannot be made"
+    return None if os.access(folder, os.W_OK) else "it cannot be written"
 
 
 def _open_folder(folder: Path) -> int:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-    return _only_ours(descriptor)
+    return _only_ours(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW))
 
 
 def _only_ours(descriptor: int) -> int:
@@ -186,13 +379,239 @@ def _say_once(where: str) -> None:
     )
 
 
+_registered: set[Callable[..., Any]] = set()
+
+
+def _register(helpers: Mapping[Callable[..., Any], Mapping[str, Any]]) -> None:
+    """Tell numba of helpers."""
+    from numba.extending import register_jitable
+
+    for function, options in helpers.items():
+        if function not in _registered:
+            _registered.add(function)
+            register_jitable(**_OPTIONS, **_INSIDE, **options)(function)
+
+
+def _alone(text: str, symbol: str) -> Any:
+    """Parse a module, optimise it, and leave of it what one function needs."""
+    llvm = _llvm()
+    module = llvm.parse_assembly(text)
+    # Reference counts of arrays that Python owns stay untouched; the call behind them is never reached.
+    module.link_in(llvm.parse_assembly("define void @NRT_MemInfo_call_dtor(ptr %info) { ret void }"))
+    for function in module.functions:
+        if not function.is_declaration and function.name != symbol:
+            function.linkage = "internal"
+    # What numba does with a whole library: bring loops into the form that vectorises, drop pairs of reference counts.
+    _optimise(module, "add_loop_rotate_pass", "add_instruction_combine_pass")
+    # A kernel raises nothing; with that known, what would print an exception is dead.
+    _optimise(
+        module,
+        "add_ipsccp_pass",
+        "add_simplify_cfg_pass",
+        "add_global_dead_code_eliminate_pass",
+        "add_strip_dead_prototype_pass",
+    )
+    return module
+
+
+def _optimise(module: Any, *more: str) -> None:
+    """Run LLVM's passes of level 3 over a module, and more passes after them."""
+    llvm = _llvm()
+    tuning = llvm.create_pipeline_tuning_options(speed_level=3)
+    tuning.loop_vectorization = tuning.slp_vectorization = True
+    builder = llvm.create_pass_builder(_target(), tuning)
+    passes = builder.getModulePassManager()
+    for name in more:
+        getattr(passes, name)()
+    passes.add_refprune_pass()
+    passes.run(module, builder)
+
+
 @cache
-def _own_source() -> list[bytes]:
-    """Give the source of what makes machine code."""
-    return [Path(__file__).with_name(name).read_bytes() for name in ("_compiler.py", "native.py")]
+def _llvm() -> Any:
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm
 
 
-_SAFE_PATH = "PYTHONSAFEPATH"
+@cache
+def _machine() -> bytes:
+    """Say which processor this is."""
+    llvm = _llvm()
+    return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}".encode()
+
+
+@cache
+def _versions() -> bytes:
+    """Say which compiler would be at work, without importing it."""
+    import llvmlite
+
+    spec = importlib.util.find_spec("numba")
+    numba = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else None
+    stated = numba.read_bytes() if numba is not None and numba.is_file() else b""
+    own: bytes = llvmlite.__version__.encode()
+    return own + stated
+
+
+@cache
+def _target() -> Any:
+    llvm = _llvm()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        opt=3,
+        codemodel="jitdefault",
+        jit=True,
+    )
+
+
+def _linkable(outside: Iterable[str]) -> bool:
+    """Tell the linker where libm is; False where something else is wanted (the linker would end the process)."""
+    process = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
+    for name in outside:
+        if name not in _LIBM or not hasattr(process, name):
+            return False
+        _llvm().add_symbol(name, ctypes.cast(getattr(process, name), ctypes.c_void_p).value)
+    return True
+
+
+_linking = threading.Lock()
+_linked: dict[str, int] = {}
+"""Addresses of what is linked, by symbol."""
+
+
+@cache
+def _engine() -> Any:
+    """Hold the machine code of all kernels in memory for as long as the process lives; an engine takes 1 ms to make."""
+    return _llvm().create_mcjit_compiler(_llvm().parse_assembly(""), _target())
+
+
+def _link(code: Code) -> int:
+    """Load machine code; returns the address of its C function."""
+    with _linking:
+        if code.symbol not in _linked:
+            _engine().add_object_file(_llvm().ObjectFileRef.from_data(code.code))
+            _engine().finalize_object()
+            _linked[code.symbol] = int(_engine().get_function_address(code.symbol))
+        return _linked[code.symbol]
+
+
+def compile_modules(*modules: str) -> None:
+    """Compile what the cache has not of some kernel modules, and keep it: the work of a child, a byte a kernel."""
+    gc.disable()  # a compiler makes millions of objects and few cycles: 7 % of the time
+    for module in modules:
+        import_module(module)
+        for each in _kernels.get(module, []):
+            if each.load() is None:
+                each.save(each.compile())
+                with suppress(OSError):  # the parent has ended
+                    os.write(1, b".")
+
+
+def compile_loaded() -> None:
+    """Compile what the cache has not of the kernels that are loaded, before other processes need them."""
+    if all(each.can_keep() for kernels in _kernels.values() for each in kernels):
+        _children.compile(*_kernels)
+
+
+def compile_packages(*packages: str) -> bool:
+    """Compile what the cache has not of all kernels in some packages; False where nothing can be kept."""
+    names = [
+        ".".join((package, *file.relative_to(folder).with_suffix("").parts))
+        for package in packages
+        for folder in map(Path, import_module(package).__path__)
+        for file in sorted(folder.rglob("*.py"))
+        if "\n@kernel\n" in file.read_text(encoding="utf-8")
+    ]
+    for name in names:
+        import_module(name)
+    kernels = [each for name in names for each in _kernels[name]]
+    if not all(each.can_keep() for each in kernels):
+        return False
+    _children.compile(*names)
+    return all(each.load() is not None for each in kernels)
+
+
+_reports: list[Callable[[int, int], None]] = []
+
+
+@contextmanager
+def compiling_reports(report: Callable[[int, int], None]) -> Iterator[None]:
+    """Call ``report`` with the number of kernels compiled and to compile, from any thread, during the body."""
+    _reports.append(report)
+    try:
+        yield
+    finally:
+        _reports.remove(report)
+
+
+class _Children:
+    """Processes that compile all kernel modules at once, started when one of them is needed."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._by_module: dict[str, subprocess.Popen[bytes] | None] = {}
+        self._done = self._total = 0
+
+    def compile(self, *modules: str) -> None:
+        """Return when kernel modules have been compiled, or cannot be compiled in this way."""
+        with self._lock:
+            new = {name: [each for each in own if each.load() is None] for name, own in _kernels.items()}
+            missing = {name: own for name, own in new.items() if own and name not in self._by_module}
+            self._by_module = dict.fromkeys(_kernels) | self._by_module
+            # How long it takes goes with the bytes of bytecode.
+            size = {
+                name: sum(len(called.__code__.co_code) for each in own for called in each.called)
+                for name, own in missing.items()
+            }
+            shares: list[list[str]] = [[] for _ in range(min(os.cpu_count() or 1, len(size)))]
+            for name in sorted(size, key=lambda name: -size[name]):
+                min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
+            started = [(child, share) for share in shares if (child := _start(share)) is not None]
+            counts = [(child, sum(len(missing[name]) for name in share)) for child, share in started]
+            self._by_module |= {name: child for child, share in started for name in share}
+            if counts:
+                self._count(sum(kernels for _, kernels in counts), 0)
+            for counted in counts:
+                with suppress(RuntimeError):  # no thread can be started: it is not told how far it is
+                    threading.Thread(target=self._follow, args=counted, daemon=True, name="compiling").start()
+            children = {child for child in map(self._by_module.get, modules) if child is not None}
+        for child in children:
+            child.wait()
+
+    def _follow(self, child: "subprocess.Popen[bytes]", kernels: int) -> None:
+        """Count a child's kernels as it compiles them."""
+        for _ in range(kernels):
+            if child.stdout is not None:
+                child.stdout.read(1)  # returns at once when the child has ended
+            self._count(0, 1)
+
+    def _count(self, kernels: int, done: int) -> None:
+        with self._lock:
+            self._total += kernels
+            self._done += done
+            for report in _reports:
+                report(self._done, self._total)
+        if kernels > 0 and not _reports:
+            plural = "s" * (kernels > 1)
+            _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", kernels, plural)
+
+
+_children = _Children()
+
+
+def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
+    """Start a child, which writes a byte for each kernel; None where that cannot be done."""
+    if not sys.executable or getattr(sys, "frozen", False):
+        return None
+    code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
+    # Helpers are optimised once, as parts of a kernel, not by numba before that.
+    env = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
+    with suppress(OSError):
+        return start_python(["-c", code, *modules], environment=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    return None
 
 
 def start_python(
@@ -234,200 +653,3 @@ def blocked_signals() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-P = ParamSpec("P")
-F = TypeVar("F", bound=Callable[..., Any])
-
-_helpers: dict[Callable[..., Any], Options] = {}
-"""Functions that kernels may call, and how each is compiled."""
-_kernels: dict[str, list["Kernel[Any]"]] = {}
-"""Kernels by module."""
-_compiling = threading.Lock()
-
-
-def helper(function: F) -> F:
-    """Mark a function that kernels and other helpers call."""
-    _helpers[function] = {}
-    return function
-
-
-def order_free(function: F) -> F:
-    """Mark a helper that takes minima and maxima of numbers without NaN: any order of them gives the same bits."""
-    _helpers[function] = {"fastmath": {"nnan", "nsz"}}
-    return function
-
-
-def jitted(function: Callable[..., Any]) -> Any:
-    """Return a helper compiled by numba in this process, to be called from Python."""
-    with _compiling:
-        return jit(function, _helpers)
-
-
-def kernel(function: Callable[P, None]) -> "Kernel[P]":
-    """Mark a function that Python calls as compiled code; see the module for what it may do."""
-    return Kernel(function)
-
-
-class Kernel(Generic[P]):
-    """A compiled function that Python calls.
-
-    Parameters
-    ----------
-    function : callable
-        The plain function.
-    """
-
-    def __init__(self, function: Callable[P, None]) -> None:
-        self.plain = function
-        self._call: Callable[..., None] | None = None
-        self._lock = threading.Lock()
-        _kernels.setdefault(function.__module__, []).append(self)
-
-    @cached_property
-    def source(self) -> KernelSource:
-        """What is compiled."""
-        return KernelSource.of(self.plain, _helpers)
-
-    def __call__(self, *arguments: P.args, **named: P.kwargs) -> None:
-        """Run the machine code; the interpreter's lock is free meanwhile."""
-        if named:
-            raise TypeError(f"{self.source.name} takes its arguments by position")
-        if self._call is None:
-            with self._lock:
-                self._call = self._call or self._ready()
-        self._call(*self.source.c_arguments(arguments))
-
-    def _ready(self) -> Callable[..., None]:
-        store = Store(self.source)
-        code = store.load()
-        if code is None and store.can_keep:
-            _children.compile(self.plain.__module__)
-            code = store.load()
-        if code is None:
-            code = self.compile()
-            store.save(code)
-        return ctypes.CFUNCTYPE(None, *self.source.c_types)(link(code))
-
-    def compile(self) -> Code:
-        """Compile in this process."""
-        with _compiling:
-            return compile_source(self.source, _helpers)
-
-
-def compile_modules(*modules: str) -> None:
-    """Compile what the cache has not of some kernel modules, and keep it: the work of a child, a byte a kernel."""
-    gc.disable()  # a compiler makes millions of objects and few cycles: 7 % of the time
-    for module in modules:
-        import_module(module)
-        for each in _kernels.get(module, []):
-            store = Store(each.source)
-            if store.load() is None:
-                store.save(each.compile())
-                with suppress(OSError):  # the parent has ended
-                    os.write(1, b".")
-
-
-def compile_packages(*packages: str, at_once: bool = True) -> bool:
-    """Compile what the cache has not of all kernels in some packages; False where nothing can be kept.
-
-    Parameters
-    ----------
-    *packages : str
-    at_once : bool
-        False: only if one of the kernels that are loaded already is not in the cache.
-    """
-    stores = [Store(each.source) for kernels in _kernels.values() for each in kernels]
-    if not at_once and all(store.load() is not None or not store.can_keep for store in stores):
-        return True
-    names = [
-        ".".join((package, *file.relative_to(folder).with_suffix("").parts))
-        for package in packages
-        for folder in map(Path, import_module(package).__path__)
-        for file in sorted(folder.rglob("*.py"))
-        if "\n@kernel\n" in file.read_text(encoding="utf-8")
-    ]
-    for name in names:
-        import_module(name)
-    if not all(Store(each.source).can_keep for name in names for each in _kernels[name]):
-        return False
-    _children.compile(*names)
-    return all(Store(each.source).load() is not None for name in names for each in _kernels[name])
-
-
-_reports: list[Callable[[int, int], None]] = []
-
-
-@contextmanager
-def compiling_reports(report: Callable[[int, int], None]) -> Iterator[None]:
-    """Call ``report`` with the number of kernels compiled and to compile, from any thread, during the body."""
-    _reports.append(report)
-    try:
-        yield
-    finally:
-        _reports.remove(report)
-
-
-class _Children:
-    """Processes that compile all kernel modules at once, started when one of them is needed."""
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._by_module: dict[str, subprocess.Popen[bytes] | None] = {}
-        self._done = self._total = 0
-
-    def compile(self, *modules: str) -> None:
-        """Return when kernel modules have been compiled, or cannot be compiled in this way."""
-        with self._lock:
-            new = [name for name in _kernels if name not in self._by_module]
-            missing = {name: [each for each in _kernels[name] if Store(each.source).load() is None] for name in new}
-            size = {name: sum(each.source.size for each in kernels) for name, kernels in missing.items() if kernels}
-            shares: list[list[str]] = [[] for _ in range(min(os.cpu_count() or 1, len(size)))]
-            for name in sorted(size, key=lambda name: -size[name]):
-                min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
-            started = [(child, share) for share in shares if (child := _start(share)) is not None]
-            self._by_module |= dict.fromkeys(new) | {name: child for child, share in started for name in share}
-            counts = [(child, sum(len(missing[name]) for name in share)) for child, share in started]
-            if counts:
-                self._count(sum(kernels for _, kernels in counts), 0)
-            for child, kernels in counts:
-                self._follow(child, kernels)
-            children = {child for child in map(self._by_module.get, modules) if child is not None}
-        for child in children:
-            child.wait()
-
-    def _follow(self, child: "subprocess.Popen[bytes]", kernels: int) -> None:
-        """Count a child's kernels as it compiles them."""
-
-        def read() -> None:
-            for _ in range(kernels):
-                if child.stdout is not None:
-                    child.stdout.read(1)  # returns at once when the child has ended
-                self._count(0, 1)
-
-        with suppress(RuntimeError):  # no thread can be started: it is not told how far it is
-            threading.Thread(target=read, daemon=True, name="compiling").start()
-
-    def _count(self, kernels: int, done: int) -> None:
-        with self._lock:
-            self._total += kernels
-            self._done += done
-            for report in _reports:
-                report(self._done, self._total)
-        if kernels > 0 and not _reports:
-            _log.info("compiling %d numerical kernels, once; this takes many seconds", kernels)
-
-
-_children = _Children()
-
-
-def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
-    """Start a child, which writes a byte for each kernel; None where that cannot be done."""
-    if not sys.executable or getattr(sys, "frozen", False):
-        return None
-    code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
-    # Helpers are optimised once, as parts of a kernel, not by numba before that.
-    env = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
-    with suppress(OSError):
-        return start_python(["-c", code, *modules], environment=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
-    return None

@@ -1,12 +1,13 @@
 """Statistics of the agreement between predictions and drives, on plain arrays.
 
-Patches are rows. Arrays of C_r must not contain NaN; the caller drops such patches.
+Patches are rows. Arrays of C_r must not contain NaN; the caller drops such patches. A statistic without rows is NaN.
 """
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +16,12 @@ from bumpymap.core import PatchStack
 from bumpymap.lab.evaluate.rated_survey import Verdict
 from bumpymap.lab.simulate.drive import PatchDrives
 
-__all__ = [
-    "ClassTable",
-    "Comparison",
-    "DriveStats",
-    "VehicleOrder",
-    "class_table",
-    "compare",
-    "compare_order",
-    "confusion",
-    "plain_predictors",
-]
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+CLASSES = 4
+MOST_FAILED = 0.25
+"""If a larger share of the drives failed, C_r is not compared, because it comes from the completed drives only."""
+RISING = ("variance_median", "residual_median", "c_r_median", "variance_mean", "residual_mean")
 
 
 def spearman(first: Floats, second: Floats) -> float:
@@ -36,41 +29,21 @@ def spearman(first: Floats, second: Floats) -> float:
     from scipy.stats import rankdata
 
     if len(first) < 3 or np.ptp(first) == 0 or np.ptp(second) == 0:
-        return float("nan")
+        return math.nan
     return float(np.corrcoef(rankdata(first), rankdata(second))[0, 1])
 
 
-def median_error(predicted: Floats, driven: Floats) -> float:
-    """Return the median of abs(predicted - driven) / driven; NaN without rows."""
-    return float(np.median(np.abs(predicted - driven) / driven)) if len(driven) else float("nan")
-
-
-def median_ratio(predicted: Floats, driven: Floats) -> float:
-    """Return the median of predicted / driven (above 1: the prediction is too high); NaN without rows."""
-    return float(np.median(predicted / driven)) if len(driven) else float("nan")
-
-
 def monotone_fit(predictor: Floats, c_r: Floats, wanted: Floats) -> Floats:
-    """Predict C_r by the best monotone function of a predictor: isotonic regression on ln C_r.
+    """Predict C_r [rad/m] by the best monotone function of a predictor: isotonic regression on ln C_r.
 
-    Parameters
-    ----------
-    predictor, c_r : array (n,)
-        Data for the fit, at least one row; C_r in rad/m.
-    wanted : array (m,)
-        Values of the predictor to evaluate; interpolated linearly, and constant beyond the range of the fit.
-
-    Returns
-    -------
-    array (m,)
-        rad/m.
+    Fitted to ``predictor`` and ``c_r`` (n,), at least one row; evaluated at ``wanted`` (m,), linear between the rows
+    and constant beyond them.
     """
     from scipy.optimize import isotonic_regression
 
     place, row, count = np.unique(predictor, return_inverse=True, return_counts=True)
     mean = np.bincount(row, np.log(c_r)) / count
-    fitted = isotonic_regression(mean, weights=count.astype(np.float64)).x
-    value: Floats = np.exp(np.interp(wanted, place, fitted))
+    value: Floats = np.exp(np.interp(wanted, place, isotonic_regression(mean, weights=count.astype(np.float64)).x))
     return value
 
 
@@ -91,14 +64,8 @@ def cross_validated_fit(predictor: Floats, c_r: Floats, parts: int = 10) -> Floa
 def driven_class(c_r: Floats, failed_share: Floats, limits: tuple[float, ...]) -> Ints:
     """Return the class of each patch by its drives: that of the mean C_r, or the last one if half of them failed.
 
-    Parameters
-    ----------
-    c_r : array (n,)
-        Mean over the completed drives, rad/m; NaN if there are none.
-    failed_share : array (n,)
-        0..1.
-    limits : tuple
-        C_r limits between the classes, rad/m.
+    ``c_r`` (n,) is the mean over the completed drives, rad/m, NaN if there are none; ``limits`` lie between the
+    classes.
     """
     class_id = np.searchsorted(np.array(limits), c_r, side="right")
     return np.where((failed_share >= 0.5) | np.isnan(c_r), len(limits), class_id).astype(np.int64)
@@ -111,95 +78,49 @@ def confusion(driven: Ints, predicted: Ints, classes: int) -> Ints:
     return table
 
 
-@dataclass(frozen=True, slots=True)
-class ClassShift:
-    """Shares of the patches by distance between predicted and driven class, 0..1."""
-
-    same: float
-    one_off: float
-    further: float
-
-
-def class_shift(table: Ints) -> ClassShift:
-    """Summarise a confusion matrix; NaN without patches."""
+def class_shift(table: Ints) -> dict[str, float]:
+    """Return the shares of the patches of a confusion matrix whose class is the same, one off, and further off."""
     away = np.abs(np.subtract.outer(np.arange(len(table)), np.arange(len(table))))
-    shares = [float(table[chosen].sum() / max(table.sum(), 1)) for chosen in (away == 0, away == 1, away > 1)]
-    return ClassShift(*shares) if table.sum() else ClassShift(*(float("nan"),) * 3)
+    apart = {"same": away == 0, "one_off": away == 1, "further": away > 1}
+    return {name: float(table[there].sum() / table.sum()) if table.sum() else math.nan for name, there in apart.items()}
 
 
-@dataclass(frozen=True, slots=True)
-class Coverage:
-    """Shares of the patches with a driven mean inside, below and above the predicted interval, 0..1."""
-
-    held: float
-    below: float
-    above: float
-
-
-def coverage(low: Floats, high: Floats, driven: Floats) -> Coverage:
-    """Return the coverage of the driven means by the intervals (n,); NaN without rows."""
-    if not len(driven):
-        return Coverage(*(float("nan"),) * 3)
+def coverage(low: Floats, high: Floats, driven: Floats) -> dict[str, float]:
+    """Return the shares of the driven means (n,) inside (``held``), below and above the intervals (n,)."""
     below, above = driven < low, driven > high
-    return Coverage(float(np.mean(~below & ~above)), float(np.mean(below)), float(np.mean(above)))
+    parts = {"held": ~below & ~above, "below": below, "above": above}
+    return {name: mean_share(part) for name, part in parts.items()}
+
+
+def mean_share(right: NDArray[np.bool_]) -> float:
+    """Return the share of True, 0..1."""
+    return float(right.mean()) if len(right) else math.nan
 
 
 def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:
-    """Return the probability that a failed drive was on ground of higher ``p_fail`` than a completed one.
+    """Return the probability that a failed drive was on ground of higher ``p_fail`` than a completed one: the ROC area.
 
-    Ties count half.
-
-    Parameters
-    ----------
-    p_fail : array (n,)
-        Predicted for each patch.
-    failed, completed : array (n,)
-        Number of its drives, or their shares, to weight all patches equally.
-
-    Returns
-    -------
-    float
-        Area under the ROC curve; NaN if no drive failed or all did.
+    Ties count half. ``failed`` and ``completed`` (n,) are numbers of drives, or their shares, to weight all patches
+    equally. NaN if no drive failed or all did.
     """
     pairs = float(failed.sum()) * float(completed.sum())
     if pairs == 0:
-        return float("nan")
+        return math.nan
     values, row = np.unique(p_fail, return_inverse=True)
     bad, good = (np.bincount(row, drives, len(values)) for drives in (failed, completed))
     safer = np.cumsum(good) - good
     return float(np.sum(bad * (safer + good / 2)) / pairs)
 
 
-@dataclass(frozen=True, slots=True)
-class ReliabilityBin:
-    """Patches of similar ``p_fail``; all patches have the same weight."""
-
-    predicted: float
-    """Mean p_fail; NaN without patches."""
-    share_failed: float
-    """Mean share of the drives that failed; NaN without patches."""
-    patches: int
-
-
-def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[ReliabilityBin]:
-    """Compare predicted and driven failures in bins of equal width between 0 and 1."""
+def reliability(p_fail: Floats, failed_share: Floats, bins: int = 5) -> list[dict[str, float]]:
+    """Return mean ``predicted`` p_fail, mean ``share_failed`` and number of ``patches`` in bins of p_fail, 0 to 1."""
     place = np.minimum((p_fail * bins).astype(np.int64), bins - 1)
     found = []
     for number in range(bins):
         own = place == number
-        predicted, driven = (float(v[own].mean()) if own.any() else float("nan") for v in (p_fail, failed_share))
-        found.append(ReliabilityBin(predicted, driven, int(own.sum())))
+        predicted, driven = (float(v[own].mean()) if own.any() else math.nan for v in (p_fail, failed_share))
+        found.append({"predicted": predicted, "share_failed": driven, "patches": int(own.sum())})
     return found
-
-
-def same_order(predicted: Floats, driven: Floats) -> NDArray[np.bool_]:
-    """Return for each patch (column) whether the vehicles (rows) have the same order; (vehicles, n) in, (n,) out."""
-    same: NDArray[np.bool_] = np.all(np.argsort(predicted, axis=0) == np.argsort(driven, axis=0), axis=0)
-    return same
-
-
-MOST_FAILED = 0.25
-"""If a larger share of the drives failed, C_r is not compared, because it comes from the completed drives only."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,17 +131,17 @@ class DriveStats:
     """(n,) mean C_r over the completed drives, rad/m; NaN if there are none."""
     error: Floats
     """(n,) standard error of that mean, rad/m; NaN with fewer than two."""
-    completed: NDArray[np.int64]
+    completed: Ints
     """(n,) number of completed drives."""
-    failed: NDArray[np.int64]
+    failed: Ints
     """(n,) number of failed drives."""
 
     @classmethod
     def of(cls, drives: Sequence[PatchDrives]) -> "DriveStats":
         """Summarise the drives of each patch."""
         return cls(
-            np.array([math.nan if patch.mean_c_r is None else patch.mean_c_r for patch in drives]),
-            np.array([math.nan if patch.standard_error is None else patch.standard_error for patch in drives]),
+            np.array([patch.mean_c_r for patch in drives], np.float64),
+            np.array([patch.standard_error for patch in drives], np.float64),
             np.array([len(patch.completed) for patch in drives], np.int64),
             np.array([patch.failed for patch in drives], np.int64),
         )
@@ -237,79 +158,28 @@ class DriveStats:
         good: NDArray[np.bool_] = (self.failed_share <= MOST_FAILED) & (self.c_r > 0)
         return good
 
-    def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "DriveStats":
-        """Select patches."""
-        return DriveStats(*(getattr(self, f.name)[rows] for f in fields(self)))
 
+def class_table(verdict: Verdict, z_variance: Floats, ransac_residual: Floats) -> dict[str, Any]:
+    """Return the paper's Table I of classified tiles (n,).
 
-RISING = ("variance_median", "residual_median", "c_r_median", "variance_mean", "residual_mean")
-
-
-@dataclass(frozen=True, slots=True)
-class ClassRow:
-    """Statistics of the tiles of one class; NaN without tiles."""
-
-    class_id: int
-    tiles: int
-    share: float
-    """Share of the classified tiles, 0..1."""
-    variance_mean: float
-    """z_variance, m2."""
-    variance_median: float
-    residual_mean: float
-    """ransac_residual, m."""
-    residual_median: float
-    c_r_median: float
-    """Predicted, rad/m."""
-
-
-@dataclass(frozen=True, slots=True)
-class ClassTable:
-    """Table I of one rating."""
-
-    rows: list[ClassRow]
-    rises: dict[str, bool]
-    """Column -> whether it rises from class to class; classes without tiles are skipped."""
-
-
-def class_table(verdict: Verdict, z_variance: Floats, ransac_residual: Floats) -> ClassTable:
-    """Summarise classified tiles (n,) by class."""
-    rows = []
-    for class_id in range(4):
+    ``rows`` has for each class ``class_id``, ``tiles``, ``share`` of the tiles, mean and median of variance [m2] and of
+    residual [m], and median C_r [rad/m]; ``rises`` says of each of ``RISING`` whether it rises from class to class,
+    skipping classes without tiles.
+    """
+    rows: list[dict[str, Any]] = []
+    for class_id in range(CLASSES):
         own = verdict.class_id == class_id
-        rows.append(
-            ClassRow(
-                class_id=class_id,
-                tiles=int(own.sum()),
-                share=float(own.mean()),
-                variance_mean=_of(np.mean, z_variance[own]),
-                variance_median=_of(np.median, z_variance[own]),
-                residual_mean=_of(np.mean, ransac_residual[own]),
-                residual_median=_of(np.median, ransac_residual[own]),
-                c_r_median=_of(np.median, verdict.c_r[own]),
-            )
-        )
-    present = [row for row in rows if row.tiles]
-    rises = {name: all(getattr(a, name) < getattr(b, name) for a, b in pairwise(present)) for name in RISING}
-    return ClassTable(rows, rises)
+        row: dict[str, Any] = {"class_id": class_id, "tiles": int(own.sum()), "share": float(own.mean())}
+        for name, values in (("variance", z_variance[own]), ("residual", ransac_residual[own])):
+            row |= {f"{name}_mean": _known(np.mean, values), f"{name}_median": _known(np.median, values)}
+        rows.append(row | {"c_r_median": _known(np.median, verdict.c_r[own])})
+    present = [row for row in rows if row["tiles"]]
+    return {"rows": rows, "rises": {name: all(a[name] < b[name] for a, b in pairwise(present)) for name in RISING}}
 
 
-def _of(sum_up: Callable[[Floats], np.floating], values: Floats) -> float:
+def _known(summary: Callable[[Floats], np.floating], values: Floats) -> float:
     known = values[np.isfinite(values)]
-    return float(sum_up(known)) if len(known) else float("nan")
-
-
-CLASSES = 4
-
-
-@dataclass(frozen=True, slots=True)
-class FailAgreement:
-    """Agreement of p_fail with the failed drives; all patches have the same weight."""
-
-    auc: float
-    auc_below_limit: float
-    """AUC over patches within the vehicle's slope limit; beyond it p_fail is 1 by definition."""
-    reliability: list[ReliabilityBin]
+    return float(summary(known)) if len(known) else math.nan
 
 
 @dataclass(frozen=True, slots=True)
@@ -320,15 +190,17 @@ class Agreement:
     median_error: float
     """Median of abs(predicted - driven) / driven."""
     median_ratio: float
-    """Median of predicted / driven."""
-    steps: ClassShift
+    """Median of predicted / driven; above 1, the prediction is too high."""
+    steps: dict[str, float]
+    """`class_shift` of the confusion matrix."""
     confusion: list[list[int]]
     """``[driven class][predicted class]``, patches within the vehicle's slope limit."""
-    coverage: Coverage | None
-    """Coverage of the 80 % interval; None without an interval."""
-    fail: FailAgreement | None
-    """None if the predictor has no p_fail."""
-    fitted_error: float = float("nan")
+    coverage: dict[str, float] | None = None
+    """`coverage` of the 80 % interval; None without an interval."""
+    fail: dict[str, Any] | None = None
+    """Of p_fail: ``auc``, ``auc_below_limit`` (within the slope limit, beyond which p_fail is 1 by definition) and
+    `reliability`; None if the predictor has no p_fail. All patches have the same weight."""
+    fitted_error: float = math.nan
     """Only for plain predictors: median error after the best fit to all compared patches, without cross-validation."""
 
 
@@ -351,7 +223,7 @@ class Comparison:
     """AUC of the driven shares themselves, the upper bound for any p_fail per patch."""
     auc_most_below_limit: float
     """The same within the vehicle's slope limit."""
-    agreement: dict[str, Agreement]
+    agreement: dict[str, Agreement] = field(default_factory=dict)
     """Name of the predictor -> agreement."""
 
 
@@ -385,92 +257,63 @@ def compare(
     limits : tuple
         C_r limits between the classes, rad/m.
     """
-    good, level = driven.comparable, ~too_steep
-    class_id = driven_class(driven.c_r, driven.failed_share, limits)[level]
+    good, level, share = driven.comparable, ~too_steep, driven.failed_share
+    class_id, truth = driven_class(driven.c_r, share, limits)[level], driven.c_r[good]
+
+    def agreement(predictor: Floats, c_r: Floats, predicted_class: NDArray[np.integer], **more: Any) -> Agreement:
+        table = confusion(class_id, predicted_class.astype(np.int64), CLASSES)
+        error, ratio = np.abs(c_r[good] - truth) / truth, c_r[good] / truth
+        middle, off = (float(np.median(values)) if len(values) else math.nan for values in (error, ratio))
+        return Agreement(spearman(predictor[good], truth), middle, off, class_shift(table), table.tolist(), **more)
+
+    def fail(p_fail: Floats) -> dict[str, Any]:
+        return {
+            "auc": fail_auc(p_fail, share, 1 - share),
+            "auc_below_limit": fail_auc(p_fail[level], share[level], 1 - share[level]),
+            "reliability": reliability(p_fail, share),
+        }
+
     found = {}
-    for name, verdict in verdicts.items():
-        table = confusion(class_id, verdict.class_id[level].astype(np.int64), CLASSES)
-        held = coverage(verdict.c_r_low[good], verdict.c_r_high[good], driven.c_r[good])
-        fail = _fail_agreement(verdict.p_fail, driven, too_steep)
-        found[name] = _agreement(verdict.c_r, verdict.c_r, driven, table, held, fail)
+    for name, own in verdicts.items():
+        held = coverage(own.c_r_low[good], own.c_r_high[good], truth)
+        found[name] = agreement(own.c_r, own.c_r, own.class_id[level], coverage=held, fail=fail(own.p_fail))
     for name, predictor in plain.items() if good.any() else ():
-        fitted = monotone_fit(predictor[good], driven.c_r[good], predictor)
-        best = median_error(fitted[good], driven.c_r[good])
-        fitted[good] = cross_validated_fit(predictor[good], driven.c_r[good])
-        table = confusion(class_id, np.searchsorted(np.array(limits), fitted[level], side="right"), CLASSES)
-        found[name] = replace(_agreement(predictor, fitted, driven, table, None, None), fitted_error=best)
-    relative = driven.error[good] / driven.c_r[good]
-    most = _fail_agreement(driven.failed_share, driven, too_steep)
+        fitted = monotone_fit(predictor[good], truth, predictor)
+        best = float(np.median(np.abs(fitted[good] - truth) / truth))
+        fitted[good] = cross_validated_fit(predictor[good], truth)
+        predicted = np.searchsorted(np.array(limits), fitted[level], side="right")
+        found[name] = agreement(predictor, fitted, predicted, fitted_error=best)
+    relative, most = driven.error[good] / truth, fail(share)
     return Comparison(
         patches=len(good),
         drives=int((driven.completed + driven.failed).sum()),
         failed=int(driven.failed.sum()),
         left_out=int((~good).sum()),
         beyond_limit=int(too_steep.sum()),
-        label_error=float(np.nanmedian(relative)) if np.isfinite(relative).any() else float("nan"),
+        label_error=float(np.nanmedian(relative)) if np.isfinite(relative).any() else math.nan,
         label_error_over=int((relative > 0.05).sum()),
-        auc_most=most.auc,
-        auc_most_below_limit=most.auc_below_limit,
+        auc_most=most["auc"],
+        auc_most_below_limit=most["auc_below_limit"],
         agreement=found,
     )
 
 
-def _agreement(
-    predictor: Floats,
-    c_r: Floats,
-    driven: DriveStats,
-    table: NDArray[np.int64],
-    held: Coverage | None,
-    fail: FailAgreement | None,
-) -> Agreement:
-    good = driven.comparable
-    return Agreement(
-        spearman=spearman(predictor[good], driven.c_r[good]),
-        median_error=median_error(c_r[good], driven.c_r[good]),
-        median_ratio=median_ratio(c_r[good], driven.c_r[good]),
-        steps=class_shift(table),
-        confusion=table.tolist(),
-        coverage=held,
-        fail=fail,
-    )
+def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, DriveStats]) -> dict[str, Any]:
+    """Compare the predicted and driven order of the C_r of two or more vehicles; both mappings by name of the vehicle.
 
-
-def _fail_agreement(p_fail: Floats, driven: DriveStats, too_steep: NDArray[np.bool_]) -> FailAgreement:
-    share, level = driven.failed_share, ~too_steep
-    return FailAgreement(
-        auc=fail_auc(p_fail, share, 1 - share),
-        auc_below_limit=fail_auc(p_fail[level], share[level], 1 - share[level]),
-        reliability=reliability(p_fail, share),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class VehicleOrder:
-    """Agreement of the predicted order of vehicles with the driven order."""
-
-    rating: str
-    vehicles: tuple[str, ...]
-    patches: int
-    """Patches on which every vehicle has a comparable C_r."""
-    same: float
-    """Share of them with the same order; NaN without patches."""
-    clear_patches: int
-    """Patches on which neighbours in the driven order differ by more than two standard errors."""
-    clear_same: float
-    """Share of these with the same order; NaN without patches."""
-
-
-def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, DriveStats]) -> VehicleOrder:
-    """Compare the order of two or more vehicles' C_r on the same patches; both mappings by name of the vehicle."""
+    Returns
+    -------
+    dict
+        ``rating``; ``vehicles``; ``patches`` on which every vehicle has a comparable C_r, the share of them with the
+        ``same`` order; ``clear_patches``, on which neighbours in the driven order differ by more than two standard
+        errors, and ``clear_same``.
+    """
     names = tuple(driven)
     good = np.all([driven[name].comparable for name in names], axis=0)
     truth, error = (np.stack([getattr(driven[name], kind)[good] for name in names]) for kind in ("c_r", "error"))
-    same = same_order(np.stack([verdicts[name].c_r[good] for name in names]), truth)
     place = np.argsort(truth, axis=0)
+    same = np.all(np.argsort(np.stack([verdicts[name].c_r[good] for name in names]), axis=0) == place, axis=0)
     ranked, spread = np.take_along_axis(truth, place, 0), np.take_along_axis(error, place, 0)
     clear = np.all(np.diff(ranked, axis=0) > 2 * np.hypot(spread[1:], spread[:-1]), axis=0)
-    return VehicleOrder(rating, names, int(good.sum()), _share(same), int(clear.sum()), _share(same[clear]))
-
-
-def _share(right: NDArray[np.bool_]) -> float:
-    return float(right.mean()) if len(right) else float("nan")
+    shares = {"same": mean_share(same), "clear_patches": int(clear.sum()), "clear_same": mean_share(same[clear])}
+    return {"rating": rating, "vehicles": names, "patches": int(good.sum())} | shares

@@ -3,9 +3,10 @@
 import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
+from itertools import count
 from os.path import lexists
 from pathlib import Path
 
@@ -32,8 +33,6 @@ from bumpymap.patches import join_stacks, measure
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
-
-__all__ = ["MAPPED", "MeasuredSurvey", "Subject", "Verdict", "load_survey", "open_readers"]
 
 Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
 MAPPED = ("ride", "table")
@@ -83,10 +82,8 @@ class Subject:
     calibration: Calibration
     profile: Vehicle
     ratings: Mapping[str, Rate]
-    """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``."""
+    """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``. Patches are chosen by the first."""
     textures: TextureModel
-    ride: RideModel | None = None
-    """The model of the ``ride`` rating."""
 
     @classmethod
     def of(cls, calibration: Calibration, textures: TextureModel, rating: Rating) -> "Subject":
@@ -104,11 +101,10 @@ class Subject:
         def by_table(patches: PatchStack, seen: TextureMap, place: Georeference) -> CostMap:
             return rate(patches, seen, calibration, place)
 
-        if rating == "table":
-            return cls(calibration, profile, {"table": by_table}, textures)
-        ride = RideModel(calibration)
-        ratings: dict[str, Rate] = {"ride": ride.rate, "ride_raw": NoisyRide(calibration).rate, "table": by_table}
-        return cls(calibration, profile, ratings, textures, ride)
+        ratings: dict[str, Rate] = {}
+        if rating != "table":
+            ratings |= {"ride": RideModel(calibration).rate, "ride_raw": NoisyRide(calibration).rate}
+        return cls(calibration, profile, ratings | {"table": by_table}, textures)
 
     @property
     def name(self) -> str:
@@ -120,11 +116,6 @@ class Subject:
         """Name of the vehicle and eight digits of the hash of its profile, which determines its drives."""
         text = json.dumps(self.calibration.vehicle, sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
-
-    @property
-    def main(self) -> str:
-        """The rating by which patches are chosen."""
-        return "ride" if "ride" in self.ratings else "table"
 
     def judge(self, patches: PatchStack, names: "Sequence[str] | None" = None) -> dict[str, Verdict]:
         """Rate tiles with the named ratings; with all by default."""
@@ -169,37 +160,22 @@ class MeasuredSurvey:
     """True if only points of class 2 are measured."""
     features: FeatureSettings
 
-    @property
-    def grid(self) -> Grid:
-        """The tile grid."""
-        return self.buckets.grid
-
-    @property
-    def blocks(self) -> int:
-        """Number of blocks."""
-        return len(self.buckets)
-
-    def points(self) -> Iterator[TilePoints]:
-        """Yield the points of each block (in several parts if it is dense), south-west first."""
-        return self.buckets.blocks()
-
-    def measured(self, points: TilePoints) -> PatchStack:
-        """Measure tiles."""
-        return measure(points, self.features, ground_only=self.ground_only)
+    def measured(self, parts: Iterable[TilePoints]) -> Iterator[PatchStack]:
+        """Measure the tiles of blocks; a dense block comes in several parts."""
+        for points in parts:
+            yield measure(points, self.features, ground_only=self.ground_only)
 
     def patches(self, col: Ints, row: Ints) -> PatchStack:
         """Measure the given tiles (at least one, all with points), in the given order."""
-        wanted = set(zip(col.tolist(), row.tolist(), strict=True))
-        keys = sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted})
+        wanted = {tile: i for i, tile in enumerate(zip(col.tolist(), row.tolist(), strict=True))}
         stacks = []
-        for key in keys:
-            for points in self.buckets.block(key):
-                stack = self.measured(points)
-                own = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
-                stacks.append(take_tiles(stack, np.array([tile in wanted for tile in own])))
+        for key in sorted({(row // BLOCK_TILES, col // BLOCK_TILES) for col, row in wanted}):
+            for stack in self.measured(self.buckets.block(key)):
+                tiles = zip(stack.col.tolist(), stack.row.tolist(), strict=True)
+                stacks.append(take_tiles(stack, np.array([tile in wanted for tile in tiles])))
         joined = join_stacks(stacks)
         place = {tile: i for i, tile in enumerate(zip(joined.col.tolist(), joined.row.tolist(), strict=True))}
-        return take_tiles(joined, np.array([place[tile] for tile in zip(col.tolist(), row.tolist(), strict=True)]))
+        return take_tiles(joined, np.array([place[tile] for tile in wanted]))
 
 
 def take_tiles(patches: PatchStack, rows: NDArray[np.integer] | NDArray[np.bool_]) -> PatchStack:
@@ -216,17 +192,7 @@ def load_survey(
     folder: Path,
     progress: Progress,
 ) -> Iterator[MeasuredSurvey]:
-    """Read surveys in a context manager; their points are stored for the body of the ``with``.
-
-    Parameters
-    ----------
-    readers : sequence of SurveyReader
-    ground : Ground
-    grid : Grid
-    features : FeatureSettings
-    folder : Path
-        Folder for points that exceed the memory limit; they are deleted at the end.
-    progress : Progress
+    """Read surveys in a context manager; points that exceed the memory limit are in ``folder`` until its end.
 
     Raises
     ------
@@ -235,16 +201,28 @@ def load_survey(
     OutputError
         The disk is full.
     """
+    if ground == "csf":
+        raise UsageError("`ground='csf'` is supported by map only. Use `ground='all'` or `ground='class'` here")
     try:
-        with _scratch(folder) as scratch:
+        with _scratch(folder / ".points") as scratch:
             buckets = TileBuckets(grid, MemoryLimits(MOST_BYTES, BLOCK_POINTS, scratch))
             progress.start("reading points", sum(reader.info.point_count for reader in readers))
-            number = 0
+            number = count()
             for reader in readers:
-                number = _read(reader, buckets, number, progress)
+                stats = PointStats()
+                for chunk in reader.chunks():
+                    batch = reader.convert(chunk, reader.fetch(chunk))
+                    stats = stats.merge(batch.stats)
+                    buckets.add_chunk(batch.grouped(grid), next(number))
+                    if buckets.is_full:
+                        buckets.spill()
+                    progress.advance(chunk.points)
+                reader.verify(stats)
             if not len(buckets):
                 raise BadInputError("no point is left: every point is withheld, noise or without return")
-            yield MeasuredSurvey(buckets, _ground_only(buckets, ground), features)
+            # For a single tile, the share of ground points replaces the count of tiles with ground points.
+            ground_only = decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())
+            yield MeasuredSurvey(buckets, ground_only, features)
     except OSError as error:
         raise OutputError(f"cannot write temporary points to {folder}: {error}. Choose another `out`") from error
 
@@ -252,33 +230,10 @@ def load_survey(
 @contextmanager
 def _scratch(folder: Path) -> Iterator[Path]:
     """Make an empty folder; delete leftovers of a killed run."""
-    scratch = folder / ".points"
-    if lexists(scratch):
-        remove_path(scratch)
-    scratch.mkdir(mode=0o700)
+    if lexists(folder):
+        remove_path(folder)
+    folder.mkdir(mode=0o700)
     try:
-        yield scratch
+        yield folder
     finally:
-        shutil.rmtree(scratch, ignore_errors=True)
-
-
-def _read(reader: SurveyReader, buckets: TileBuckets, number: int, progress: Progress) -> int:
-    """Read a file into buckets; return the number of the next chunk."""
-    tally = PointStats()
-    for chunk in reader.chunks():
-        batch = reader.convert(chunk, reader.fetch(chunk))
-        tally = tally.merge(batch.stats)
-        buckets.add_chunk(batch.grouped(buckets.grid), number)
-        if buckets.is_full:
-            buckets.spill()
-        progress.advance(chunk.points)
-        number += 1
-    reader.verify(tally)
-    return number
-
-
-def _ground_only(buckets: TileBuckets, ground: Ground) -> bool:
-    if ground == "csf":
-        raise UsageError("`ground='csf'` is supported by map only. Use `ground='all'` or `ground='class'` here")
-    # For a single tile, the share of ground points replaces the count of tiles with ground points.
-    return decide_ground(ground, 1, 0.0 if ground == "all" else buckets.flagged_share())
+        shutil.rmtree(folder, ignore_errors=True)

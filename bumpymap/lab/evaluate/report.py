@@ -1,56 +1,33 @@
-"""Write the report of an evaluation: Markdown, JSON and plots."""
+"""Write the reports of evaluations: Markdown, JSON, and plots of the drives over a survey."""
 
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from bumpymap.core import CLASS_NAMES, UsageError, atomic
-from bumpymap.lab.evaluate.agreement import ClassTable, Comparison, VehicleOrder
+from bumpymap.lab.evaluate.agreement import Comparison
 from bumpymap.lab.evaluate.rated_survey import MAPPED
+from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
 from bumpymap.lab.evaluate.survey_trial import ComparedPatches, Findings
 
-__all__ = [
-    "REPORT",
-    "confusion_lines",
-    "number",
-    "percent",
-    "report_text",
-    "require_matplotlib",
-    "section",
-    "table",
-    "write_document",
-    "write_report",
-]
-
 REPORT = "report.md"
-_RECORD = "report.json"
 _NONE = "-"
 
 
 def write_document(out: Path, text: str, kind: str, record: dict[str, Any]) -> list[Path]:
-    """Write ``report.json`` and ``report.md`` into a folder, in this order.
-
-    Parameters
-    ----------
-    out : Path
-    text : str
-        Text of the report.
-    kind : str
-        Format name of the JSON file.
-    record : dict
-        Nested records of numbers, strings and arrays.
-    """
-    content = {"format": kind, "version": 1} | plain_record(record)
-    with atomic(out / _RECORD) as temporary:
-        temporary.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    with atomic(out / REPORT) as temporary:
-        temporary.write_text(text, encoding="utf-8")
-    return [out / REPORT, out / _RECORD]
+    """Write ``report.json``, nested records of numbers, strings and arrays of a ``kind``, and ``report.md``."""
+    content = json.dumps({"format": kind, "version": 1} | plain_record(record), indent=1, allow_nan=False) + "\n"
+    files = [out / REPORT, out / "report.json"]
+    for path, written in zip(reversed(files), (content, text), strict=True):
+        with atomic(path) as temporary:
+            temporary.write_text(written, encoding="utf-8")
+    return files
 
 
 def report_text(title: str, opening: Sequence[str], sections: Iterable[list[str]]) -> str:
@@ -81,127 +58,16 @@ def percent(share: float) -> str:
 
 
 def plain_record(value: Any) -> Any:
-    """Convert nested records to plain JSON: six digits, None for non-finite numbers, sets as sorted lists."""
+    """Convert nested records to plain JSON: six digits, None for non-finite numbers."""
     if isinstance(value, dict):
         return {str(key): plain_record(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | list | tuple | frozenset):
-        return [plain_record(item) for item in (sorted(value) if isinstance(value, frozenset) else value)]
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain_record(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float):
         return float(f"{value:.6g}") if math.isfinite(value) else None
     return value
-
-
-_PAPER_CLASSES = (
-    ("paper, first site", (0.0039, 0.0329, 0.0952, 36.1), (0.0369, 0.0788, 0.1718, 3.62)),
-    ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
-)
-"""The paper's Table I: variance [m2] and residual [m] of class 0 to 3."""
-_COLUMN = {
-    "variance_median": "median variance",
-    "residual_median": "median residual",
-    "c_r_median": "median C_r",
-    "variance_mean": "mean variance",
-    "residual_mean": "mean residual",
-}
-
-
-def class_lines(classes: Mapping[str, ClassTable]) -> list[str]:
-    """Return Table I of each rating, followed by the paper's."""
-    rows = []
-    for rating, found in classes.items():
-        for row in found.rows:
-            values = (row.variance_median, row.variance_mean, row.residual_median, row.residual_mean, row.c_r_median)
-            name = f"{row.class_id} {CLASS_NAMES[row.class_id]}"
-            rows.append([rating, name, str(row.tiles), percent(row.share), *map(number, values)])
-    for site, variance, residual in _PAPER_CLASSES:
-        for class_id, (square, away) in enumerate(zip(variance, residual, strict=True)):
-            rows.append([site, str(class_id), _NONE, _NONE, _NONE, number(square), _NONE, number(away), _NONE])
-    header = ("rating", "class", "tiles", "share", "variance [m2], median", "mean", "residual [m], median", "mean")
-    return [*table((*header, "C_r [rad/m], median"), rows), *(_rises(name, found) for name, found in classes.items())]
-
-
-def _rises(rating: str, found: ClassTable) -> str:
-    missing = [str(row.class_id) for row in found.rows if not row.tiles]
-    falls = [_COLUMN[name] for name, rises in found.rises.items() if not rises]
-    summary = f"`{rating}`: " + (
-        f"from class to class these do not rise everywhere: {', '.join(falls)}."
-        if falls
-        else "variance, residual and C_r rise from class to class, in median and mean."
-    )
-    return f"- {summary}" + (f" No tile is of class {', '.join(missing)}." if missing else "")
-
-
-def driven_lines(found: Comparison) -> list[str]:
-    """Return the table of all predictors compared with the drives."""
-    rows = []
-    for name, own in found.agreement.items():
-        held = percent(own.coverage.held) if own.coverage else _NONE
-        auc = (number(own.fail.auc), number(own.fail.auc_below_limit)) if own.fail else (_NONE, _NONE)
-        steps = (percent(own.steps.same), percent(own.steps.one_off), percent(own.steps.further))
-        ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
-        rows.append(
-            [
-                f"`{name}`",
-                *ranks,
-                percent(own.median_error),
-                percent(own.fitted_error),
-                number(own.median_ratio),
-                *steps,
-                held,
-                *auc,
-            ]
-        )
-    header = ("predictor", "Spearman", "1 - Spearman", "median error", "fitted to these")
-    more = (
-        "median predicted / driven",
-        "same class",
-        "one off",
-        "two or more off",
-        "80 % interval contains it",
-        "p_fail AUC",
-        "within slope limit",
-    )
-    return table((*header, *more), rows)
-
-
-def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
-    """Return a confusion matrix as a table; ``truth`` and ``found`` label its rows and columns, such as *driven*."""
-    rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
-    return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
-
-
-def reliability_lines(found: Comparison) -> list[str]:
-    """Return the table of predicted and driven failures."""
-    rows = [
-        [f"`{name}`", number(one.predicted), number(one.share_failed), str(one.patches)]
-        for name, own in found.agreement.items()
-        if own.fail
-        for one in own.fail.reliability
-        if one.patches
-    ]
-    return table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), rows)
-
-
-def order_lines(orders: Sequence[VehicleOrder]) -> list[str]:
-    """Return the table of the order of vehicles."""
-    rows = [
-        [
-            f"`{one.rating}`",
-            ", ".join(one.vehicles),
-            str(one.patches),
-            percent(one.same),
-            str(one.clear_patches),
-            percent(one.clear_same),
-        ]
-        for one in orders
-    ]
-    header = ("rating", "vehicles", "patches", "same order", "patches that separate them", "same order there")
-    return table(header, rows)
-
-
-_COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
 
 
 def require_matplotlib() -> None:
@@ -214,99 +80,31 @@ def require_matplotlib() -> None:
         ) from error
 
 
-def draw(findings: Findings, out: Path) -> dict[str, str]:
-    """Draw all plots for which there are data; return part of the report -> name of the file."""
-    files: dict[str, str] = {}
-    for vehicle, patches in findings.patches.items():
-        names = [name for name in MAPPED if name in patches.verdicts]
-        plain = "".join(letter if letter.isalnum() else "_" for letter in vehicle)
-        files[f"scatter {vehicle}"] = _save(out / f"driven_{plain}.png", _scatter, len(names), patches, names)
-        files[f"reliability {vehicle}"] = _save(out / f"failures_{plain}.png", _reliability, 1, findings, vehicle)
-    return files
-
-
-def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> str:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5 * panels, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    paint(figure.subplots(1, panels, squeeze=False)[0], *what)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
-    return path.name
-
-
-def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
-    good = patches.driven.comparable
-    driven = patches.driven.c_r[good]
-    for axis, name in zip(axes, names, strict=True):
-        verdict = patches.verdicts[name].take(good)
-        below, above = verdict.c_r - verdict.c_r_low, verdict.c_r_high - verdict.c_r
-        axis.errorbar(driven, verdict.c_r, [below, above], fmt="none", ecolor="0.8", elinewidth=0.7, zorder=1)
-        axis.scatter(driven, verdict.c_r, s=10, color=_COLOUR[name], zorder=2)
-        if len(driven):
-            ends = [min(driven.min(), verdict.c_r.min()) * 0.8, max(driven.max(), verdict.c_r.max()) * 1.25]
-            axis.plot(ends, ends, color="0.4", linewidth=0.8)
-            axis.set(xlim=ends, ylim=ends, xscale="log", yscale="log")
-            _plain_ticks(axis, both=True)
-        axis.set(xlabel="driven C_r [rad/m]", ylabel="predicted C_r [rad/m], 80 % interval")
-        axis.set_title(f"{name}: {len(driven)} patches", loc="left")
-
-
-def _plain_ticks(axis: Any, *, both: bool) -> None:
-    """Label a logarithmic axis with plain numbers: 0.1, 0.2, 0.5, 1."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    for side in (axis.xaxis, axis.yaxis) if both else (axis.xaxis,):
-        side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-        side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        side.set_minor_locator(NullLocator())
-
-
-def _reliability(axes: Any, findings: Findings, vehicle: str) -> None:
-    axis = axes[0]
-    axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    for name, own in findings.comparisons[vehicle].agreement.items():
-        if own.fail and name in MAPPED:
-            bins = [one for one in own.fail.reliability if one.patches]
-            x, y = [one.predicted for one in bins], [one.share_failed for one in bins]
-            axis.plot(x, y, "o-", color=_COLOUR[name], label=f"{name}, AUC {own.fail.auc:.3f}")
-    axis.set(xlabel="predicted p_fail", ylabel="share of drives that failed", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
-    axis.legend(frameon=False)
-
-
-_PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
-
-
 def write_report(findings: Findings, out: Path) -> list[Path]:
-    """Write the plots, ``report.json`` and ``report.md``, in this order."""
-    pictures = draw(findings, out)
-    files = write_document(out, markdown(findings, pictures), "bumpymap-evaluation", asdict(findings))
+    """Write the plots, ``report.json`` and ``report.md`` of a survey, in this order."""
+    pictures = _draw(findings, out)
+    classes = [*_class_lines(findings.classes), ""] if findings.classes else []
+    sections = [
+        section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
+        *(_driven(vehicle, found, pictures) for vehicle, found in findings.comparisons.items()),
+        section("Order of the vehicles", _ORDER, _order_lines(findings.orders) if findings.orders else []),
+    ]
+    text = report_text("Can the map be trusted?", [*_opening(findings), *_conclusion(findings)], sections)
+    files = write_document(out, text, "bumpymap-evaluation", asdict(findings))
     return [*files, *(out / name for name in pictures.values())]
 
 
-def markdown(findings: Findings, pictures: dict[str, str]) -> str:
-    """Return the text of the report; ``pictures`` maps part of the report -> file."""
-    found = findings
-    classes = [*class_lines(found.classes), ""] if found.classes else []
-    sections = [
-        section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
-        *(_driven(vehicle, own, pictures) for vehicle, own in found.comparisons.items()),
-        section("Order of the vehicles", _ORDER, order_lines(found.orders) if found.orders else []),
-    ]
-    return report_text("Can the map be trusted?", [*_opening(found), *_conclusion(found)], sections)
-
-
-def _picture(title: str, file: str | None) -> list[str]:
-    return [f"![{title}]({file})", ""] if file else []
-
-
+_PAPER_CLASSES = (
+    ("paper, first site", (0.0039, 0.0329, 0.0952, 36.1), (0.0369, 0.0788, 0.1718, 3.62)),
+    ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
+)
+"""The paper's Table I: variance [m2] and residual [m] of class 0 to 3."""
 _ORDER = (
     "On each patch the vehicles are sorted by predicted and by driven C_r. Only patches on which the C_r of every "
     "vehicle can be compared are counted. The drives separate the vehicles if neighbours differ by more than two "
     "standard errors."
 )
+_PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
 
 
 def _opening(findings: Findings) -> list[str]:
@@ -323,7 +121,7 @@ def _opening(findings: Findings) -> list[str]:
         [
             one["vehicle"],
             f"`{one['calibration']}`",
-            " / ".join(number(limit) for limit in one["class_limits"]),
+            " / ".join(map(number, one["class_limits"])),
             ", ".join(f"`{name}`" for name in one["ratings"]),
         ]
         for one in findings.vehicles
@@ -333,18 +131,46 @@ def _opening(findings: Findings) -> list[str]:
 
 def _conclusion(findings: Findings) -> list[str]:
     """Summarise the comparison with the drives."""
-    lines = []
-    for vehicle, found in findings.comparisons.items():
-        for name in MAPPED:
-            if name in found.agreement and found.patches > found.left_out:
-                own = found.agreement[name]
-                held = f"; {percent(own.coverage.held)} of its 80 % intervals contain it" if own.coverage else ""
-                lines.append(
-                    f"- **{vehicle}, `{name}`**: C_r is off by {percent(own.median_error)} in the median{held}; "
-                    f"{percent(own.steps.same)} of the classes are the driven ones, {percent(own.steps.further)} are "
-                    f"off by two or more."
-                )
+    lines = [
+        f"- **{vehicle}, `{name}`**: C_r is off by {percent(own.median_error)} in the median"
+        + (f"; {percent(own.coverage['held'])} of its 80 % intervals contain it" if own.coverage else "")
+        + f"; {percent(own.steps['same'])} of the classes are the driven ones, {percent(own.steps['further'])} are "
+        "off by two or more."
+        for vehicle, found in findings.comparisons.items()
+        for name, own in found.agreement.items()
+        if name in MAPPED and found.patches > found.left_out
+    ]
     return [*lines, ""] if lines else []
+
+
+def _class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
+    """Return Table I of each rating, followed by the paper's."""
+    names = ("variance_median", "variance_mean", "residual_median", "residual_mean", "c_r_median")
+    rows = [
+        [rating, f"{row['class_id']} {CLASS_NAMES[row['class_id']]}", str(row["tiles"]), percent(row["share"])]
+        + [number(row[name]) for name in names]
+        for rating, found in classes.items()
+        for row in found["rows"]
+    ]
+    for site, variance, residual in _PAPER_CLASSES:
+        for class_id, (square, away) in enumerate(zip(variance, residual, strict=True)):
+            rows.append([site, str(class_id), _NONE, _NONE, _NONE, number(square), _NONE, number(away), _NONE])
+    header = ("rating", "class", "tiles", "share", "variance [m2], median", "mean", "residual [m], median", "mean")
+    lines = table((*header, "C_r [rad/m], median"), rows)
+    for rating, found in classes.items():
+        # variance_median -> median variance
+        falls = [" ".join(reversed(name.rsplit("_", 1))) for name, rises in found["rises"].items() if not rises]
+        missing = [str(row["class_id"]) for row in found["rows"] if not row["tiles"]]
+        lines.append(
+            f"- `{rating}`: "
+            + (
+                f"from class to class these do not rise everywhere: {', '.join(falls).replace('c_r', 'C_r')}."
+                if falls
+                else "variance, residual and C_r rise from class to class, in median and mean."
+            )
+            + (f" No tile is of class {', '.join(missing)}." if missing else "")
+        )
+    return lines
 
 
 def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[str]:
@@ -354,17 +180,60 @@ def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[s
         if name in found.agreement
         for line in confusion_lines(name, found.agreement[name].confusion, "driven", "predicted")
     ]
+    failures = [
+        [f"`{name}`", number(one["predicted"]), number(one["share_failed"]), str(one["patches"])]
+        for name, own in found.agreement.items()
+        for one in (own.fail["reliability"] if own.fail else ())
+        if one["patches"]
+    ]
     lines = [
-        *driven_lines(found),
+        *_predictor_lines(found),
         *_against_plain(found),
-        *_picture("Predicted against driven C_r", pictures[f"scatter {vehicle}"]),
+        f"![Predicted against driven C_r]({pictures[f'scatter {vehicle}']})",
+        "",
         *confusions,
         "Failed drives by predicted `p_fail`, in bins of width 0.2; all patches have the same weight:",
         "",
-        *reliability_lines(found),
-        *_picture("Predicted against driven failures", pictures[f"reliability {vehicle}"]),
+        *table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), failures),
+        f"![Predicted against driven failures]({pictures[f'reliability {vehicle}']})",
+        "",
     ]
     return section(f"Predicted and driven: {vehicle}", _method(found), lines)
+
+
+def _predictor_lines(found: Comparison) -> list[str]:
+    """Return the table of all predictors compared with the drives."""
+    rows = []
+    for name, own in found.agreement.items():
+        ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
+        shares = (own.median_error, own.fitted_error)
+        held = percent(own.coverage["held"]) if own.coverage else _NONE
+        auc = [number(own.fail[kind]) if own.fail else _NONE for kind in ("auc", "auc_below_limit")]
+        row = [f"`{name}`", *ranks, *map(percent, shares), number(own.median_ratio), *map(percent, own.steps.values())]
+        rows.append([*row, held, *auc])
+    header = ("predictor", "Spearman", "1 - Spearman", "median error", "fitted to these", "median predicted / driven")
+    more = ("same class", "one off", "two or more off", "80 % interval contains it", "p_fail AUC", "within slope limit")
+    return table((*header, *more), rows)
+
+
+def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, found: str) -> list[str]:
+    """Return a confusion matrix as a table; ``truth`` and ``found`` label its rows and columns, such as *driven*."""
+    rows = [[f"{truth} {class_id}", *map(str, line)] for class_id, line in enumerate(confusion)]
+    return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
+
+
+def _order_lines(orders: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of the order of vehicles."""
+    rows = [
+        [
+            f"`{one['rating']}`",
+            ", ".join(one["vehicles"]),
+            *(str(one["patches"]), percent(one["same"]), str(one["clear_patches"]), percent(one["clear_same"])),
+        ]
+        for one in orders
+    ]
+    header = ("rating", "vehicles", "patches", "same order", "patches that separate them", "same order there")
+    return table(header, rows)
 
 
 def _method(found: Comparison) -> str:
@@ -388,14 +257,158 @@ def _method(found: Comparison) -> str:
 
 
 def _against_plain(found: Comparison) -> list[str]:
-    plain = {name: 1 - found.agreement[name].spearman for name in _PLAIN if name in found.agreement}
-    known = {name: lack for name, lack in plain.items() if math.isfinite(lack)}
-    if not known or min(known.values()) <= 0:
+    lack = {name: 1 - own.spearman for name, own in found.agreement.items() if math.isfinite(own.spearman)}
+    best = min((name for name in _PLAIN if name in lack), key=lambda name: lack[name], default=None)
+    if best is None or lack[best] <= 0:
         return []
-    best = min(known, key=lambda name: known[name])
-    ratios = [
-        f"{(1 - found.agreement[name].spearman) / known[best]:.2f} times for `{name}`"
-        for name in ("ride", "ride_raw", "table")
-        if name in found.agreement and math.isfinite(found.agreement[name].spearman)
-    ]
+    ratios = [f"{lack[name] / lack[best]:.2f} times for `{name}`" for name in lack if name not in _PLAIN]
     return [f"1 - Spearman relative to that of the best plain predictor, `{best}`: {', '.join(ratios)}.", ""]
+
+
+_COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
+
+
+def _draw(findings: Findings, out: Path) -> dict[str, str]:
+    """Draw all plots for which there are data; return part of the report -> name of the file."""
+    files: dict[str, str] = {}
+    for vehicle, patches in findings.patches.items():
+        names = [name for name in MAPPED if name in patches.verdicts]
+        plain = "".join(letter if letter.isalnum() else "_" for letter in vehicle)
+        files[f"scatter {vehicle}"] = _save(out / f"driven_{plain}.png", _scatter, len(names), patches, names)
+        files[f"reliability {vehicle}"] = _save(out / f"failures_{plain}.png", _reliability, 1, findings, vehicle)
+    return files
+
+
+def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> str:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5 * panels, 4.4), layout="constrained")
+    FigureCanvasAgg(figure)
+    paint(figure.subplots(1, panels, squeeze=False)[0], *what)
+    with atomic(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+    return path.name
+
+
+def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    good = patches.driven.comparable
+    driven = patches.driven.c_r[good]
+    for axis, name in zip(axes, names, strict=True):
+        verdict = patches.verdicts[name].take(good)
+        below, above = verdict.c_r - verdict.c_r_low, verdict.c_r_high - verdict.c_r
+        axis.errorbar(driven, verdict.c_r, [below, above], fmt="none", ecolor="0.8", elinewidth=0.7, zorder=1)
+        axis.scatter(driven, verdict.c_r, s=10, color=_COLOUR[name], zorder=2)
+        if len(driven):
+            ends = [min(driven.min(), verdict.c_r.min()) * 0.8, max(driven.max(), verdict.c_r.max()) * 1.25]
+            axis.plot(ends, ends, color="0.4", linewidth=0.8)
+            axis.set(xlim=ends, ylim=ends, xscale="log", yscale="log")
+            for side in (axis.xaxis, axis.yaxis):  # plain numbers: 0.1, 0.2, 0.5, 1
+                side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+                side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                side.set_minor_locator(NullLocator())
+        axis.set(xlabel="driven C_r [rad/m]", ylabel="predicted C_r [rad/m], 80 % interval")
+        axis.set_title(f"{name}: {len(driven)} patches", loc="left")
+
+
+def _reliability(axes: Any, findings: Findings, vehicle: str) -> None:
+    axis = axes[0]
+    axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
+    for name, own in findings.comparisons[vehicle].agreement.items():
+        if own.fail and name in MAPPED:
+            bins = [one for one in own.fail["reliability"] if one["patches"]]
+            x, y = [one["predicted"] for one in bins], [one["share_failed"] for one in bins]
+            axis.plot(x, y, "o-", color=_COLOUR[name], label=f"{name}, AUC {own.fail['auc']:.3f}")
+    axis.set(xlabel="predicted p_fail", ylabel="share of drives that failed", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+    axis.legend(frameon=False)
+
+
+_PAPER_ACCURACY = 0.8324
+_ANSWERS = (
+    "A method is of use if it beats the constant answers in accuracy *and* in balanced accuracy (the mean of the "
+    f"recalls). *{DEVIATION}* sets two limits on the standard deviation of z of all points of a sector, chosen to suit "
+    "these very scans, which no method in use can do. The class of a sector's most frequent label counts as true."
+)
+_GROUND = (
+    f"Points {RANGE_M[0]:g} to {RANGE_M[1]:g} m away, against the ground ids of the label set; points without a label "
+    "are left out."
+)
+_OBSTACLES = (
+    f"Points {RANGE_M[0]:g} to {RANGE_M[1]:g} m away with an obstacle's label. A sector is called free if its class is "
+    "0 or 1 and no obstacle stands on it. *Low*: points not known to be higher than the vehicle, such as a crown."
+)
+
+
+def write_scan_report(findings: ScanFindings, out: Path) -> list[Path]:
+    """Write ``report.json`` and ``report.md`` of scans, in this order."""
+    facts = findings.facts
+    opening = (
+        f"{facts['scans']} scans, {facts['sectors']:,} sectors with ground, {facts['labelled']:,} of them labelled"
+        + (f" (label set `{facts['labels']}`)" if facts["labels"] else "")
+        + f". Filter method: centres at {', '.join(f'{centre:.2f}' for centre in facts['filter']['centres'])} stripes. "
+        f"Learned method: network {facts['network']}."
+    )
+    ground = [
+        [score["frame"], f"{score['points']:,}", *(percent(score[name]) for name in ("precision", "recall", "f1"))]
+        for score in findings.ground
+    ]
+    obstacles = [
+        [method, f"{score['points']:,}"]
+        + [
+            percent(score[name] / score["points"] if score["points"] else math.nan)
+            for name in ("in_free", "in_free_low", "in_free_class")
+        ]
+        for method, score in findings.obstacles.items()
+    ]
+    free = ("method", "points", "in free sectors", "low", "in sectors of class 0 or 1")
+    sections = [
+        section("Compared with labels", _ANSWERS, _accuracy_lines(findings) if findings.accuracy else []),
+        section("Ground", _GROUND, table(("frame", "points", "precision", "recall", "F1"), ground) if ground else []),
+        section("Obstacles in sectors called free", _OBSTACLES, table(free, obstacles) if obstacles else []),
+        section("Statistics of the classes", "The paper's Tables IV and V.", _scan_class_lines(findings)),
+    ]
+    text = report_text("Can the classes of scans be trusted?", [opening, ""], sections)
+    return write_document(out, text, "bumpymap-scan-evaluation", asdict(findings))
+
+
+def _accuracy_lines(findings: ScanFindings) -> list[str]:
+    facts = findings.facts
+    lines = [f"{facts['labelled']:,} sectors with ground:", "", *_answer_table(findings.accuracy)]
+    lines += [f"All {facts['all_labelled']:,} sectors; to a method, one without ground is of class 2:", ""]
+    lines += _answer_table(findings.accuracy_all)
+    for method in findings.classes:
+        lines += confusion_lines(method, findings.accuracy[method].confusion, "labelled", "found")
+    return [*lines, f"The paper reports {percent(_PAPER_ACCURACY)} on its own patches of RELLIS-3D.", ""]
+
+
+def _answer_table(answers: dict[str, Accuracy]) -> list[str]:
+    rows = [[name, *map(percent, (found.right, found.even, *found.recall))] for name, found in answers.items()]
+    return table(("answer", "accuracy", "balanced accuracy", "recall of 0", "of 1", "of 2"), rows)
+
+
+def _scan_class_lines(findings: ScanFindings) -> list[str]:
+    rows, summary = [], []
+    for method, classes in findings.classes.items():
+        for row in classes:
+            values = (*row["stripes"], *row["variance"], *row["residual"])
+            count = (str(row["class_id"]), str(row["sectors"]), percent(row["share"]))
+            rows.append([method, *count, *map(number, values)])
+        wrong = [
+            f"{kind} {name}"
+            for name, sign in (("stripes", -1), ("variance", 1), ("residual", 1))
+            for place, kind in enumerate(("median", "mean"))
+            if any(
+                sign * (after[name][place] - before[name][place]) <= 0
+                for before, after in pairwise(row for row in classes if row["sectors"])
+            )
+        ]
+        order = (
+            f"not in order from class to class: {', '.join(wrong)}"
+            if wrong
+            else "variance and residual rise from class to class and stripes fall, in median and mean"
+        )
+        summary.append(f"- `{method}`: {order}.")
+    header = ("method", "class", "sectors", "share", "stripes, median", "mean", "variance [m2], median", "mean")
+    return [*table((*header, "residual [m], median", "mean"), rows), *summary, ""]

@@ -3,7 +3,9 @@
 A method is of use only if it beats the constant answers, and a limit on the plain spread of the heights.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -26,22 +28,19 @@ from bumpymap.lab.train.scan_sectors import UNSEEN, crowns_as_bushes, scene_scan
 from bumpymap.readers import LABEL_SETS, LabelSet, label_set, read_scan, require_label_set, tell_label_set
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
-__all__ = [
-    "DEVIATION",
-    "RANGE_M",
-    "Accuracy",
-    "ScanClassRow",
-    "ScanFindings",
-    "ScanMethods",
-    "evaluate_scans",
-    "labels_of",
-    "read_frames",
-    "simulated_scans",
-]
-
-
 Floats = NDArray[np.float64]
-_MEASURES = ("stripes", "variance", "residual")
+Ints = NDArray[np.int64]
+DEVIATION = "deviation of z"
+"""Name of the answers from two limits on the standard deviation of z of all points of a sector."""
+RANGE_M = (4.0, 80.0)
+"""Horizontal distances of the points that are judged."""
+_ROUGHEST = CLASSES - 1
+"""A sector of a class below this without an obstacle is called free."""
+_LIMITS = 40
+"""Number of limits that are tried."""
+_LOOKED_AT = 20
+"""Number of frames whose labels decide of which set they are."""
+_OF_POINTS = ("point_sector", "point_ground", "point_height")
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,22 +63,6 @@ class ClassedSectorTable:
     """(n,) standard deviation of z over all points of the sector, ground or not, m"""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanClassRow:
-    """Statistics of the sectors that one method assigns to a class."""
-
-    class_id: int
-    sectors: int
-    share: float
-    """Share of the traversable sectors, 0..1."""
-    stripes: tuple[float, float]
-    """Median and mean; NaN without sectors."""
-    variance: tuple[float, float]
-    """m^2"""
-    residual: tuple[float, float]
-    """m"""
-
-
 def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
     """Return the standard deviation of z over all points of each sector (n,), m."""
     inside = stack.point_sector >= 0
@@ -93,61 +76,46 @@ def z_deviation(scan: Scan, stack: SectorStack) -> Floats:
 def join_sectors(
     classed: Sequence[dict[str, ClassedSectors]], deviations: Sequence[Floats], labels: LabelSet | None
 ) -> ClassedSectorTable:
-    """Collect the sectors of one or more scans, classified by the same methods, one of them the filter.
+    """Collect the sectors of one or more scans.
 
-    Parameters
-    ----------
-    classed : sequence of dict
-        Method -> sectors, for each scan.
-    deviations : sequence of arrays
-        ``z_deviation`` of each scan.
-    labels : LabelSet or None
-        The meaning of the labels of the scans; None if they have none.
+    ``classed`` has the sectors of each scan by method, one of them the filter; ``deviations`` is `z_deviation` of each;
+    ``labels`` is the meaning of their labels, None if they have none.
     """
     stacks = [next(iter(methods.values())).sectors for methods in classed]
     label = np.concatenate([stack.label for stack in stacks])
 
-    def gathered(values: Sequence[NDArray[np.generic]]) -> NDArray[np.float64]:
-        return np.concatenate(values).astype(np.float64)
+    def joined(values: Iterable[NDArray[np.generic]]) -> Floats:
+        return np.concatenate(list(values)).astype(np.float64)
 
+    counted = next(method for method, found in classed[0].items() if found.stripes is not None)
     return ClassedSectorTable(
         class_id={method: np.concatenate([methods[method].class_id for methods in classed]) for method in classed[0]},
         truth=np.full(len(label), -1, np.int16) if labels is None else labels.classes_of(label),
         traversable=np.concatenate([stack.traversable for stack in stacks]),
-        stripes=gathered([_stripes(methods) for methods in classed]),
-        variance=gathered([stack.variance for stack in stacks]),
-        residual=gathered([stack.residual for stack in stacks]),
-        deviation=gathered(deviations),
+        stripes=joined(np.asarray(methods[counted].stripes) for methods in classed),
+        variance=joined(stack.variance for stack in stacks),
+        residual=joined(stack.residual for stack in stacks),
+        deviation=joined(deviations),
     )
 
 
-def _stripes(methods: dict[str, ClassedSectors]) -> NDArray[np.float32]:
-    """Return the stripe counts of the method that counts them."""
-    return next(found.stripes for found in methods.values() if found.stripes is not None)
+def class_rows(table: ClassedSectorTable, method: str) -> list[dict[str, Any]]:
+    """Summarise the traversable sectors of each class.
 
-
-def class_rows(table: ClassedSectorTable, method: str) -> list[ScanClassRow]:
-    """Summarise the traversable sectors of each class."""
-    class_id = table.class_id[method]
+    Each row has ``class_id``, ``sectors``, their ``share``, and median and mean of ``stripes``, ``variance`` [m2] and
+    ``residual`` [m]; NaN without sectors.
+    """
     total = int(table.traversable.sum())
     rows = []
     for number in range(CLASSES):
-        own = table.traversable & (class_id == number)
-        values = [_middle(getattr(table, name)[own]) for name in _MEASURES]
-        rows.append(ScanClassRow(number, int(own.sum()), float(own.sum() / total) if total else float("nan"), *values))
+        own = table.traversable & (table.class_id[method] == number)
+        count = int(own.sum())
+        row: dict[str, Any] = {"class_id": number, "sectors": count, "share": count / total if total else math.nan}
+        for name in ("stripes", "variance", "residual"):
+            values = getattr(table, name)[own]
+            row[name] = (float(np.median(values)), float(values.mean())) if count else (math.nan, math.nan)
+        rows.append(row)
     return rows
-
-
-def _middle(values: Floats) -> tuple[float, float]:
-    return (float(np.median(values)), float(values.mean())) if len(values) else (float("nan"), float("nan"))
-
-
-Ints = NDArray[np.int64]
-DEVIATION = "deviation of z"
-"""Name of the answers from two limits on the standard deviation of z of all points of a sector."""
-_ROUGHEST = CLASSES - 1
-_LIMITS = 40
-"""Number of limits that are tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,42 +173,9 @@ def accuracy_of(truth: NDArray[np.integer], answer: NDArray[np.integer]) -> Accu
     totals = counts.sum(axis=1)
     there = totals > 0
     recall = np.divide(np.diag(counts), totals, out=np.full(CLASSES, np.nan), where=there)
-    right = float(np.trace(counts) / totals.sum()) if there.any() else float("nan")
-    even = float(recall[there].mean()) if there.any() else float("nan")
+    right = float(np.trace(counts) / totals.sum()) if there.any() else math.nan
+    even = float(recall[there].mean()) if there.any() else math.nan
     return Accuracy(counts.tolist(), right, even, recall.tolist())
-
-
-RANGE_M = (4.0, 80.0)
-"""Horizontal distances of the points that are judged."""
-_FREE = CLASSES - 1
-"""A sector of a class below this without an obstacle is called free."""
-
-
-@dataclass(frozen=True, slots=True)
-class GroundScore:
-    """Ground points that are found in one frame."""
-
-    frame: str
-    points: int
-    """Labelled points within the range."""
-    precision: float
-    """Share of the points found as ground that are ground, 0..1; NaN if none is found."""
-    recall: float
-    """Share of the ground points that are found; NaN if there are none."""
-    f1: float
-
-
-@dataclass(frozen=True, slots=True)
-class ObstacleScore:
-    """Points of obstacles that lie in sectors called free: of class 0 or 1, without an obstacle."""
-
-    points: int
-    """Points of obstacles within the range."""
-    in_free: int
-    in_free_low: int
-    """Those of them that are not known to be higher than the vehicle."""
-    in_free_class: int
-    """Those in sectors of class 0 or 1, whether they have an obstacle or not."""
 
 
 def _judged(scan: Scan, labels: LabelSet) -> tuple[NDArray[np.bool_], NDArray[np.uint16]]:
@@ -250,50 +185,43 @@ def _judged(scan: Scan, labels: LabelSet) -> tuple[NDArray[np.bool_], NDArray[np
     return (label > 0) & labels.is_known(label) & (away >= RANGE_M[0]) & (away < RANGE_M[1]), label
 
 
-def ground_score(scan: Scan, ground: NDArray[np.bool_], labels: LabelSet) -> GroundScore:
-    """Compare points (n,) found as ground with the labels of a scan; points without a label are left out."""
+def ground_score(scan: Scan, ground: NDArray[np.bool_], labels: LabelSet) -> dict[str, Any]:
+    """Compare points (n,) found as ground with the labels of a scan; points without a label are left out.
+
+    Returns ``frame``, number of ``points`` within the range, ``precision`` (NaN if none is found), ``recall`` (NaN if
+    there is no ground) and ``f1``.
+    """
     judged, label = _judged(scan, labels)
     truth, found = labels.is_ground(label[judged]), ground[judged]
     both, all_found, all_true = (float(part.sum()) for part in (truth & found, found, truth))
-    f1 = _share(2 * both, all_found + all_true)
-    return GroundScore(scan.name, int(judged.sum()), _share(both, all_found), _share(both, all_true), f1)
+    parts = {"precision": (both, all_found), "recall": (both, all_true), "f1": (2 * both, all_found + all_true)}
+    shares = {name: part / whole if whole else math.nan for name, (part, whole) in parts.items()}
+    return {"frame": scan.name, "points": int(judged.sum())} | shares
 
 
-def _share(part: float, whole: float) -> float:
-    return part / whole if whole else float("nan")
+def mean_ground(scores: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Return the mean of `ground_score` over the frames that have ground, of each figure."""
+    known = [score for score in scores if score["points"] and not math.isnan(score["recall"])]
+    mean: dict[str, Any] = {"frame": "mean", "points": sum(score["points"] for score in known)}
+    for name in ("precision", "recall", "f1"):
+        mean[name] = float(np.nanmean([score[name] for score in known])) if known else math.nan
+    return mean
 
 
-def mean_ground(scores: Sequence[GroundScore]) -> GroundScore:
-    """Return the mean over the frames that have ground, of each figure."""
-    known = [score for score in scores if score.points and not np.isnan(score.recall)]
-    points = sum(score.points for score in known)
-    if not known:
-        return GroundScore("mean", points, float("nan"), float("nan"), float("nan"))
-    mean = [float(np.nanmean([getattr(score, name) for score in known])) for name in ("precision", "recall", "f1")]
-    return GroundScore("mean", points, *mean)
+def obstacle_score(scan: Scan, classed: ClassedSectors, labels: LabelSet) -> dict[str, int]:
+    """Count the points of obstacles that lie in sectors called free: of class 0 or 1, without an obstacle.
 
-
-def obstacle_score(scan: Scan, classed: ClassedSectors, labels: LabelSet) -> ObstacleScore:
-    """Count the points of obstacles that lie in sectors called free."""
+    Returns ``points`` of obstacles within the range, those ``in_free`` sectors, those of them that are not known to be
+    higher than the vehicle (``in_free_low``), and those in sectors of class 0 or 1 whatever stands (``in_free_class``).
+    """
     stack = classed.sectors
     judged, label = _judged(scan, labels)
     rows = np.flatnonzero(judged & labels.is_obstacle(label))
-    smooth = classed.class_id < _FREE
+    smooth = classed.class_id < _ROUGHEST
     place, high = stack.point_sector[rows], stack.point_height[rows] > stack.settings.height_m
-    in_class = np.append(smooth, False)[place]
     in_free = np.append(smooth & ~stack.obstacle, False)[place]
-    counts = (in_free, in_free & ~high, in_class)
-    return ObstacleScore(len(rows), *(int(np.count_nonzero(part)) for part in counts))
-
-
-def sum_obstacles(scores: Sequence[ObstacleScore]) -> ObstacleScore:
-    """Add the counts of many frames."""
-    names = ("points", "in_free", "in_free_low", "in_free_class")
-    return ObstacleScore(*(sum(getattr(score, name) for score in scores) for name in names))
-
-
-_LOOKED_AT = 20
-"""Number of frames whose labels decide of which set they are."""
+    parts = {"in_free": in_free, "in_free_low": in_free & ~high, "in_free_class": np.append(smooth, False)[place]}
+    return {"points": len(rows)} | {name: int(np.count_nonzero(part)) for name, part in parts.items()}
 
 
 @dataclass(slots=True)
@@ -302,15 +230,15 @@ class ScanFindings:
 
     facts: dict[str, Any]
     settings: dict[str, Any]
-    classes: dict[str, list[ScanClassRow]] = field(default_factory=dict)
-    """Method -> the paper's Tables IV and V."""
+    classes: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
+    """Method -> the paper's Tables IV and V, see `class_rows`."""
     accuracy: dict[str, Accuracy] = field(default_factory=dict)
     """Method or rule -> agreement with the labels of the sectors with ground; empty without labels."""
     accuracy_all: dict[str, Accuracy] = field(default_factory=dict)
     """The same over all sectors; without ground the answer of a method is the roughest class."""
-    ground: list[GroundScore] = field(default_factory=list)
+    ground: list[dict[str, Any]] = field(default_factory=list)
     """Frame by frame, and then their mean; empty without labels."""
-    obstacles: dict[str, ObstacleScore] = field(default_factory=dict)
+    obstacles: dict[str, dict[str, int]] = field(default_factory=dict)
     """Method -> points of obstacles in sectors called free; empty without labels."""
 
 
@@ -407,8 +335,8 @@ def evaluate_scans(
         No scan has a sector that can be classified.
     """
     classed, deviations = [], []
-    ground: list[GroundScore] = []
-    obstacles = dict[str, list[ObstacleScore]]({name: [] for name in methods.by_sectors})
+    ground: list[dict[str, Any]] = []
+    obstacles: dict[str, Counter[str]] = {}
     progress.start("classing scans", count)
     for scan in scans:
         stack = polar_sectors(scan)
@@ -416,34 +344,32 @@ def evaluate_scans(
         if labels is not None and scan.label is not None:
             ground.append(ground_score(scan, stack.point_ground, labels))
             for name, own in found.items():
-                obstacles[name].append(obstacle_score(scan, own, labels))
+                obstacles.setdefault(name, Counter()).update(obstacle_score(scan, own, labels))
         deviations.append(z_deviation(scan, stack))
-        classed.append({name: _without_points(own) for name, own in found.items()})
+        bare = replace(stack, **{name: getattr(stack, name)[:0] for name in _OF_POINTS})  # saves memory
+        classed.append({name: replace(own, sectors=bare) for name, own in found.items()})
         progress.advance(1)
     table = join_sectors(classed, deviations, labels) if classed else None
     if table is None or not table.traversable.any():
         raise BadInputError("no scan has a sector that can be classified, so there is nothing to evaluate")
     drivable, labelled = table.traversable, table.truth >= 0
     answers = all_answers(table) if labelled.any() else {}
-    facts: dict[str, Any] = {
+    facts = {
         "scans": count,
         "sectors": int(drivable.sum()),
         "labelled": int((labelled & drivable).sum()),
+        "all_sectors": len(drivable),
+        "all_labelled": int(labelled.sum()),
+        "labels": labels.name if labels and labelled.any() else None,
+        "filter": asdict(methods.stripes),
+        "network": methods.network.id,
     }
-    facts |= {"all_sectors": len(drivable), "all_labelled": int(labelled.sum())}
-    facts |= {"labels": labels.name if labels and labelled.any() else None}
     return ScanFindings(
-        facts=facts | {"filter": asdict(methods.stripes), "network": methods.network.id},
+        facts=facts,
         settings=asdict(settings),
         classes={name: class_rows(table, name) for name in methods.by_sectors},
         accuracy={name: accuracy_of(table.truth[drivable], answer[drivable]) for name, answer in answers.items()},
         accuracy_all={name: accuracy_of(table.truth, answer) for name, answer in answers.items()},
         ground=[*ground, mean_ground(ground)] if ground else [],
-        obstacles={name: sum_obstacles(scores) for name, scores in obstacles.items() if scores},
+        obstacles={name: dict(scores) for name, scores in obstacles.items()},
     )
-
-
-def _without_points(classed: ClassedSectors) -> ClassedSectors:
-    """Drop what is known of each point to save memory."""
-    none = {name: getattr(classed.sectors, name)[:0] for name in ("point_sector", "point_ground", "point_height")}
-    return replace(classed, sectors=replace(classed.sectors, **none))

@@ -23,10 +23,8 @@ from bumpymap.core import (
     UsageError,
 )
 from bumpymap.lab.evaluate.agreement import (
-    ClassTable,
     Comparison,
     DriveStats,
-    VehicleOrder,
     class_table,
     compare,
     compare_order,
@@ -44,34 +42,24 @@ from bumpytiles import Grid
 __all__ = ["ComparedPatches", "Findings", "TrialOptions", "evaluate_survey"]
 
 
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+_KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
+"""Columns of all tiles that are kept while a survey is rated."""
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _MIX = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 
 
 def uniform_by_key(seed: int, *keys: NDArray[np.integer]) -> NDArray[np.float64]:
-    """Return uniform random numbers in [0, 1) for integer keys (splitmix64).
-
-    Parameters
-    ----------
-    seed : int
-    keys : arrays (n,)
-        Components of each key; the same key gives the same number.
-    """
+    """Return uniform random numbers in [0, 1) for integer keys, (n,) each (splitmix64): a key keeps its number."""
     state = np.full(len(keys[0]), seed, np.uint64)
     for key in keys:
-        state = _mixed(state + key.astype(np.int64).view(np.uint64) * _STEP + _STEP)
+        state = state + key.astype(np.int64).view(np.uint64) * _STEP + _STEP
+        state = (state ^ (state >> np.uint64(30))) * _MIX[0]
+        state = (state ^ (state >> np.uint64(27))) * _MIX[1]
+        state = state ^ (state >> np.uint64(31))
     return (state >> np.uint64(11)).astype(np.float64) / float(1 << 53)
 
-
-def _mixed(state: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    state = (state ^ (state >> np.uint64(30))) * _MIX[0]
-    state = (state ^ (state >> np.uint64(27))) * _MIX[1]
-    mixed: NDArray[np.uint64] = state ^ (state >> np.uint64(31))
-    return mixed
-
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 BINS = 10
 _QUANTILES = (0.02, 0.98)
@@ -96,23 +84,10 @@ def strata(c_r: Floats, p_fail: Floats) -> Ints:
 
 
 def choose_patches(stratum: Ints, priority: Floats, count: int) -> Ints:
-    """Choose the same number of patches from each stratum, as far as it has enough.
+    """Choose ``count`` tiles, the same number from each stratum as far as it has enough; all if there are fewer.
 
-    Tiles of high priority remain chosen if predictions change a little or more patches are requested, so their drives
-    can be reused.
-
-    Parameters
-    ----------
-    stratum : array (n,)
-    priority : array (n,)
-        Tiles with lower values are chosen first.
-    count : int
-        Number of patches; if there are fewer tiles, all are chosen.
-
-    Returns
-    -------
-    array (m,)
-        Rows of the chosen tiles, alternating between the strata.
+    Of a stratum those of the lowest ``priority`` (n,) come first: they remain chosen if predictions change a little or
+    more patches are requested, so their drives can be reused. Returns rows (m,), alternating between the strata.
     """
     order = np.lexsort((priority, stratum))
     first = np.searchsorted(stratum[order], stratum[order], side="left")
@@ -140,13 +115,14 @@ class Findings:
     vehicles: list[dict[str, Any]]
     """Name, calibration and class limits of each vehicle; the tables are about the first one."""
     settings: dict[str, Any]
-    classes: dict[str, ClassTable] = field(default_factory=dict)
-    """Rating -> Table I."""
+    classes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Rating -> Table I, see `class_table`."""
     comparisons: dict[str, Comparison] = field(default_factory=dict)
     """Vehicle -> comparison of predictions with drives."""
     patches: dict[str, ComparedPatches] = field(default_factory=dict)
     """Vehicle -> patches of the comparison."""
-    orders: list[VehicleOrder] = field(default_factory=list)
+    orders: list[dict[str, Any]] = field(default_factory=list)
+    """Of several vehicles, see `compare_order`."""
 
 
 def driven_ground(patches: PatchStack) -> Floats:
@@ -165,22 +141,6 @@ def driven_ground(patches: PatchStack) -> Floats:
         (_, to_east, to_south), *_ = np.linalg.lstsq(terms[known], plane[known], rcond=None)
         ground[tile] = relief + to_east * east + to_south * south
     return ground
-
-
-def journal_settings(
-    profile: Vehicle, settings: EvaluateSettings, tile_size: float, pixels: int, ground: dict[str, Any]
-) -> dict[str, Any]:
-    """Return everything that affects the drives of a patch, as JSON. The choice and rating of patches do not."""
-    return {
-        "vehicle": profile.to_dict(),
-        "effort": asdict(settings.effort),
-        "seed": settings.seed,
-        "drive": asdict(settings.drive),
-        "tile_size": tile_size,
-        "pixels": pixels,
-        "ground": ground,
-        "versions": {name: version(name) for name in ("dartpy", "numpy")},
-    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,80 +173,6 @@ class TrialOptions:
     progress: Progress
 
 
-@dataclass(frozen=True, slots=True)
-class PatchTrial:
-    """Patches that can be classified, and the ground to drive over for each."""
-
-    names: list[Key]
-    """Names of n patches, such as ``(col, row)`` of a tile."""
-    patches: PatchStack
-    ground: NDArray[np.float64]
-    """(n, pixels, pixels) m."""
-    origin: dict[str, Any]
-    """Everything that affects the ground, as JSON."""
-
-    def run(
-        self, subjects: Sequence[Subject], settings: EvaluateSettings, trial: TrialOptions, findings: Findings
-    ) -> None:
-        """Drive all vehicles over all patches and add the comparison to the findings."""
-        driven: dict[str, DriveStats] = {}
-        verdicts = {}
-        plain = plain_predictors(self.patches)
-        for subject in subjects:
-            label = _label(subject, subjects)
-            driven[label] = self._drive(subject, settings, trial)
-            verdicts[label] = subject.judge(self.patches)
-            too_steep = self.patches.slope > subject.profile.slope_limit_deg
-            limits = subject.calibration.class_limits
-            findings.comparisons[label] = compare(verdicts[label], plain, driven[label], too_steep, limits)
-            findings.patches[label] = ComparedPatches(self.names, driven[label], verdicts[label])
-        if len(subjects) > 1:
-            ratings = [name for name in MAPPED if all(name in subject.ratings for subject in subjects)]
-            for name in ratings:
-                findings.orders.append(compare_order(name, {v: own[name] for v, own in verdicts.items()}, driven))
-
-    def _drive(self, subject: Subject, settings: EvaluateSettings, trial: TrialOptions) -> DriveStats:
-        size, pixels = self.patches.grid.tile_size, self.patches.grid.pixels
-        recorded = journal_settings(subject.profile, settings, size, pixels, self.origin)
-        trial.progress.start(f"driving {subject.name} over patches", len(self.names))
-        require_dart()
-        results = drive_jobs(
-            partial(drive_job, subject.profile, size, settings),
-            [
-                _PatchJob(name, heights, settings.min_starts)
-                for name, heights in zip(self.names, self.ground, strict=True)
-            ],
-            Steps(trial.progress, settings.min_starts),
-            workers=trial.workers,
-            journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
-            discard_other=trial.overwrite,
-        )
-        return DriveStats.of(list(results.values()))
-
-
-def _label(subject: Subject, subjects: Sequence[Subject]) -> str:
-    """Return the name of the vehicle, with the calibration if two subjects share the name."""
-    alike = sum(other.name == subject.name for other in subjects)
-    return subject.name if alike == 1 else f"{subject.name} {subject.calibration.id}"
-
-
-_KEPT = ("col", "row", "count", "z_variance", "ransac_residual")
-
-
-@dataclass(frozen=True, slots=True)
-class _Tiles:
-    """The classified tiles of a survey, (n,) each."""
-
-    col: NDArray[np.int64]
-    row: NDArray[np.int64]
-    count: NDArray[np.int64]
-    z_variance: NDArray[np.float64]
-    ransac_residual: NDArray[np.float64]
-    verdicts: dict[str, Verdict]
-    unknown: dict[str, int]
-    """Reason why tiles with points cannot be classified -> number of tiles."""
-
-
 def evaluate_survey(
     readers: Sequence[SurveyReader],
     options: ReadOptions,
@@ -315,56 +201,56 @@ def evaluate_survey(
     BadInputError
         A file is damaged, or no tile can be classified.
     """
-    subject, grid = subjects[0], _grid(subjects)
-    with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
-        tiles = _rate(survey, subject, trial)
-        density = float(tiles.count.mean() / grid.tile_size**2)
-        findings = _findings("survey", subjects, settings, _facts(readers, survey, tiles, density))
-        for name in MAPPED:
-            if name in tiles.verdicts:
-                findings.classes[name] = class_table(tiles.verdicts[name], tiles.z_variance, tiles.ransac_residual)
-        origin = _origin(readers, options, survey, settings)
-        _trial(survey, tiles, subject, settings, origin).run(subjects, settings, trial, findings)
-    return findings
-
-
-def _grid(subjects: Sequence[Subject]) -> Grid:
-    """Return the common tile grid of all calibrations."""
     grids = {(subject.calibration.tile_size, subject.calibration.pixels) for subject in subjects}
     if len(grids) > 1:
         listed = ", ".join(f"{size:g} m with {pixels} pixels" for size, pixels in sorted(grids))
         raise UsageError(f"the calibrations are for different tiles: {listed}. Compare vehicles on tiles of one size")
-    return Grid(*grids.pop())
+    grid = Grid(*grids.pop())
+    with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
+        tiles, rated, unknown = _rate(survey, subjects[0], trial.progress)
+        classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
+        main = rated[next(iter(rated))]
+        priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
+        rows = choose_patches(strata(main.c_r, main.p_fail), priority, settings.total_patches)
+        patches = survey.patches(tiles["col"][rows], tiles["row"][rows])
+    facts = {
+        "files": [str(reader.info.path).replace("\\", "/").rpartition("/")[2] for reader in readers],
+        "points": sum(reader.info.point_count for reader in readers),
+        "ground_only": survey.ground_only,
+        "judged_tiles": len(tiles["col"]),
+        "unknown_tiles": unknown,
+        "density": float(tiles["count"].mean() / grid.tile_size**2),
+    }
+    findings = Findings("survey", facts, [_about(subject) for subject in subjects], asdict(settings), classes)
+    origin = {
+        "files": sorted([str(file["size"]), file["digest"]] for file in (identity(r.info.path) for r in readers)),
+        "options": {"crs": options.force_crs or options.crs, "z_unit": options.z_unit},
+        "ground_only": survey.ground_only,
+        "features": asdict(settings.features),
+    }
+    _compare_drives(patches, subjects, settings, trial, origin, findings)
+    return findings
 
 
-def _findings(title: str, subjects: Sequence[Subject], settings: EvaluateSettings, facts: dict[str, Any]) -> Findings:
-    vehicles = [
-        {
-            "vehicle": subject.name,
-            "calibration": subject.calibration.id,
-            "class_limits": subject.calibration.class_limits,
-            "slope_limit_deg": subject.profile.slope_limit_deg,
-            "ratings": list(subject.ratings),
-        }
-        for subject in subjects
-    ]
-    return Findings(title, facts, vehicles, asdict(settings))
+def _rate(
+    survey: MeasuredSurvey, subject: Subject, progress: Progress
+) -> tuple[dict[str, NDArray[Any]], dict[str, Verdict], dict[str, int]]:
+    """Rate all tiles.
 
-
-def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Tiles:
-    """Rate all tiles; keep only a few values of each."""
-    trial.progress.start("rating blocks of tiles", survey.blocks)
+    Returns a few columns of the tiles that can be classified (n,), their verdicts by rating, and the number of the
+    other tiles by reason.
+    """
+    progress.start("rating blocks of tiles", len(survey.buckets))
     columns: dict[str, list[NDArray[Any]]] = {name: [] for name in _KEPT}
     verdicts: list[dict[str, Verdict]] = []
     reasons = np.zeros(len(Reason), np.int64)
-    for points in survey.points():
-        patches = survey.measured(points)
+    for patches in survey.measured(survey.buckets.blocks()):
         judged = patches.reason == Reason.OK
         reasons += np.bincount(patches.reason, minlength=len(Reason))
         verdicts.append({name: own.take(judged) for name, own in subject.judge(patches, MAPPED).items()})
         for name, parts in columns.items():
             parts.append(getattr(patches, name)[judged])
-        trial.progress.advance(1)
+        progress.advance(1)
     joined = {name: np.concatenate(parts) for name, parts in columns.items()}
     unknown = {REASON_TEXT[reason]: int(reasons[reason]) for reason in Reason if reason and reasons[reason]}
     if not len(joined["col"]):
@@ -373,45 +259,65 @@ def _rate(survey: MeasuredSurvey, subject: Subject, trial: TrialOptions) -> _Til
             f"no tile of the survey can be classified ({listed}), so there is nothing to evaluate"
             + (". Only points of class 2 were measured; try `ground='all'`" if survey.ground_only else "")
         )
-    return _Tiles(
-        **joined,
-        verdicts={name: Verdict.join([part[name] for part in verdicts]) for name in verdicts[0]},
-        unknown=unknown,
-    )
+    return joined, {name: Verdict.join([part[name] for part in verdicts]) for name in verdicts[0]}, unknown
 
 
-def _facts(readers: Sequence[SurveyReader], survey: MeasuredSurvey, tiles: _Tiles, density: float) -> dict[str, Any]:
+def _about(subject: Subject) -> dict[str, Any]:
     return {
-        "files": [str(reader.info.path).replace("\\", "/").rpartition("/")[2] for reader in readers],
-        "points": sum(reader.info.point_count for reader in readers),
-        "ground_only": survey.ground_only,
-        "judged_tiles": len(tiles.col),
-        "unknown_tiles": tiles.unknown,
-        "density": density,
+        "vehicle": subject.name,
+        "calibration": subject.calibration.id,
+        "class_limits": subject.calibration.class_limits,
+        "slope_limit_deg": subject.profile.slope_limit_deg,
+        "ratings": list(subject.ratings),
     }
 
 
-def _origin(
-    readers: Sequence[SurveyReader], options: ReadOptions, survey: MeasuredSurvey, settings: EvaluateSettings
-) -> dict[str, Any]:
-    """Return everything that affects the heights of a survey's tiles; copies of a file are equivalent."""
-    found = [identity(reader.info.path) for reader in readers]
-    return {
-        "files": sorted([str(file["size"]), file["digest"]] for file in found),
-        "options": {"crs": options.force_crs or options.crs, "z_unit": options.z_unit},
-        "ground_only": survey.ground_only,
-        "features": asdict(settings.features),
-    }
+def _compare_drives(
+    patches: PatchStack,
+    subjects: Sequence[Subject],
+    settings: EvaluateSettings,
+    trial: TrialOptions,
+    origin: dict[str, Any],
+    findings: Findings,
+) -> None:
+    """Drive all vehicles over all patches and add the comparison to the findings.
 
-
-def _trial(
-    survey: MeasuredSurvey, tiles: _Tiles, subject: Subject, settings: EvaluateSettings, origin: dict[str, Any]
-) -> PatchTrial:
-    """Choose patches over the whole range of roughness."""
-    verdict = tiles.verdicts[subject.main]
-    priority = uniform_by_key(settings.seed, tiles.col, tiles.row)
-    rows = choose_patches(strata(verdict.c_r, verdict.p_fail), priority, settings.total_patches)
-    col, row = tiles.col[rows], tiles.row[rows]
-    patches = survey.patches(col, row)
-    names: list[Key] = [(int(c), int(r)) for c, r in zip(col, row, strict=True)]
-    return PatchTrial(names, patches, driven_ground(patches), origin)
+    ``origin`` is everything that affects the ground, as JSON. Choice and rating of patches do not affect their drives,
+    so the journal does not hold them.
+    """
+    keys: list[Key] = list(zip(patches.col.tolist(), patches.row.tolist(), strict=True))
+    jobs = [
+        _PatchJob(key, heights, settings.min_starts) for key, heights in zip(keys, driven_ground(patches), strict=True)
+    ]
+    size, plain, names = patches.grid.tile_size, plain_predictors(patches), [subject.name for subject in subjects]
+    for subject, name in zip(subjects, names, strict=True):
+        label = name if names.count(name) == 1 else f"{name} {subject.calibration.id}"
+        recorded = {
+            "vehicle": subject.profile.to_dict(),
+            "effort": asdict(settings.effort),
+            "seed": settings.seed,
+            "drive": asdict(settings.drive),
+            "tile_size": size,
+            "pixels": patches.grid.pixels,
+            "ground": origin,
+            "versions": {library: version(library) for library in ("dartpy", "numpy")},
+        }
+        trial.progress.start(f"driving {name} over patches", len(keys))
+        require_dart()
+        results = drive_jobs(
+            partial(drive_job, subject.profile, size, settings),
+            jobs,
+            Steps(trial.progress, settings.min_starts),
+            workers=trial.workers,
+            journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
+            discard_other=trial.overwrite,
+        )
+        driven, verdicts = DriveStats.of(list(results.values())), subject.judge(patches)
+        too_steep = patches.slope > subject.profile.slope_limit_deg
+        findings.comparisons[label] = compare(verdicts, plain, driven, too_steep, subject.calibration.class_limits)
+        findings.patches[label] = ComparedPatches(keys, driven, verdicts)
+    if len(subjects) > 1:
+        found = findings.patches
+        for rating in [name for name in MAPPED if all(name in own.verdicts for own in found.values())]:
+            verdicts = {label: own.verdicts[rating] for label, own in found.items()}
+            findings.orders.append(compare_order(rating, verdicts, {label: own.driven for label, own in found.items()}))

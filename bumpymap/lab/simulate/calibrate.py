@@ -26,8 +26,6 @@ from bumpymap.lab.simulate.plan import driven_library, library_ground, library_r
 from bumpymap.lab.worlds.terrains import Terrain
 from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, Vehicle
 
-__all__ = ["calibrate_vehicle", "seconds_of_a_drive"]
-
 FitRide = Callable[[Vehicle, Sequence[Terrain], Sequence[DrivenTerrain]], dict[str, Any]]
 """Fits a ride model to driven terrains: `fit_ride`."""
 FitThin = Callable[[Vehicle, Sequence[Terrain], dict[str, Any], float], dict[str, Any]]
@@ -47,20 +45,7 @@ def summarise(
     fit: FitRide | None = None,
     fit_thin: FitThin | None = None,
 ) -> Calibration:
-    """Compute a calibration from the drives of all jobs.
-
-    Parameters
-    ----------
-    settings : CalibrationSettings
-    results : mapping
-        Key of a job -> its drives.
-    command : str
-        Stored in the calibration.
-    fit : callable, optional
-        Fits the ride model to the drives over the terrain library.
-    fit_thin : callable, optional
-        Fits the model of thin surveys to the ride model.
-    """
+    """Compute a calibration from the drives of all jobs (key of a job -> its drives); see `calibrate_vehicle`."""
     table = [
         [
             [results["table", texture, z, patch] for patch in range(settings.patches)]
@@ -68,10 +53,16 @@ def summarise(
         ]
         for texture in range(len(TEXTURES))
     ]
+
+    def cells(summary: Callable[[list[PatchDrives]], Any]) -> tuple[tuple[Any, ...], ...]:
+        return tuple(tuple(summary(cell) for cell in line) for line in table)
+
     driven = driven_library(settings, results)
     means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
-    p_fail = tuple(tuple(_failed(cell) for cell in line) for line in table)
     limits = class_limits(driven)
+    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
+    class_id = np.searchsorted(limits, known, side="right")  # of all terrains, also those of few completed drives
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
     record["library"] = library_record(driven)
     ground = library_ground(settings, driven) if fit else []
@@ -82,25 +73,29 @@ def summarise(
         pixels=settings.pixels,
         textures=TEXTURES,
         z_range=settings.z_range,
-        c_r=tuple(tuple(_mean(cell) for cell in line) for line in means),
-        c_r_log_sd=tuple(tuple(_log_sd(cell) for cell in line) for line in means),
-        p_fail=p_fail,
-        drives=tuple(tuple(sum(len(patch.outcome) for patch in cell) for cell in line) for line in table),
+        c_r=cells(lambda cell: math.fsum(_known(cell)) / len(_known(cell)) if _known(cell) else None),
+        c_r_log_sd=cells(lambda cell: _log_sd(_known(cell))),
+        p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell)),
+        drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell)),
         class_limits=limits,
-        class_c_r=_class_means(driven, limits),
+        class_c_r=(a, b, c, d),
         ride=ride,
         thin=fit_thin(settings.profile, ground, ride, limits[0]) if fit_thin and ride else None,
         settings=record,
     )
 
 
-def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
-    """Return the three C_r limits between the classes, rad/m.
+def _known(cell: list[PatchDrives]) -> list[float]:
+    """Return the mean C_r of the patches of a cell that have one."""
+    return [patch.mean_c_r for patch in cell if patch.mean_c_r is not None]
 
-    Parameters
-    ----------
-    driven : sequence
-        The terrains of the library.
+
+def _log_sd(values: list[float]) -> float | None:
+    return float(np.std([math.log(value) for value in values], ddof=1)) if len(values) > 1 else None
+
+
+def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
+    """Return the three C_r limits between the classes, rad/m, from the driven terrains of the library.
 
     Raises
     ------
@@ -142,15 +137,8 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
     list of float, length groups - 1
         Halfway between the means of neighbouring groups.
     """
-    x = np.sort(values)
-    edges = _best_edges(x - x.mean(), groups)
-    centre = [float(x[a:b].mean()) for a, b in pairwise(edges)]
-    return [(a + b) / 2 for a, b in pairwise(centre)]
-
-
-def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
-    """Return the start index of each group of sorted numbers, and n: groups + 1 indices."""
-    n = len(x)
+    values = np.sort(values)
+    x, n = values - values.mean(), len(values)
     total = np.concatenate([[0.0], np.cumsum(x)])
     square = np.concatenate([[0.0], np.cumsum(x**2)])
     best = np.full(n + 1, np.inf)
@@ -168,31 +156,8 @@ def _best_edges(x: NDArray[np.float64], groups: int) -> list[int]:
     edges = [n]
     for group in reversed(range(groups)):
         edges.append(int(cut[group, edges[-1]]))
-    return edges[::-1]
-
-
-def _class_means(
-    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
-) -> tuple[float, float, float, float]:
-    """Return the mean C_r of all terrains of each class, including those with few completed drives."""
-    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
-    class_id = np.searchsorted(limits, known, side="right")
-    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
-    return a, b, c, d
-
-
-def _mean(cell: list[float | None]) -> float | None:
-    known = [value for value in cell if value is not None]
-    return math.fsum(known) / len(known) if known else None
-
-
-def _log_sd(cell: list[float | None]) -> float | None:
-    logs = [math.log(value) for value in cell if value is not None]
-    return float(np.std(logs, ddof=1)) if len(logs) > 1 else None
-
-
-def _failed(cell: list[PatchDrives]) -> float:
-    return sum(patch.failed for patch in cell) / sum(len(patch.outcome) for patch in cell)
+    centre = [float(values[a:b].mean()) for a, b in pairwise(edges[::-1])]
+    return [(a + b) / 2 for a, b in pairwise(centre)]
 
 
 def seconds_of_a_drive(settings: CalibrationSettings) -> float:

@@ -16,19 +16,6 @@ from bumpymap.lab.simulate.model import DartVehicle, Physics, Pose, VehicleModel
 from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
 from bumpymap.rating import Vehicle
 
-__all__ = [
-    "Drive",
-    "DriveSettings",
-    "Effort",
-    "Outcome",
-    "PatchDrives",
-    "Start",
-    "drive",
-    "drive_from",
-    "drive_patch",
-    "follow",
-]
-
 Outcome = Literal["completed", "stuck", "rolled"]
 
 _YAW_GAIN = 1.0
@@ -97,61 +84,40 @@ class Drive:
     """Horizontal length of the chassis' path during the measurement."""
     progress_m: float
     """Distance along the line during the measurement."""
-    seed: int
-    """Seed from which start and heading were drawn."""
 
 
 def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSettings | None = None) -> Drive:
-    """Drive over unbounded ground from a random start at a random heading.
+    """Drive over unbounded ground from a start and at a heading that are drawn from a seed.
 
     The same seed gives the same bits in any process.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    ground : DrivenGround
-    seed : int
-        Start and heading are drawn from it.
-    settings : DriveSettings, optional
-
-    Returns
-    -------
-    Drive
     """
     easting, northing, turn = np.random.default_rng(seed).random(3).tolist()
     start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
-    return drive_from(profile, ground, start, seed, settings)
+    return drive_from(profile, ground, start, settings)
 
 
 def drive_from(
-    profile: Vehicle, ground: DrivenGround, start: Start, seed: int = 0, settings: DriveSettings | None = None
-) -> Drive:
-    """Drive over unbounded ground from a given start; ``seed`` is only copied into the result."""
+    profile: Vehicle, ground: DrivenGround, start: Start, settings: DriveSettings | None = None
+) -> Drive:  # fmt: skip
+    """Drive over unbounded ground from a given start."""
     settings = settings or DriveSettings()
-    seconds = settings.ramp_s / 2 + settings.cruise_s + settings.measure_s
-    strip = Strip(
+    strip = drive_strip(profile, start, settings)
+    return follow(DartVehicle(profile, ground, strip, settings.physics), strip, profile, settings)
+
+
+def drive_strip(profile: Vehicle, start: Start, settings: DriveSettings) -> Strip:
+    """Return the ground that a drive needs."""
+    return Strip(
         easting=start.easting,
         northing=start.northing,
         heading=start.heading,
-        length=profile.speed_mps * seconds,
+        length=profile.speed_mps * (settings.ramp_s / 2 + settings.cruise_s + settings.measure_s),
         half_width=profile.wheelbase_m / 2 + profile.track_m / 2 + profile.wheel.radius_m + settings.margin_m,
     )
-    return follow(DartVehicle(profile, ground, strip, settings.physics), strip, profile, seed, settings)
 
 
-def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, seed: int, settings: DriveSettings) -> Drive:
-    """Drive a vehicle along a strip and integrate its gyroscope readings.
-
-    Parameters
-    ----------
-    vehicle : VehicleModel
-        Placed at the start of the strip.
-    strip : Strip
-    profile : Vehicle
-    seed : int
-        Copied into the result.
-    settings : DriveSettings
-    """
+def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, settings: DriveSettings) -> Drive:
+    """Drive a vehicle, placed at the start of a strip, along it and integrate its gyroscope readings."""
     period = 1 / settings.sample_hz
     quiet = settings.settle_s + settings.ramp_s + settings.cruise_s
     first, last = (round(seconds / period) for seconds in (quiet, quiet + settings.measure_s))
@@ -175,7 +141,7 @@ def follow(vehicle: VehicleModel, strip: Strip, profile: Vehicle, seed: int, set
             break
     if outcome == "completed" and progress < settings.stuck_share * profile.speed_mps * settings.measure_s:
         outcome = "stuck"
-    return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path, progress, seed)
+    return Drive(outcome, pitched / path if outcome == "completed" else math.nan, path, progress)
 
 
 def _speed_at(seconds: float, profile: Vehicle, settings: DriveSettings) -> float:
@@ -270,7 +236,8 @@ def drive_patch(
     """Drive over one patch from random starts at random headings.
 
     Every start has its own random stream, so more drives never change earlier ones. The result depends on the
-    arguments only and is the same in any process.
+    arguments only and is the same in any process. If none of the first ``least`` drives is completed, no further drives
+    are made: there is no C_r to refine.
 
     Parameters
     ----------
@@ -284,17 +251,13 @@ def drive_patch(
     settings : DriveSettings, optional
     stream : tuple of int
         Distinguishes patches that share a seed.
-
-    Returns
-    -------
-    PatchDrives
-        If none of the first ``least`` drives is completed, no further drives are made: there is no C_r to refine.
     """
     effort = effort or Effort()
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
     while len(drives.outcome) < effort.most and not _is_enough(drives, effort):
-        made = drive(profile, ground, start_seed(seed, (*stream, len(drives.outcome))), settings)
+        own = np.random.SeedSequence(seed, spawn_key=(*stream, len(drives.outcome)))
+        made = drive(profile, ground, int(own.generate_state(1, np.uint64)[0]), settings)
         c_r = made.c_r if made.outcome == "completed" else None
         drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
     return drives
@@ -306,8 +269,3 @@ def _is_enough(drives: PatchDrives, effort: Effort) -> bool:
         return False
     mean, error = drives.mean_c_r, drives.standard_error
     return mean is None or (error is not None and error <= effort.target_error * mean)
-
-
-def start_seed(seed: int, stream: tuple[int, ...]) -> int:
-    """Return the seed of one drive from that of all and the numbers of its own random stream."""
-    return int(np.random.SeedSequence(seed, spawn_key=stream).generate_state(1, np.uint64)[0])

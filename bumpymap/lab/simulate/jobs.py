@@ -11,7 +11,7 @@ import math
 import os
 import stat
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing.connection import wait
@@ -24,8 +24,6 @@ from bumpymap.core import BumpymapError, Child, ChildDiedError, OutputError, ato
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, PatchDrives, Start, drive, drive_from
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround
 from bumpymap.rating import Vehicle, make_textures
-
-__all__ = ["JobJournal", "Journal", "Key", "Progress", "all_checks", "drive_jobs", "run_in_processes"]
 
 _SINE_AMPLITUDE_M = 0.02
 _SINE_SPEED_MPS = 1.0
@@ -62,7 +60,7 @@ def check_plane(
 ) -> SimulatorCheck:
     """Check that C_r on a plane is below 0.001 rad/m. Heading 0 goes straight up the slope, 90 along it."""
     ground = PlaneGround((math.tan(math.radians(degrees)), 0.0))
-    result = drive_from(profile, ground, Start(0.0, 0.0, math.radians(heading_deg)), 0, settings)
+    result = drive_from(profile, ground, Start(0.0, 0.0, math.radians(heading_deg)), settings)
     name = f"plane of {degrees:g} deg, heading {heading_deg:g} deg: C_r [rad/m]"
     return SimulatorCheck(name, result.c_r, "< 0.001", result.c_r < 0.001)
 
@@ -84,7 +82,7 @@ def check_sine(profile: Vehicle, wavelength: float, settings: DriveSettings | No
     further.
     """
     slow = replace(profile, speed_mps=_sine_speed(profile))
-    result = drive_from(slow, SineGround(_SINE_AMPLITUDE_M, wavelength), Start(0.0, 0.0, 0.0), 0, settings)
+    result = drive_from(slow, SineGround(_SINE_AMPLITUDE_M, wavelength), Start(0.0, 0.0, 0.0), settings)
     error = 100 * (result.c_r / sine_c_r(profile, _SINE_AMPLITUDE_M, wavelength) - 1)
     return SimulatorCheck(f"sine of 2 cm, L = {wavelength:.3g} m: error [%]", error, "+-5", abs(error) <= 5)
 
@@ -237,15 +235,11 @@ class Journal(JobJournal[PatchDrives]):
     """The file of driven patches."""
 
     def __init__(self, path: Path, settings: dict[str, Any]) -> None:
-        super().__init__(path, settings, _patch_drives)
+        super().__init__(path, settings, lambda own: PatchDrives(tuple(own["outcome"]), tuple(own["c_r"])))
 
 
 def _line(key: Key, drives: Any) -> str:
     return json.dumps({"patch": key, **asdict(drives)}, allow_nan=False)
-
-
-def _patch_drives(fields: dict[str, Any]) -> PatchDrives:
-    return PatchDrives(tuple(fields["outcome"]), tuple(fields["c_r"]))
 
 
 Progress = Callable[[int, int], None]
@@ -306,7 +300,8 @@ def drive_jobs(
     done = total - sum(job.starts for job in left)
     report = progress or (lambda _done, _total: None)
     report(done, total)
-    with _results(task, left, min(workers, len(left))) as results:
+    workers = min(workers, len(left))
+    with nullcontext(map(task, left)) if workers <= 1 else closing(run_in_processes(task, left, workers)) as results:
         for job, drives in zip(left, results, strict=True):
             driven[job.key] = drives
             if journal:
@@ -316,36 +311,18 @@ def drive_jobs(
     return {job.key: driven[job.key] for job in jobs}
 
 
-def _results(
-    task: Callable[[JobType], Result], jobs: Sequence[JobType], workers: int
-) -> AbstractContextManager[Iterator[Result]]:
-    """Run jobs in this process (one worker) or in child processes; return an iterator of results in order."""
-    if workers <= 1:
-        return nullcontext(map(task, jobs))
-    return closing(run_in_processes(task, jobs, workers))
-
-
 def run_in_processes(
     task: Callable[[Task], Result], jobs: Sequence[Task], workers: int
 ) -> Generator[Result, None, None]:
     """Run jobs in child processes and yield their results in order; an idle worker gets the next job.
 
     This process uses no threads, because a thread would outlive an interruption and print a message. Closing the
-    generator ends the workers.
-
-    Parameters
-    ----------
-    task : callable
-        Runs one job; it, the jobs and the results must be picklable.
-    jobs : sequence
-    workers : int
+    generator ends the workers. ``task``, jobs and results must be picklable; what ``task`` raises is raised here.
 
     Raises
     ------
     BumpymapError
         A worker died.
-    Exception
-        Whatever ``task`` raises.
     """
     children: list[Child] = []
     try:

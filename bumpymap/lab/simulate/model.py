@@ -19,8 +19,6 @@ from bumpymap.core import OutputError, UsageError
 from bumpymap.lab.simulate.terrain import DrivenGround, Strip, strip_triangles
 from bumpymap.rating import Vehicle
 
-__all__ = ["DartVehicle", "Physics", "Pose", "VehicleModel", "require_dart"]
-
 _GRAVITY = 9.80665
 _CLEARANCE_M = 0.001
 _BODY_SHARE = 0.3
@@ -179,12 +177,16 @@ class DartVehicle:
 
     def _build(self, robot: Any, profile: Vehicle, physics: Physics) -> Any:
         """Build chassis, two rockers and four wheels; return the chassis."""
+
+        def inertia(mass: float, moments: tuple[float, float, float]) -> Any:
+            return self._dart.dynamics.Inertia(mass, [0.0, 0.0, 0.0], np.diag(moments))
+
         _, chassis = robot.createFreeJointAndBodyNodePair()
-        chassis.setInertia(self._inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
+        chassis.setInertia(inertia(profile.chassis.mass_kg, profile.chassis.inertia_kgm2))
         self._add_belly(chassis, profile, physics)
         for side, left in (("left", profile.track_m / 2), ("right", -profile.track_m / 2)):
             pivot, rocker = robot.createRevoluteJointAndBodyNodePair(chassis)
-            rocker.setInertia(self._inertia(profile.rocker.mass_kg, profile.rocker.inertia_kgm2))
+            rocker.setInertia(inertia(profile.rocker.mass_kg, profile.rocker.inertia_kgm2))
             self._hinge(pivot, (0.0, left, -profile.chassis.com_height_m))
             pivot.setLimitEnforcement(True)
             pivot.setPositionLowerLimit(0, -profile.rocker.limit_rad)
@@ -193,7 +195,7 @@ class DartVehicle:
             pivot.setDampingCoefficient(0, profile.rocker.damping_nms_per_rad)
             for forward in (profile.wheelbase_m / 2, -profile.wheelbase_m / 2):
                 axle, wheel = robot.createRevoluteJointAndBodyNodePair(rocker)
-                wheel.setInertia(self._inertia(profile.wheel.mass_kg, wheel_inertia(profile)))
+                wheel.setInertia(inertia(profile.wheel.mass_kg, wheel_inertia(profile)))
                 self._hinge(axle, (forward, 0.0, 0.0))
                 axle.setActuatorType(self._dart.dynamics.ActuatorType.VELOCITY)
                 shape = wheel.createShapeNode(self._dart.dynamics.SphereShape(profile.wheel.radius_m))
@@ -221,9 +223,6 @@ class DartVehicle:
         frame = self._dart.math.Isometry3()
         frame.set_translation(place)
         joint.setTransformFromParentBodyNode(frame)
-
-    def _inertia(self, mass: float, moments: tuple[float, float, float]) -> Any:
-        return self._dart.dynamics.Inertia(mass, [0.0, 0.0, 0.0], np.diag(moments))
 
     @staticmethod
     def _set_surface(shape: Any, physics: Physics) -> None:

@@ -10,7 +10,6 @@ frequency domain from the start of the vehicle on, so that the filter has settle
 
 import math
 import sys
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -21,21 +20,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import atomic
-from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, follow
-from bumpymap.lab.simulate.jobs import JobJournal, Key, Progress, drive_jobs
+from bumpymap.lab.settings import CalibrationSettings, LibraryJob
+from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, drive_strip, follow
+from bumpymap.lab.simulate.jobs import JobJournal, Progress, drive_jobs
 from bumpymap.lab.simulate.model import DartVehicle, Pose, require_dart
-from bumpymap.lab.simulate.plan import calibrated_settings, library_terrain
+from bumpymap.lab.simulate.plan import calibrated_settings, library_terrain, six_digits
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
-from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
-from bumpymap.lab.worlds.terrains import KINDS, Terrain
+from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround
+from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
     Calibration,
     MotionFit,
     MotionModel,
     MotionOperator,
-    Motions,
     RideOperator,
     Vehicle,
     felt_response,
@@ -44,8 +42,6 @@ from bumpymap.rating import (
     plain_terms,
     roll_over,
 )
-
-__all__ = ["MotionEffort", "add_motion", "motion_journal"]
 
 _SETTLE_S = 0.02
 """End of the record that the cut-off of the velocity changes."""
@@ -108,33 +104,19 @@ def drive_motion(
     settings = settings or DriveSettings()
     settings = replace(settings, measure_s=settings.measure_s * profile.speed_mps / speed)
     own = replace(profile, speed_mps=speed)
-    strip = Strip(
-        easting=start.easting,
-        northing=start.northing,
-        heading=start.heading,
-        length=speed * (settings.ramp_s / 2 + settings.cruise_s + settings.measure_s),
-        half_width=own.wheelbase_m / 2 + own.track_m / 2 + own.wheel.radius_m + settings.margin_m,
-    )
+    strip = drive_strip(own, start, settings)
     recorder = _Recorder(DartVehicle(own, ground, strip, settings.physics))
-    made = follow(recorder, strip, own, 0, settings)
+    made = follow(recorder, strip, own, settings)
     if made.outcome != "completed":
         return MotionDrive(made.outcome, math.nan, math.nan, math.nan)
-    return MotionDrive("completed", made.c_r, _rolled(recorder, settings) / made.path_m, _weighted(recorder, settings))
-
-
-def _rolled(recorder: _Recorder, settings: DriveSettings) -> float:
-    """Return the integral of the absolute roll rate over the measured time, rad."""
-    rates = np.abs(recorder.roll_rate[_samples(settings) - 1 :])
-    return float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
-
-
-def _weighted(recorder: _Recorder, settings: DriveSettings) -> float:
-    """Return the root mean square of the weighted acceleration over the measured time, m/s2."""
+    before = round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
+    rates = np.abs(recorder.roll_rate[before - 1 :])
+    rolled = float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
     step = settings.physics.time_step
     quiet = round(settings.settle_s / step)
-    first = _samples(settings) * settings.steps_per_sample - quiet
     felt = weighted_acceleration(np.array(recorder.upward[quiet:]), step)
-    return float(np.sqrt(np.mean(felt[first : -round(_SETTLE_S / step)] ** 2)))
+    measured = felt[before * settings.steps_per_sample - quiet : -round(_SETTLE_S / step)]
+    return MotionDrive("completed", made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2))))
 
 
 def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -144,11 +126,6 @@ def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray
     to_velocity: NDArray[Any] = 2j * np.pi * np.maximum(frequency, frequency[1] / 2)  # 0 Hz weighs nothing
     spectrum = np.fft.rfft(velocity, long) * felt_response(frequency) / to_velocity
     return np.asarray(np.fft.irfft(spectrum, long)[: len(velocity)])
-
-
-def _samples(settings: DriveSettings) -> int:
-    """Return the number of samples before the measurement."""
-    return round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
 
 
 _STREAM = 102
@@ -174,27 +151,7 @@ class MotionEffort:
     @property
     def total(self) -> int:
         """Number of all drives."""
-        return self.drives * self.terrains * len(KINDS)
-
-    @property
-    def drives(self) -> int:
-        """Drives over one terrain."""
-        return self.starts * len(self.ratios)
-
-
-@dataclass(frozen=True, slots=True)
-class MotionJob:
-    """Drives over one terrain of the library."""
-
-    kind: str
-    index: int
-    starts: int
-    """Number of all drives."""
-
-    @property
-    def key(self) -> Key:
-        """Name of the job in a journal."""
-        return ("motion", self.kind, self.index)
+        return sum(job.starts for job in motion_jobs(self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,7 +169,7 @@ class MotionRecord:
     def of(cls, drives: list[list[MotionDrive]]) -> "MotionRecord":
         """Collect drives, ``[start][speed]``."""
         return cls(
-            *(tuple(tuple(_six_digits(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__)
+            *(tuple(tuple(six_digits(getattr(d, name)) for d in row) for row in drives) for name in cls.__slots__)
         )
 
     @classmethod
@@ -221,12 +178,13 @@ class MotionRecord:
         return cls(*(tuple(tuple(row) for row in fields[name]) for name in cls.__slots__))
 
 
-def motion_jobs(effort: MotionEffort) -> list[MotionJob]:
+def motion_jobs(effort: MotionEffort) -> list[LibraryJob]:
     """Return all jobs: the terrains of the library, index by index, so that a part of them has all kinds."""
-    return [MotionJob(kind, index, effort.drives) for index in range(effort.terrains) for kind in KINDS]
+    drives = effort.starts * len(effort.ratios)
+    return [LibraryJob(kind, index, drives, "motion") for index in range(effort.terrains) for kind in KINDS]
 
 
-def run_motion(settings: CalibrationSettings, effort: MotionEffort, job: MotionJob) -> MotionRecord:
+def run_motion(settings: CalibrationSettings, effort: MotionEffort, job: LibraryJob) -> MotionRecord:
     """Drive over a terrain; every start has its own random stream, derived from the seed and the job."""
     profile = settings.profile
     heights = library_terrain(settings, job.kind, job.index).heights
@@ -281,9 +239,11 @@ def add_motion(
         journal=journal,
         discard_other=discard_other,
     )
-    means = np.stack([_means(driven[job.key]) for job in motion_jobs(effort)])
+    records = [driven[job.key] for job in motion_jobs(effort)]
+    means = np.array([[getattr(record, name) for name in QUANTITIES] for record in records], np.float64).mean(axis=2)
     # As they are recorded, so that a later fit to the record gives the same bits.
-    means = np.array([[[_six_digits(value) for value in row] for row in one] for one in means.tolist()], np.float64)
+    recorded = [[list(map(six_digits, row)) for row in one] for one in means.swapaxes(1, 2).tolist()]
+    means = np.array(recorded, np.float64)
     return replace(calibration, motion=fit_motion(settings, effort, means).to_record())
 
 
@@ -303,7 +263,11 @@ def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Float
     terrains = [
         library_terrain(settings, job.kind, job.index) for job, wanted in zip(jobs, used, strict=True) if wanted
     ]
-    motions, pitch = _geometry(settings, effort, terrains)
+    vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
+    relief, _ = relief_and_slope(terrains)
+    speeds = tuple(ratio * speed for ratio in effort.ratios)
+    motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
+    pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
     log_speed, c_r = np.log(np.array(effort.ratios)), c_r[used]
     ranges = [(float(f"{np.log(each).min():.6g}"), float(f"{np.log(each).max():.6g}")) for each in (pitch, c_r)]
     terms, plain = motion_terms(motions, pitch, log_speed, ranges[0]), plain_terms(c_r, log_speed, ranges[1])
@@ -318,32 +282,10 @@ def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Float
         "starts": effort.starts,
         "ratios": list(effort.ratios),
         "seed": settings.seed,
-        "driven": [[[_six_digits(value) for value in row] for row in terrain] for terrain in means.tolist()],
+        "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
     three = (fits["c_r"], fits["c_roll"], fits["a_w"])
-    return MotionModel(settings.profile.speed_mps, SPEED_RANGE, ranges[0], ranges[1], *three, origin)
-
-
-def _geometry(
-    settings: CalibrationSettings, effort: MotionEffort, terrains: Sequence[Terrain]
-) -> tuple[Motions, Floats]:
-    """Return the geometric values of terrains at the speeds, and their geometric C_r at the profile's."""
-    vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
-    relief, _ = relief_and_slope(terrains)
-    speeds = tuple(ratio * speed for ratio in effort.ratios)
-    operator = MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds)
-    own = RideOperator.of(vehicle, settings.tile_size, settings.pixels)
-    return move_over(relief, operator), roll_over(relief, own).pitch_change
-
-
-def _six_digits(value: float) -> float | None:
-    return None if math.isnan(value) else float(f"{value:.6g}")
-
-
-def _means(record: MotionRecord) -> Floats:
-    """Return the means over the starts, (speeds, quantities); NaN if one was not completed."""
-    columns = [np.array(getattr(record, name), dtype=np.float64) for name in QUANTITIES]
-    return np.stack([column.mean(axis=0) for column in columns], axis=-1)
+    return MotionModel(speed, SPEED_RANGE, ranges[0], ranges[1], *three, origin)
 
 
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:
@@ -361,8 +303,8 @@ def _least_squares(terms: Floats, wanted: Floats) -> tuple[tuple[float, ...], fl
     return rounded, float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}")
 
 
-def _main(files: Sequence[str]) -> None:
-    for path in map(Path, files):
+if __name__ == "__main__":
+    for path in map(Path, sys.argv[1:]):
         calibration = Calibration.load(path)
         effort = MotionEffort()
         journal = motion_journal(path.with_name(f"{path.name}.motion.jsonl"), calibrated_settings(calibration), effort)
@@ -370,7 +312,3 @@ def _main(files: Sequence[str]) -> None:
         with atomic(path) as temporary:
             temporary.write_text(made.to_json(), encoding="utf-8")
         journal.remove()
-
-
-if __name__ == "__main__":
-    _main(sys.argv[1:])

@@ -6,8 +6,9 @@ library, a calibration stores the drives, not the ground, which follows from the
 fitted again from the file, without driving and with the same bits.
 """
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
@@ -45,7 +46,7 @@ def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
 
 
 def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Terrain:
-    """Make a terrain of the library, its height and slope scaled to the vehicle."""
+    """Make a terrain of the library for the vehicle: the height that a wheel climbs is proportional to its radius."""
     return make_terrain(
         kind,
         settings.seed,
@@ -83,7 +84,18 @@ _COLUMNS = tuple(f.name for f in fields(DrivenTerrain) if f.name not in ("kind",
 def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDrives]) -> tuple[DrivenTerrain, ...]:
     """Summarise the drives over the library, kind by kind; C_r is rounded to six digits, as in the file."""
     return tuple(
-        _driven(kind, index, results["library", kind, index]) for kind in KINDS for index in range(settings.terrains)
+        DrivenTerrain(
+            kind=kind,
+            index=index,
+            c_r=six_digits(drives.mean_c_r),
+            c_r_error=six_digits(drives.standard_error),
+            completed=len(drives.completed),
+            stuck=drives.outcome.count("stuck"),
+            rolled=drives.outcome.count("rolled"),
+        )
+        for kind in KINDS
+        for index in range(settings.terrains)
+        for drives in (results["library", kind, index],)
     )
 
 
@@ -96,10 +108,8 @@ def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[
     """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
     record: dict[str, dict[str, list[Any]]] = {}
     for terrain in driven:
-        columns = record.setdefault(terrain.kind, {name: [] for name in _COLUMNS})
-        values = asdict(terrain)
-        for name, column in columns.items():
-            column.append(values[name])
+        for name in _COLUMNS:
+            record.setdefault(terrain.kind, {}).setdefault(name, []).append(getattr(terrain, name))
     return record
 
 
@@ -136,17 +146,6 @@ def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenT
     return library_ground(calibrated_settings(calibration), driven), driven
 
 
-def _driven(kind: str, index: int, drives: PatchDrives) -> DrivenTerrain:
-    return DrivenTerrain(
-        kind=kind,
-        index=index,
-        c_r=_six_digits(drives.mean_c_r),
-        c_r_error=_six_digits(drives.standard_error),
-        completed=len(drives.completed),
-        stuck=drives.outcome.count("stuck"),
-        rolled=drives.outcome.count("rolled"),
-    )
-
-
-def _six_digits(value: float | None) -> float | None:
-    return None if value is None else float(f"{value:.6g}")
+def six_digits(value: float | None) -> float | None:
+    """Round a figure as it is recorded; None for None and NaN."""
+    return None if value is None or math.isnan(value) else float(f"{value:.6g}")

@@ -33,8 +33,6 @@ from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.terrain import fit_plane
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
-__all__ = ["add_steps", "crossing_jobs", "rate_steps"]
-
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
 """Heights of crossings, m, for wheels of ``_WHEEL_M``; for other radii they are scaled."""
 _TILE_HEIGHTS = (*_HEIGHTS, 1.4, 2.0)
@@ -56,23 +54,18 @@ _SUPERSAMPLE = 8
 
 @dataclass(frozen=True, slots=True)
 class WallGround:
-    """Two levels with a wall along the line easting = 0: the eastern level is higher by ``rise``.
-
-    With a ``width``, a second wall leads back: a ditch or a ridge.
-    """
+    """Two levels with a wall along the line easting = 0: the eastern level is higher by ``rise``."""
 
     rise: float
     """m; negative if the eastern level is lower."""
     spacing: float
     """The wall is a ramp of this width, m."""
-    width: float = math.inf
-    """Between both walls, from the middle of the one to that of the other, m."""
     extent: float = 1.0
     gradient: tuple[float, float] = (0.0, 0.0)
 
     def height(self, easting: NDArray[np.float64], northing: NDArray[np.float64]) -> NDArray[np.float64]:
         """Heights of points, m."""
-        share = np.clip(easting / self.spacing, 0.0, 1.0) - np.clip((easting - self.width) / self.spacing, 0.0, 1.0)
+        share = np.clip(easting / self.spacing, 0.0, 1.0)
         return np.broadcast_to(self.rise * share, np.broadcast_shapes(easting.shape, northing.shape)).copy()
 
 
@@ -144,14 +137,6 @@ def add_steps(
     return replace(calibration, steps=record)
 
 
-def rate_steps(calibration: Calibration) -> Calibration:
-    """Return a calibration whose ``steps``, if it has them, hold what its ride model predicts; crossings stay."""
-    if calibration.steps is None:
-        return calibration
-    tiles = _rated_tiles(calibration, calibrated_settings(calibration))
-    return replace(calibration, steps=calibration.steps | {"tile": tiles})
-
-
 def _crossings(profile: Vehicle, driven: Mapping[Key, PatchDrives]) -> dict[str, Any]:
     """Return the shares of failed crossings as plain JSON: a row for each height, a column for each angle."""
     heights = _heights(profile, _HEIGHTS)
@@ -181,7 +166,7 @@ def _rated_tiles(calibration: Calibration, settings: CalibrationSettings) -> dic
         rows.append(
             (float(np.exp(logs).mean()), float(np.std(logs, ddof=1)), float(np.quantile(found.p_fail, _FAIL_QUANTILE)))
         )
-    c_r, sd, p_fail = ([_rounded(value) for value in column] for column in zip(*rows, strict=True))
+    c_r, sd, p_fail = ([float(f"{value:.6g}") for value in column] for column in zip(*rows, strict=True))
     return {"height": list(heights), "c_r": c_r, "c_r_log_sd": sd, "p_fail": p_fail}
 
 
@@ -201,38 +186,22 @@ def _heights(profile: Vehicle, heights: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def cross(settings: CalibrationSettings, ground: WallGround, angle: float, shift: NDArray[np.float64]) -> Drive:
-    """Drive once over a wall, or over two of them.
+    """Drive once over a wall, at an ``angle`` [rad] between the way and its normal.
 
-    The measured way begins with the nose in front of the wall. A vehicle whose rear wheels have not passed the last
-    wall at its end is stuck.
-
-    Parameters
-    ----------
-    settings : CalibrationSettings
-    ground : WallGround
-    angle : float
-        Between the way and the normal of the wall, rad.
-    shift : array (2,)
-        0 to 1: moves the start along the way and along the wall.
+    The measured way begins with the nose in front of the wall. A vehicle whose rear wheels have not passed it at the
+    end is stuck. ``shift`` (2,), 0 to 1, moves the start along the way and along the wall.
     """
     profile, drive = settings.profile, settings.drive
     before, along = shift.tolist()
     # Along the way, from the first part of the vehicle that meets the wall to the last that leaves it.
     half = profile.length_m / 2 + profile.width_m / 2 * math.tan(angle)
     spare = profile.length_m / math.cos(angle)
-    between = 0.0 if math.isinf(ground.width) else ground.width / math.cos(angle)
-    total = 2 * half + 2 * spare + between
+    total = 2 * half + 2 * spare
     quiet = profile.speed_mps * (drive.ramp_s / 2 + drive.cruise_s)
     back = quiet + half + spare * (0.25 + 0.25 * before)
     start = Start(-back * math.cos(angle), along * ground.spacing - back * math.sin(angle), angle)
-    passed = (2 * half + spare * 0.75 + between) / total
-    return drive_from(
-        profile, ground, start, 0, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed)
-    )
-
-
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
+    passed = (2 * half + spare * 0.75) / total
+    return drive_from(profile, ground, start, replace(drive, measure_s=total / profile.speed_mps, stuck_share=passed))
 
 
 def refit(calibration: Calibration) -> Calibration:
@@ -243,35 +212,6 @@ def refit(calibration: Calibration) -> Calibration:
     UsageError
         It holds no drives over the terrain library, or was moved to real drives, which a fit would forget.
     """
-    _require_unmoved(calibration)
-    if "library" not in calibration.settings:
-        raise UsageError(
-            f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
-            "bumpymap calibrate"
-        )
-    terrains, driven = read_library(calibration)
-    profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
-    return refit_thin(rate_steps(replace(calibration, ride=fit_ride(profile, terrains, driven))))
-
-
-def refit_thin(calibration: Calibration) -> Calibration:
-    """Return a calibration with a newly fitted model of thin surveys.
-
-    Raises
-    ------
-    UsageError
-        It has no ride model, or was moved to real drives.
-    """
-    _require_unmoved(calibration)
-    if calibration.ride is None:
-        raise UsageError(f"the calibration {calibration.id} holds no ride model. Make one with: bumpymap calibrate")
-    terrains, _ = read_library(calibration)
-    profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
-    return replace(calibration, thin=fit_thin_surveys(profile, terrains, calibration.ride, calibration.class_limits[0]))
-
-
-def _require_unmoved(calibration: Calibration) -> None:
-    """Raise UsageError if a calibration was moved to real drives: what they told is not among the simulated ones."""
     moved = calibration.settings.get("moved_to_drives")
     if moved is not None:
         raise UsageError(
@@ -279,6 +219,19 @@ def _require_unmoved(calibration: Calibration) -> None:
             f"discard that. Fit the calibration {moved['calibration_id']}, which it was before, and move that again "
             "with: bumpymap check --refit"
         )
+    if "library" not in calibration.settings:
+        raise UsageError(
+            f"the calibration {calibration.id} holds no drives over the terrain library. Make one with: "
+            "bumpymap calibrate"
+        )
+    terrains, driven = read_library(calibration)
+    profile = Vehicle.from_dict(calibration.vehicle, f"calibration {calibration.id}")
+    ride = fit_ride(profile, terrains, driven)
+    thin = fit_thin_surveys(profile, terrains, ride, calibration.class_limits[0])
+    made = replace(calibration, ride=ride, thin=thin)
+    if made.steps is not None:  # its crossings stay
+        made = replace(made, steps=made.steps | {"tile": _rated_tiles(made, calibrated_settings(made))})
+    return made
 
 
 if __name__ == "__main__":

@@ -37,8 +37,6 @@ from bumpymap.rating import (
 )
 from bumpytiles import Grid, TileBuckets, TilePoints
 
-__all__ = ["fit_ride", "fit_thin_surveys", "relief_and_slope"]
-
 _DENSITIES = (8.0, 16.0, 25.0, 50.0, 100.0, 300.0, 1000.0)
 _NOISES_M = (0.003, 0.01, 0.02, 0.03, 0.05)
 _NOISE_SEED = 20_000
@@ -49,16 +47,7 @@ _LEAST_C_R = 0.001
 def fit_ride(
     profile: Vehicle, terrains: Sequence[Terrain], driven: Sequence[DrivenTerrain]
 ) -> dict[str, Any]:  # fmt: skip
-    """Fit a ride model to driven terrains; returns plain JSON for the calibration's ``ride`` entry.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    terrains : sequence, length n
-        The driven ground.
-    driven : sequence, length n
-        Results of the drives over it.
-    """
+    """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
     side, pixels = terrains[0].tile_size, terrains[0].pixels
     operator = RideOperator.of(profile.to_dict(), side, pixels)
     relief, slope = relief_and_slope(terrains)
@@ -67,8 +56,8 @@ def fit_ride(
         DrivenPatches(
             rides=rides,
             slope_deg=slope,
-            c_r=_column(driven, "c_r"),
-            error=_column(driven, "c_r_error"),
+            c_r=np.array([terrain.c_r for terrain in driven], dtype=np.float64),
+            error=np.array([terrain.c_r_error for terrain in driven], dtype=np.float64),
             completed=np.array([terrain.completed for terrain in driven], dtype=np.int64),
             failed=np.array([terrain.failed for terrain in driven], dtype=np.int64),
         ),
@@ -112,12 +101,6 @@ def _noisy_patches(terrains: Sequence[Terrain], truth: NDArray[np.float64], oper
             for column, value in zip(columns, values, strict=True):
                 column.append(value)
     return NoisyPatches(*(np.concatenate(column) for column in columns))
-
-
-def _column(driven: Sequence[DrivenTerrain], name: str) -> NDArray[np.float64]:
-    """Return a column of the drives; NaN where a terrain has no value."""
-    values = [getattr(terrain, name) for terrain in driven]
-    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
 
 Floats = NDArray[np.float64]

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError
 
-__all__ = ["DrivenGround", "PatchGround", "PlaneGround", "SineGround", "Strip", "fit_plane", "strip_triangles"]
-
 _Floats = NDArray[np.float64]
 
 
@@ -38,12 +36,7 @@ class DrivenGround(Protocol):
 
 
 def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
-    """Fit a least-squares plane to a square heightmap.
-
-    Parameters
-    ----------
-    heights : array (pixels, pixels) float64
-        m, north row first.
+    """Fit a least-squares plane to a square heightmap (pixels, pixels) [m], north row first.
 
     Returns
     -------
@@ -76,15 +69,7 @@ class PatchGround:
 
     @classmethod
     def from_heights(cls, heights: NDArray[np.floating], tile_size: float) -> "PatchGround":
-        """Make the ground of a heightmap.
-
-        Parameters
-        ----------
-        heights : array (pixels, pixels)
-            m, north row first, without NaN.
-        tile_size : float
-            Side of the patch, m.
-        """
+        """Make the ground of a heightmap (pixels, pixels) [m], north row first, without NaN."""
         values = np.asarray(heights, dtype=np.float64)
         if values.ndim != 2 or values.shape[0] != values.shape[1] or values.shape[0] < 2:
             raise BadInputError(f"a patch has shape {values.shape}; it must be square, 2 x 2 pixels or more")
@@ -203,19 +188,9 @@ def strip_triangles(ground: DrivenGround, strip: Strip) -> NDArray[np.float32]:
 
 
 def cell_triangles(vertices: NDArray[np.float32], keep: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Triangulate cells of a grid.
+    """Triangulate the cells ``keep`` (rows, cols) of a grid, south row first, as `strip_triangles` does.
 
-    Parameters
-    ----------
-    vertices : array (rows + 1, cols + 1, 3) float32
-        Easting, northing, upward, m; south row first.
-    keep : bool (rows, cols)
-        The cells.
-
-    Returns
-    -------
-    array (n, 3, 3) float32
-        As from `strip_triangles`.
+    ``vertices`` (rows + 1, cols + 1, 3) float32 are easting, northing and upward, m.
     """
     south_west, south_east = vertices[:-1, :-1][keep], vertices[:-1, 1:][keep]
     north_west, north_east = vertices[1:, :-1][keep], vertices[1:, 1:][keep]

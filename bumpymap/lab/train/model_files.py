@@ -21,55 +21,13 @@ import bumpymap
 from bumpymap.core import OutputError, UsageError, atomic, locked
 from bumpymap.lab.settings import LoopSettings
 
-__all__ = [
-    "EpochData",
-    "EpochReport",
-    "OnnxGraph",
-    "Score",
-    "TrainedModel",
-    "Training",
-    "count_answers",
-    "model_files",
-    "model_metadata",
-    "percent",
-    "score_table",
-]
-
 _log = logging.getLogger(__name__)
-
-
-def save(
-    checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer, epochs_done: int
-) -> None:
-    """Write the state of a training.
-
-    Parameters
-    ----------
-    checkpoint : Path
-        Written atomically.
-    record : dict
-        Plain values: everything that determines the training. A training with another record cannot resume from it.
-    net : Module
-    optimizer : Optimizer
-    epochs_done : int
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    state = {"record": record, "epochs_done": epochs_done}
-    with atomic(checkpoint, (RuntimeError,)) as part:
-        torch.save({**state, "network": net.state_dict(), "optimizer": optimizer.state_dict()}, part)
 
 
 def restore(checkpoint: Path, record: dict[str, Any], net: nn.Module, optimizer: torch.optim.Optimizer) -> int:
     """Load a checkpoint into a network and its optimizer; return the number of completed epochs.
 
-    Raises
-    ------
-    UsageError
-        The file is not a checkpoint, or belongs to another training.
+    A checkpoint of another ``record``, the plain values that determine a training, is a UsageError.
     """
     remedy = "Delete it, or choose another --out"
     try:
@@ -160,13 +118,15 @@ class Training(Generic[Net]):
                 torch.manual_seed(self.settings.seed)
                 net = self.make()
             optimizer = torch.optim.AdamW(net.parameters(), lr=0.0, weight_decay=self.settings.weight_decay)
-            record = _plain(asdict(self.settings) | self.record)
+            record = json.loads(json.dumps(asdict(self.settings) | self.record))  # lists, as a checkpoint returns them
             done = restore(checkpoint, record, net, optimizer) if checkpoint and checkpoint.exists() else 0
             for epoch, data in enumerate(self.epochs(range(done, self.settings.epochs)), done):
                 report = self._run_epoch(net, optimizer, data, epoch)
                 _log.info("epoch %d of %d: loss %.4f", report.epoch, report.epochs, report.loss)
                 if checkpoint:
-                    save(checkpoint, record, net, optimizer, epoch + 1)
+                    state = {"record": record, "epochs_done": epoch + 1, "network": net.state_dict()}
+                    with atomic(checkpoint, (RuntimeError,)) as part:
+                        torch.save({**state, "optimizer": optimizer.state_dict()}, part)
                 if progress:
                     progress(report)
         finally:
@@ -193,13 +153,6 @@ class Training(Generic[Net]):
             hits += int((logits.argmax(1) == labels).sum())
         seconds = time.perf_counter() - start
         return EpochReport(epoch + 1, self.settings.epochs, loss_sum / count, hits / count, seconds)
-
-
-def _plain(value: Any) -> Any:
-    """Turn tuples into lists, as a checkpoint returns them."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    return list(value) if isinstance(value, tuple) else value
 
 
 Scores = TypeVar("Scores")
@@ -257,22 +210,9 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
         yield ModelFiles(out)
 
 
-def model_metadata(
-    kind: str, network: Mapping[str, object], training: Mapping[str, object], scores: Mapping[str, Any]
-) -> dict[str, object]:
-    """Return the metadata of the ONNX file.
-
-    Parameters
-    ----------
-    kind : str
-        Format name of the file.
-    network, training, scores : mappings
-        Description of the network, of its training and its scores.
-    """
-    import torch
-
-    versions = {"format": kind, "bumpymap": bumpymap.__version__, "torch": torch.__version__}
-    return {**versions, **network, **training, **scores}
+def versions(kind: str) -> dict[str, object]:
+    """Return format and versions for the metadata of an ONNX file."""
+    return {"format": kind, "bumpymap": bumpymap.__version__, "torch": torch.__version__}
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,9 +308,11 @@ class OnnxGraph:
         metadata : mapping
             Written as ``metadata_props``: text as it is, everything else as JSON.
         """
-        given = [_value_info(name, shape) for name, shape in inputs.items()]
-        name, classes = output
-        graph = helper.make_graph(self._nodes, self._name, given, [_value_info(name, [classes])], self._weights)
+        infos = [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
+            for name, shape in (*inputs.items(), (output[0], [output[1]]))
+        ]
+        graph = helper.make_graph(self._nodes, self._name, infos[:-1], infos[-1:], self._weights)
         model = helper.make_model(
             graph, producer_name="bumpymap", opset_imports=[helper.make_opsetid("", _OPSET)], ir_version=_IR_VERSION
         )
@@ -378,10 +320,6 @@ class OnnxGraph:
         onnx.checker.check_model(model, full_check=True)
         content: bytes = model.SerializeToString(deterministic=True)
         return content
-
-
-def _value_info(name: str, shape: Sequence[int]) -> onnx.ValueInfoProto:
-    return helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", *shape])
 
 
 def _folded_weights(conv: nn.Conv2d, norm: nn.BatchNorm2d | None) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -2,7 +2,7 @@
 
 import math
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -23,9 +23,9 @@ from bumpymap.lab.train.model_files import (
     Training,
     count_answers,
     model_files,
-    model_metadata,
     percent,
     score_table,
+    versions,
 )
 from bumpymap.lab.train.scan_sectors import (
     UNSEEN,
@@ -108,24 +108,7 @@ def train(
     checkpoint: Path | None = None,
     progress: Callable[[EpochReport], None] | None = None,
 ) -> ScanNet:
-    """Train a network.
-
-    Parameters
-    ----------
-    settings : ScanTrainSettings
-        The same settings and sectors give the same bits on the same machine and libraries.
-    sectors : Sectors
-        Training sectors.
-    checkpoint : Path, optional
-        Rewritten after every epoch; if it exists, training resumes from it.
-    progress : callable, optional
-        Called with a report after every epoch.
-
-    Returns
-    -------
-    ScanNet
-        In evaluation mode.
-    """
+    """Train a network; see `Training.run`. The same settings and sectors give the same bits on the same machine."""
     counts = np.bincount(sectors.class_id, minlength=3).tolist()
     loop = Training(
         settings,
@@ -190,26 +173,37 @@ _LIMITS_OF_SIMULATION = """\
 """
 
 
-@dataclass(frozen=True, slots=True)
-class CardFacts:
-    """Facts of a training on its card, in addition to settings and scores."""
+def model_card(
+    settings: ScanTrainSettings,
+    evaluation: ScanEvaluation,
+    learned: Sequence[int],
+    made: tuple[int, int],
+    command: str,
+) -> str:
+    """Return the text of the card of a training.
 
-    learned: tuple[int, ...]
-    """Number of training sectors of each class."""
-    parameters: int
-    """Number of trained parameters."""
-    size: int
-    """Size of the ONNX file, bytes."""
-    command: str
-    """The command line of this training, without ``--out``."""
-    simulated: bool
-    """Whether the scans were simulated."""
-
-
-def model_card(settings: ScanTrainSettings, evaluation: ScanEvaluation, made: CardFacts) -> str:
-    """Return the text of the card of a training."""
-    limits = _LIMITS_OF_SIMULATION if made.simulated else ""
-    widths = ", ".join(map(str, settings.network.widths))
+    Parameters
+    ----------
+    settings : ScanTrainSettings
+    evaluation : ScanEvaluation
+    learned : sequence of int
+        Number of training sectors of each class.
+    made : (int, int)
+        Number of trained parameters, and size of the ONNX file, bytes.
+    command : str
+        The command line of this training, without ``--out``; it says whether scans were simulated.
+    """
+    simulated = "--scans simulated" in command
+    limits = _LIMITS_OF_SIMULATION if simulated else ""
+    every, widths = evaluation.every, ", ".join(map(str, settings.network.widths))
+    classes = "; ".join(
+        f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
+        for k in range(CLASSES)
+    )
+    labels = "\n".join(
+        f"| {_LABELS.names[label]} | {_LABELS.class_of[label]} | " + " | ".join(map(str, counts)) + " |"
+        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (_LABELS.class_of[item[0]], item[0]))
+    )
     return f"""# Scan network
 
 Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (rough).
@@ -222,22 +216,35 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 - **Output**: `probability` (batch, {CLASSES}) float32.
 - **Network**: after MobileNetV2: a 3 x 3 convolution with {settings.network.stem} filters, inverted residuals with
   {widths} channels and expansion factor {settings.network.expansion}; the measures join before the output layer.
-  {made.parameters:,} trained parameters; {made.size:,} bytes of ONNX, opset 17.
+  {made[0]:,} trained parameters; {made[1]:,} bytes of ONNX, opset 17.
 - **Grid**: any polar grid with heightmaps of {PolarSettings().pixels} x {PolarSettings().pixels} pixels.
-- **Classes**: {_classes()} (most frequent label of a sector's points, RELLIS-3D names).
+- **Classes**: {classes} (most frequent label of a sector's points, RELLIS-3D names).
 
 ## Data
 
-{_data(settings, made.simulated)}
-Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(made.learned))}. An epoch draws
+{_simulated_data(settings) if simulated else _FOLDER_DATA}
+Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
 {settings.turns} more times after a random rotation, half of these times on another polar grid.
 
-{_accuracy(evaluation)}
+## Accuracy
+
+On {every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
+{percent(every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
+{percent(every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
+
+{score_table(every, _CLASS_NAMES)}
+
+By label, number of sectors classified as 0, 1, 2:
+
+| label | class | 0 | 1 | 2 |
+|---|---|---|---|---|
+{labels}
+
 ## Reproduce
 
     pip install 'bumpymap[learn,o3d]'
-    {made.command} --out scan.onnx
+    {command} --out scan.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
 
@@ -249,26 +256,10 @@ Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same 
 """
 
 
-def _accuracy(evaluation: ScanEvaluation) -> str:
-    return f"""## Accuracy
-
-On {evaluation.every.count:,} sectors with ground of {evaluation.scans} **unseen scans:
-{percent(evaluation.every.balanced_accuracy)} balanced accuracy** (training is balanced in the same way),
-{percent(evaluation.every.accuracy)} of all sectors. The paper reports 83.24 % on its own patches, which are not these.
-
-{score_table(evaluation.every, _CLASS_NAMES)}
-
-By label, number of sectors classified as 0, 1, 2:
-
-| label | class | 0 | 1 | 2 |
-|---|---|---|---|---|
-{_labels(evaluation)}
-"""
+_FOLDER_DATA = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
 
 
-def _data(settings: ScanTrainSettings, simulated: bool) -> str:
-    if not simulated:
-        return "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
+def _simulated_data(settings: ScanTrainSettings) -> str:
     return f"""{settings.scenes} synthetic scenes with labels (`bumpymap.lab.worlds.scans`), each scanned once by a
 different sensor: 16 to 128 lines, evenly spaced or closer near the horizon, or a solid-state pattern of 60 to 360
 degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, with range noise of 0.8 to 3 cm, 0.1 to
@@ -276,20 +267,6 @@ degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, 
 scene is sampled once more from above, without shadows and with blocks piled on half of it.
 Unseen scenes have other numbers of the same seed.
 """
-
-
-def _classes() -> str:
-    return "; ".join(
-        f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
-        for k in range(CLASSES)
-    )
-
-
-def _labels(evaluation: ScanEvaluation) -> str:
-    return "\n".join(
-        f"| {_LABELS.names[label]} | {_LABELS.class_of[label]} | " + " | ".join(map(str, counts)) + " |"
-        for label, counts in sorted(evaluation.labels.items(), key=lambda item: (_LABELS.class_of[item[0]], item[0]))
-    )
 
 
 def to_onnx(net: ScanNet, metadata: Mapping[str, object]) -> bytes:
@@ -383,15 +360,16 @@ def make_scan_model(
         learn, unseen, unseen_scans = _collect_sectors(settings, scans, keep, scan_progress)
         net = train(settings, learn, files.checkpoint, progress)
         evaluation = evaluate(net, unseen, unseen_scans)
-        content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count(), command))
-        made = CardFacts(
-            learned=tuple(np.bincount(learn.class_id, minlength=3).tolist()),
-            parameters=net.parameter_count(),
-            size=len(content),
-            command=command,
-            simulated=scans is None,
-        )
-        files.write(content, model_card(settings, evaluation, made))
+        network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
+        training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": command}
+        scores = {
+            "accuracy_even": evaluation.every.balanced_accuracy,
+            "accuracy_unseen": evaluation.every.accuracy,
+            "confusion_unseen": evaluation.every.confusion,
+        }
+        content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
+        counts, made = np.bincount(learn.class_id, minlength=3).tolist(), (net.parameter_count(), len(content))
+        files.write(content, model_card(settings, evaluation, counts, made, command))
         shutil.rmtree(keep, ignore_errors=True)
     return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
 
@@ -417,16 +395,3 @@ def _collect_sectors(
         simulated_sectors(settings.seed, unseen_scenes, 0, keep, scan_progress),
         UNSEEN_SCENES,
     )
-
-
-def _metadata(
-    settings: ScanTrainSettings, evaluation: ScanEvaluation, parameters: int, command: str
-) -> dict[str, object]:
-    network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
-    training = {"parameters": parameters, "seed": settings.seed, "command": command}
-    scores = {
-        "accuracy_even": evaluation.every.balanced_accuracy,
-        "accuracy_unseen": evaluation.every.accuracy,
-        "confusion_unseen": evaluation.every.confusion,
-    }
-    return model_metadata("bumpymap-scan", network, training, scores)

@@ -11,19 +11,6 @@ from bumpymap.core import BadInputError, OutputError, PolarSettings, Scan, atomi
 from bumpymap.readers import LABEL_SETS, find_frames, read_scan
 from bumpymap.scan import MEASURES, network_input, polar_sectors
 
-__all__ = [
-    "UNSEEN",
-    "Sectors",
-    "crowns_as_bushes",
-    "draw_epoch",
-    "folder_frames",
-    "folder_sectors",
-    "join",
-    "overhead_sectors",
-    "scene_scan",
-    "simulated_sectors",
-]
-
 UNSEEN = 1_000_000
 """Scenes from this number on are never used in training."""
 GRIDS = (

@@ -14,21 +14,6 @@ from numpy.typing import NDArray
 from bumpymap.core import TEXTURES
 from bumpymap.rating import make_short_waves, make_textures, normalise, remove_plane
 
-__all__ = [
-    "ALL",
-    "KINDS",
-    "LIGHT",
-    "LIGHT_EVERY",
-    "NONE",
-    "SHORT_WAVES",
-    "LabelledPatches",
-    "augmented_copies",
-    "epoch_samples",
-    "training_patches",
-    "unseen_patches",
-    "unseen_short_waves",
-]
-
 _Floats = NDArray[np.float64]
 
 

@@ -26,9 +26,9 @@ from bumpymap.lab.train.model_files import (
     Training,
     count_answers,
     model_files,
-    model_metadata,
     percent,
     score_table,
+    versions,
 )
 from bumpymap.lab.train.texture_data import (
     ALL,
@@ -87,43 +87,21 @@ class TextureNet(nn.Module):
 def train(
     settings: TrainSettings, checkpoint: Path | None = None, progress: Callable[[EpochReport], None] | None = None
 ) -> TextureNet:
-    """Train a network.
+    """Train a network; see `Training.run`. The same settings give the same bits on the same machine and libraries."""
 
-    Parameters
-    ----------
-    settings : TrainSettings
-        The same settings give the same bits on the same machine and libraries.
-    checkpoint : Path, optional
-        Rewritten after every epoch; if it exists, training resumes from it.
-    progress : callable, optional
-        Called with a report after every epoch.
+    def network() -> TextureNet:
+        net = TextureNet(settings.network)
+        net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
+        return net
 
-    Returns
-    -------
-    TextureNet
-        In evaluation mode.
-
-    Raises
-    ------
-    UsageError
-        The checkpoint belongs to a training with other settings.
-    OutputError
-        The checkpoint cannot be written.
-    """
     loop = Training(
         settings,
-        lambda: _network(settings),
+        network,
         lambda numbers: _epochs(settings, numbers),
         lambda share: _learning_rate(share, settings.learning_rate),
         record={"feature_version": FEATURE_VERSION},
     )
     return loop.run(checkpoint, progress)
-
-
-def _network(settings: TrainSettings) -> TextureNet:
-    net = TextureNet(settings.network)
-    net.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # a quarter faster
-    return net
 
 
 def _epochs(settings: TrainSettings, numbers: range) -> Iterator[EpochData]:
@@ -162,16 +140,10 @@ class Evaluation:
 
 
 def evaluate(net: TextureNet, seed: int, training_per_texture: int, unseen_per_texture: int) -> Evaluation:
-    """Score a trained network.
+    """Score a network in evaluation mode.
 
-    Parameters
-    ----------
-    net : TextureNet
-        In evaluation mode.
-    seed : int
-        The seed of its training. Unseen patches come from other random streams of the same seed.
-    training_per_texture, unseen_per_texture : int
-        Number of training patches (copies of all of them are scored) and of unseen patches.
+    Unseen patches come from other random streams of the ``seed`` of its training; copies of all training patches are
+    scored too.
     """
     pixels = net.settings.pixels
     single = {"none": score(net, unseen_patches(seed, unseen_per_texture, pixels, NONE))}
@@ -211,23 +183,15 @@ _EFFECTS = {
 
 
 def model_card(settings: TrainSettings, evaluation: Evaluation, parameters: int, size: int) -> str:
-    """Return the text of the card.
-
-    Parameters
-    ----------
-    settings : TrainSettings
-    evaluation : Evaluation
-    parameters : int
-        Number of trained parameters.
-    size : int
-        Size of the ONNX file, bytes.
-    """
-    network = settings.network
+    """Return the text of the card; ``size`` is that of the ONNX file, bytes."""
+    network, copies = settings.network, evaluation.augmented_copies
     side = f"{network.pixels} x {network.pixels}"
     numbers = f"{parameters:,} trained parameters; {size:,} bytes of ONNX, opset 17"
+    names = ", ".join(f"`{texture}`" for texture in TEXTURES)
+    single = "\n".join(f"| {text} | {percent(evaluation.single[key].accuracy)} |" for key, text in _EFFECTS.items())
     return f"""# Texture network
 
-Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {_names()}.
+Classifies the heightmap of one tile as one of the four terrain forms of the BumpyPatch paper: {names}.
 
 - **Use**: `bumpymap map`. The texture and the z range determine the ride cost of a tile.
 - **Input**: `patches` (batch, 1, {network.pixels}, {network.pixels}) float32. The heights of a tile of
@@ -246,30 +210,16 @@ random brightness, rotation, blur, noise and holes; one patch in {LIGHT_EVERY} g
 {SHORT_WAVES:.0%} of short regular waves (0.4 to 0.75 m on a tile of 3 m, in one direction or crossing) to the
 `high_noise` patches: no form contains them, and a network trained without them calls the shortest ones `flat`.
 
-{_accuracy(evaluation)}
-## Reproduce
-
-    pip install 'bumpymap[learn]'
-    {settings.command} --out textures.onnx
-
-Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
-
-{_limits(settings.tile_size, side)}"""
-
-
-def _accuracy(evaluation: Evaluation) -> str:
-    single = "\n".join(f"| {text} | {percent(evaluation.single[key].accuracy)} |" for key, text in _EFFECTS.items())
-    copies = percent(evaluation.augmented_copies.accuracy)
-    return f"""## Accuracy
+## Accuracy
 
 On {evaluation.unseen.count:,} **patches from unseen seeds, fully augmented: {percent(evaluation.unseen.accuracy)}**
 
 {score_table(evaluation.unseen, TEXTURES)}
 
-On {evaluation.augmented_copies.count:,} **augmented copies of the training patches: {copies}**
+On {copies.count:,} **augmented copies of the training patches: {percent(copies.accuracy)}**
 (the paper's validation method; it reports 92.42 % for its own patches and augmentation, which are not these)
 
-{score_table(evaluation.augmented_copies, TEXTURES)}
+{score_table(copies, TEXTURES)}
 
 On unseen seeds with one effect at a time:
 
@@ -279,11 +229,15 @@ On unseen seeds with one effect at a time:
 
 Of {evaluation.short_waves.count:,} short regular waves from unseen seeds, fully augmented,
 {percent(evaluation.short_waves.accuracy)} are classified as `high_noise`, the right answer.
-"""
 
+## Reproduce
 
-def _limits(tile_size: float, side: str) -> str:
-    return f"""## Limits
+    pip install 'bumpymap[learn]'
+    {settings.command} --out textures.onnx
+
+Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
+
+## Limits
 
 - The accuracy is measured on *synthetic* ground. Real ground does not exactly match any form: the network
   returns the form that a tile resembles most, and its probabilities show how clearly.
@@ -291,12 +245,8 @@ def _limits(tile_size: float, side: str) -> str:
   The z range distinguishes them. Tiles with at most 1 mm of relief are classed as flat without the network.
 - Many filled holes smooth a patch; if coverage is low, rough ground may be classified as `low_noise`.
 - A single isolated step (a kerb, a ledge) is none of the four forms.
-- It works only for tiles of {tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
+- It works only for tiles of {settings.tile_size:g} m with {side} pixels; `bumpymap map` rejects it for others.
 """
-
-
-def _names() -> str:
-    return ", ".join(f"`{texture}`" for texture in TEXTURES)
 
 
 INPUT_NAME = "patches"
@@ -363,26 +313,22 @@ def make_model(
     with model_files(out) as files:
         net = train(settings, files.checkpoint, progress)
         evaluation = evaluate(net, settings.seed, settings.patches_per_texture, UNSEEN_PER_TEXTURE)
-        content = to_onnx(net, _metadata(settings, evaluation, net.parameter_count()))
+        scores = {
+            "accuracy_unseen": evaluation.unseen.accuracy,
+            "confusion_unseen": evaluation.unseen.confusion,
+            "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
+            "confusion_altered_copies": evaluation.augmented_copies.confusion,
+            "accuracy_short_waves": evaluation.short_waves.accuracy,
+        }
+        network = {
+            "classes": list(settings.network.classes),
+            "pixels": settings.network.pixels,
+            "tile_size": settings.tile_size,
+            "feature_version": FEATURE_VERSION,
+            "channels": list(settings.network.channels),
+            "hidden": settings.network.hidden,
+        }
+        training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": settings.command}
+        content = to_onnx(net, {**versions("bumpymap-textures"), **network, **training, **scores})
         files.write(content, model_card(settings, evaluation, net.parameter_count(), len(content)))
     return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
-
-
-def _metadata(settings: TrainSettings, evaluation: Evaluation, parameters: int) -> dict[str, object]:
-    network = {
-        "classes": list(settings.network.classes),
-        "pixels": settings.network.pixels,
-        "tile_size": settings.tile_size,
-        "feature_version": FEATURE_VERSION,
-        "channels": list(settings.network.channels),
-        "hidden": settings.network.hidden,
-    }
-    training = {"parameters": parameters, "seed": settings.seed, "command": settings.command}
-    scores = {
-        "accuracy_unseen": evaluation.unseen.accuracy,
-        "confusion_unseen": evaluation.unseen.confusion,
-        "accuracy_altered_copies": evaluation.augmented_copies.accuracy,
-        "confusion_altered_copies": evaluation.augmented_copies.confusion,
-        "accuracy_short_waves": evaluation.short_waves.accuracy,
-    }
-    return model_metadata("bumpymap-textures", network, training, scores)

@@ -15,8 +15,6 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from bumpymap.core import TEXTURES, Texture, UsageError
 from bumpymap.rating import make_textures
 
-__all__ = ["FINE", "KINDS", "ScanEffects", "Terrain", "log_uniform", "make_terrain", "survey_terrain"]
-
 Floats = NDArray[np.float64]
 Shape = Callable[[np.random.Generator, Floats, Floats, int], Floats]
 """(random generator, eastings and northings from the middle of the tile [m], samples along a pixel) -> heights, m."""

@@ -16,6 +16,7 @@ __all__ = [
     "metres",
     "names_of",
     "percent",
+    "skipped_words",
     "sorted_reasons",
     "warnings_of",
 ]
@@ -125,11 +126,15 @@ def drive_notes(result: CheckResult) -> list[str]:
     return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
 
 
+def skipped_words(result: CheckResult) -> list[str]:
+    """Return which drives are left out, and why, a sentence each."""
+    return [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
+
+
 def warnings_of(result: CheckResult) -> list[str]:
-    """Return which drives are left out, and the warnings of the whole check and of each drive, each once."""
-    skipped = [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
+    """Return the warnings of the whole check and of each drive that counts, each once."""
     own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
-    return list(dict.fromkeys([*skipped, *result.warnings, *own]))
+    return list(dict.fromkeys([*result.warnings, *own]))
 
 
 def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:

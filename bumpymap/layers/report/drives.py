@@ -23,6 +23,7 @@ from bumpymap.layers.check.words import (
     drive_notes,
     metres,
     percent,
+    skipped_words,
     sorted_reasons,
     warnings_of,
 )
@@ -59,7 +60,7 @@ class DrawnCheck:
         entries = [("all", result.agreement)] if result.agreement is not None else []
         entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
         return {
-            "warnings": warnings_of(result),
+            "warnings": [*skipped_words(result), *warnings_of(result)],
             "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
             "worst": _worst(result),
             "drives": _sensors(result.drives),

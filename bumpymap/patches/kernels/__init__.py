@@ -1,5 +1,1 @@
-"""Compiled loops over the points and pixels of tiles."""
-
-import lazy_loader
-
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+"""Compiled loops over the points and pixels of tiles; a module that uses some loads them, so all compile at once."""

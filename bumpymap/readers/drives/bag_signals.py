@@ -12,7 +12,7 @@ import numpy as np
 from bumpymap.core import BadInputError, PlaceTrack, UsageError, WheelTrack
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import check_lonlat, guess_local, refuse_odd_rates
-from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal
+from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal, attitudes
 from bumpymap.readers.frames.raw import BagReader, BagRecord
 from bumpymap.readers.source import decoding
 
@@ -219,16 +219,14 @@ def _signals(role: str, topic: str, rows: Floats) -> DriveSignals:
     else:
         moved = role == "odometry"
         speed = _part(rows, slice(7, 8) if moved else slice(1, 2))
-        wheels = None if speed is None else _one_speed(speed)
-        places = _odometry_places(topic, rows, notes) if moved else None
+        unknown = np.full(0 if speed is None else len(speed.time), np.nan)
         signals = DriveSignals(
-            topic, attitude=_turns(rows, slice(3, 7)) if moved else None, places=places, wheels=wheels
+            topic,
+            attitude=_turns(rows, slice(3, 7)) if moved else None,
+            places=_odometry_places(topic, rows, notes) if moved else None,
+            wheels=None if speed is None else WheelTrack(speed.time, speed.values[:, 0], unknown),
         )
-    return _with(signals, {role: topic}, notes)
-
-
-def _with(signals: DriveSignals, columns: Mapping[str, str], notes: list[str]) -> DriveSignals:
-    return replace(signals, columns=columns, notes=tuple(notes))
+    return replace(signals, columns={role: topic}, notes=tuple(notes))
 
 
 def _part(rows: Floats, columns: slice) -> Signal | None:
@@ -238,16 +236,8 @@ def _part(rows: Floats, columns: slice) -> Signal | None:
 
 def _turns(rows: Floats, columns: slice) -> Signal | None:
     """Return quaternions; None if they are not set (all zero, or all the same)."""
-    values = rows[:, columns]
-    with np.errstate(over="ignore"):
-        good = np.abs(np.linalg.norm(values, axis=1) - 1.0) < 0.1
-    if good.sum() < 2 or not np.ptp(values[good], axis=0).any():
-        return None
-    return Signal(rows[good, 0], values[good])
-
-
-def _one_speed(speed: Signal) -> WheelTrack:
-    return WheelTrack(speed.time, speed.values[:, 0], np.full(len(speed.time), np.nan))
+    found = attitudes(rows[:, 0], rows[:, columns])
+    return found if found is not None and np.ptp(found.values, axis=0).any() else None
 
 
 def _fixes(topic: str, rows: Floats, notes: list[str]) -> PlaceTrack | None:

@@ -63,16 +63,11 @@ def _parts(column: Any, pattern: str) -> dict[str, Floats] | None:
     if found.null_count > words.null_count:
         return None
     names = [field.name for field in found.type]
-    flat = found.combine_chunks().flatten() if isinstance(found, pa.Array) else _flat(found)
     numbers = {}
-    for name, values in zip(names, flat, strict=True):
+    for name, values in zip(names, found.flatten(), strict=True):
         filled = compute.if_else(compute.equal(values, ""), None, values)
         numbers[name] = np.asarray(filled.cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
     return numbers
-
-
-def _flat(found: Any) -> list[Any]:
-    return [each.combine_chunks() for each in found.flatten()]
 
 
 def _clock(parts: dict[str, Floats]) -> Floats:

@@ -30,11 +30,7 @@ from bumpymap.readers.drives.signals import (
 )
 
 __all__ = [
-    "GROUPS",
-    "SINGLE",
     "TOPICS",
-    "UNIT_SUFFIX",
-    "ColumnGroup",
     "DriveColumn",
     "check_lonlat",
     "chosen_columns",
@@ -42,7 +38,6 @@ __all__ = [
     "guess_angle_unit",
     "guess_columns",
     "guess_local",
-    "listed",
     "parse_columns",
     "refuse_odd_rates",
     "unit_in_name",
@@ -222,7 +217,7 @@ SINGLE: Mapping[str, Sequence[str]] = {
     ),
     "fix": (r"fix_type|fix|status_status|gps_qual", r"=(?:quality|status)"),
 }
-UNIT_SUFFIX = (
+_SUFFIX = re.compile(
     r"_(s|secs?|ms|msec|millis|us|usec|micros|ns|nsec|nanos|dps|mdps|degs?|deg_s|deg_per_s|degps|rads?|rad_s|rad_per_s"
     r"|g|mg|m_s2|m_s_2|mps2|ms2|mps|m_s|kmh|kph|km_h|deg_?e7|e7|degrees|m|mm|cm)$"
 )
@@ -231,7 +226,6 @@ UNIT_SUFFIX = (
 
 _SPLIT = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])|[^A-Za-z0-9]+")
 _UNIT = re.compile(r"\s*(?:\[([^\]]*[A-Za-z°][^\]]*)\]|\(([^)]*[A-Za-z°][^)]*)\)|:([A-Za-z°][^:]*))\s*$")
-_SUFFIX = re.compile(UNIT_SUFFIX)
 _CLOCKS = {"millis", "micros", "nanos"}
 """Names of times that are nothing but a unit."""
 _NANOSECONDS = re.compile(r"n(?:ano)?(secs?|seconds)$")
@@ -246,11 +240,8 @@ class DriveColumn(NamedTuple):
     sign: float = 1.0
 
 
-class _Spelled(NamedTuple):
-    """A name of a column, and the (words, unit) that it may mean."""
-
-    name: str
-    spellings: Sequence[tuple[str, str]]
+Spelled = Mapping[str, Sequence[tuple[str, str]]]
+"""Name of a column -> the (words, unit) that it may mean."""
 
 
 class _Match(NamedTuple):
@@ -278,7 +269,7 @@ def guess_columns(source: str, names: Sequence[str], skip: Collection[str] = ())
     BadInputError
         Several columns may hold the same quantity.
     """
-    spelled = [_Spelled(name, list(_spellings(name))) for name in names]
+    spelled = {name: list(_spellings(name)) for name in names}
     found: dict[str, DriveColumn] = {}
     for group in GROUPS:
         found.update(_guess_group(source, spelled, group, skip))
@@ -317,10 +308,10 @@ def unit_in_name(name: str, quantity: str) -> str | None:
     return units[0] if units else None
 
 
-def _matches(spelled: Sequence[_Spelled], pattern: str) -> Iterator[_Match]:
+def _matches(spelled: Spelled, pattern: str) -> Iterator[_Match]:
     before = "()" if pattern.startswith("=") else "(?:(.*?)_)??"
     whole = re.compile(f"{before}(?:{pattern.removeprefix('=')})")
-    for name, spellings in spelled:
+    for name, spellings in spelled.items():
         for words, unit in spellings:
             match = whole.fullmatch(words)
             if match is not None:
@@ -332,9 +323,9 @@ def _column(match: _Match, quantity: str) -> DriveColumn:
     return DriveColumn(match.name, plain_unit(match.unit, DIMENSIONS[quantity]) if match.unit else None)
 
 
-def _stamp(spelled: Sequence[_Spelled]) -> dict[str, DriveColumn]:
+def _stamp(spelled: Spelled) -> dict[str, DriveColumn]:
     """Return the columns of seconds and nanoseconds of a stamp that has both."""
-    words = {each.spellings[0][0]: each.name for each in spelled}
+    words = {spellings[0][0]: name for name, spellings in spelled.items()}
     for rest, name in words.items():
         whole = words.get(_NANOSECONDS.sub(r"\1", rest))
         if whole is not None and whole != name:
@@ -342,9 +333,7 @@ def _stamp(spelled: Sequence[_Spelled]) -> dict[str, DriveColumn]:
     return {}
 
 
-def _guess_group(
-    source: str, spelled: Sequence[_Spelled], group: ColumnGroup, skip: Collection[str]
-) -> dict[str, DriveColumn]:
+def _guess_group(source: str, spelled: Spelled, group: ColumnGroup, skip: Collection[str]) -> dict[str, DriveColumn]:
     wanted = [quantity for quantity in group.quantities if quantity not in skip]
     least = set(wanted) - ({"yaw"} if group.quantities == ANGLES else set())
     for pattern in group.patterns if wanted else ():
@@ -373,7 +362,7 @@ def _only(source: str, full: Mapping[str, dict[str, DriveColumn]]) -> dict[str, 
     return full.get("", first)
 
 
-def _guess_single(spelled: Sequence[_Spelled], quantity: str) -> dict[str, DriveColumn]:
+def _guess_single(spelled: Spelled, quantity: str) -> dict[str, DriveColumn]:
     for pattern in SINGLE[quantity]:
         found = list(_matches(spelled, pattern))
         if found:
@@ -383,6 +372,10 @@ def _guess_single(spelled: Sequence[_Spelled], quantity: str) -> dict[str, Drive
 
 TOPICS = ("imu", "gnss", "odometry", "twist")
 """Quantities of bags: the topics that they are read from."""
+_EXPLAINED = (
+    f"Quantities are {', '.join(QUANTITIES)}; in bags {', '.join(TOPICS)}. For example "
+    "`columns='rate_y=GyrY[deg/s],time=t[ms]'`"
+)
 _STATED = re.compile(r"(.+?)\s*(?:\[([^\[\]]+)\]|:([^:]+))")
 
 
@@ -398,7 +391,7 @@ def parse_columns(text: str) -> dict[str, str]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         quantity, equals, name = part.partition("=")
         if not equals:
-            raise UsageError(f"`columns` is QUANTITY=COLUMN,..., not '{part}'. {_explained()}")
+            raise UsageError(f"`columns` is QUANTITY=COLUMN,..., not '{part}'. {_EXPLAINED}")
         if quantity.strip() in found:
             raise UsageError(f"`columns` names {quantity.strip()} twice. Name it once")
         found[quantity.strip()] = name.strip()
@@ -410,14 +403,7 @@ def unknown_quantities(columns: Mapping[str, str], known: Sequence[str]) -> None
     """Raise UsageError if columns are named for something that is no quantity."""
     unknown = sorted(set(columns) - set(known))
     if unknown:
-        raise UsageError(f"`columns` names {', '.join(unknown)}, which is no quantity. {_explained()}")
-
-
-def _explained() -> str:
-    return (
-        f"Quantities are {', '.join(QUANTITIES)}; in bags {', '.join(TOPICS)}. For example "
-        "`columns='rate_y=GyrY[deg/s],time=t[ms]'`"
-    )
+        raise UsageError(f"`columns` names {', '.join(unknown)}, which is no quantity. {_EXPLAINED}")
 
 
 def chosen_columns(columns: Mapping[str, str], names: Sequence[str]) -> dict[str, DriveColumn]:
@@ -464,9 +450,3 @@ def _unit(quantity: str, stated: str) -> str:
         meant = f" Did you mean '{close[0]}'?" if close else ""
         raise UsageError(f"'{stated}' is no unit of {quantity} in `columns`.{meant} Units of it are: {allowed}")
     return unit
-
-
-def listed(names: Sequence[str]) -> str:
-    """Return the names of columns for a message."""
-    shown = ", ".join(names[:60])
-    return shown if len(names) <= 60 else f"{shown} and {len(names) - 60} more"

@@ -28,7 +28,7 @@ from bumpymap.readers.decoder import DecoderError, Guard
 from bumpymap.readers.drives.bag_signals import bag_signals, is_ros1
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import TOPICS, check_lonlat, unknown_quantities
-from bumpymap.readers.drives.signals import QUANTITIES, DriveSignals, Floats, Signal, assemble
+from bumpymap.readers.drives.signals import QUANTITIES, DriveSignals, Floats, Signal, assemble, attitudes
 from bumpymap.readers.drives.table_signals import find_columns, refuse_binary, table_signals
 from bumpymap.readers.drives.text_table import TextTable, open_table
 from bumpymap.readers.frames.raw import bag_files, is_bag
@@ -46,8 +46,6 @@ _TOPICS = (*_RATES, "vehicle_acceleration", _ATTITUDE, *_FIXES, _LOCAL)
 _TO_FLU = np.array([1.0, -1.0, -1.0])
 """x forward, y right, z down to x forward, y left, z up."""
 _LEAST_FIX = 2
-_ROUNDING = 0.1
-"""Tolerance of the lengths of quaternions."""
 
 
 def is_ulog(path: Path) -> bool:
@@ -143,10 +141,8 @@ def _vectors(data: Mapping[str, Floats], names: Sequence[str], topic: str, notes
 
 def _attitude(data: Mapping[str, Floats], notes: list[str]) -> DriveSignals:
     time, turn = _samples(data, [f"q[{place}]" for place in (1, 2, 3, 0)], _ATTITUDE, notes)
-    with np.errstate(invalid="ignore", over="ignore"):
-        good = np.abs(np.linalg.norm(turn, axis=1) - 1.0) < _ROUNDING
     # Turned on both sides: the axes of the vehicle, and north, east, down into north, west, up.
-    signal = Signal(time[good], turn[good] * np.append(_TO_FLU, 1.0)) if good.sum() > 1 else None
+    signal = attitudes(time, turn * np.append(_TO_FLU, 1.0))
     return DriveSignals(_ATTITUDE, attitude=signal, columns={"attitude": _ATTITUDE})
 
 

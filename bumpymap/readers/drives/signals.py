@@ -27,35 +27,20 @@ __all__ = [
     "Floats",
     "Signal",
     "assemble",
+    "attitudes",
     "body_rates",
     "plain_unit",
     "quaternions_of_angles",
 ]
 
 RATES = ("rate_x", "rate_y", "rate_z")
-
-
 ACCELERATIONS = ("acc_x", "acc_y", "acc_z")
-
-
 ANGLES = ("roll", "pitch", "yaw")
-
-
 QUATERNION = ("q_x", "q_y", "q_z", "q_w")
-
-
 LONLAT = ("longitude", "latitude")
-
-
 EASTING_NORTHING = ("easting", "northing")
-
-
 LOCAL = ("x", "y")
-
-
 SIDES = ("speed_left", "speed_right")
-
-
 DIMENSIONS: Mapping[str, str] = {
     "time": "time",
     "nanosec": "time",
@@ -70,17 +55,9 @@ DIMENSIONS: Mapping[str, str] = {
     "fix": "number",
 }
 """Quantity -> what its unit is a unit of."""
-
-
 QUANTITIES = tuple(DIMENSIONS)
-
-
 _G = 9.80665
-
-
 _DEGREE = pi / 180.0
-
-
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
     "rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "mdeg/s": 1e-3 * _DEGREE},
@@ -92,8 +69,6 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "number": {"": 1.0},
 }
 """Dimension -> unit, as `plain_unit` spells it -> factor to the unit of `DriveLog`."""
-
-
 _SPELLED = {
     **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
     **dict.fromkeys(("msec", "msecs", "millis", "millisec", "milliseconds"), "ms"),
@@ -111,8 +86,6 @@ _SPELLED = {
     **dict.fromkeys(("mps", "m/sec"), "m/s"),
     **dict.fromkeys(("kmh", "kph", "kmph", "km/hr"), "km/h"),
 }
-
-
 _LETTERS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "²": "2", "^": "", "*": "", " ": "", "_": "/"})
 
 
@@ -126,15 +99,9 @@ def plain_unit(text: str, dimension: str) -> str | None:
 
 _FEWEST = 20
 """Samples of angular rates."""
-
-
 _SLOWEST_S = 1.0
 """Median time between two angular rates."""
-
-
 _KINDS = ("lonlat", "projected", "local")
-
-
 _COLUMNS = {
     "rate": (*RATES, "imu"),
     "acceleration": (*ACCELERATIONS, "imu"),
@@ -142,19 +109,15 @@ _COLUMNS = {
     "places": (*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"),
     "wheels": ("speed", *SIDES, "odometry", "twist"),
 }
-
-
 _GAP = 5.0
 """A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
-
-
 _LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
 
 
 _NEAR_S, _MOST_HOURS = 300.0, 14
 """Two recordings that begin so near each other, but for so many whole hours, are told in two time zones."""
-
-
+_ROUNDING = 0.1
+"""Tolerance of the lengths of quaternions."""
 _BRIDGED_S = 0.25
 """Accelerations are interpolated over at most so much time."""
 
@@ -204,8 +167,13 @@ def assemble(name: str, paths: Sequence[Path], sources: Sequence[DriveSignals]) 
     notes = [note for source in sources for note in source.notes]
     columns: dict[str, str] = {}
     imu = _imu(name, sources, columns, notes)
-    places = _places(sources, columns, notes)
-    wheels = _wheels(sources, columns, notes)
+    placed = [source for source in sources if source.places is not None]
+    placed.sort(key=lambda each: _KINDS.index(each.places.kind) if each.places else len(_KINDS))
+    place = _first("places", "positions", placed, sources, columns, notes)
+    rolling = [source for source in sources if source.wheels is not None]
+    rolling.sort(key=lambda each: bool(each.wheels is None or np.isnan(each.wheels.difference).all()))
+    roll = _first("wheels", "speeds", rolling, sources, columns, notes)
+    places, wheels = place.places if place else None, roll.wheels if roll else None
     for what, track in (("positions", places), ("wheel speeds", wheels)):
         if track is not None:
             _require_common_clock(name, what, imu.time, track.time)
@@ -225,21 +193,34 @@ def _taken(kind: str, source: DriveSignals, sources: Sequence[DriveSignals]) -> 
     }
 
 
+def _first(
+    kind: str,
+    what: str,
+    found: Sequence[DriveSignals],
+    sources: Sequence[DriveSignals],
+    columns: dict[str, str],
+    notes: list[str],
+) -> DriveSignals | None:
+    """Return the first of some sources; say which columns are taken, and which sources have the same too."""
+    if not found:
+        return None
+    if len(found) > 1:
+        others = ", ".join(source.source for source in found[1:])
+        notes.append(f"{what} are read from {found[0].source}; {others} has some too")
+    columns.update({key: text for key, text in _taken(kind, found[0], sources).items() if key not in columns})
+    return found[0]
+
+
 def _imu(name: str, sources: Sequence[DriveSignals], columns: dict[str, str], notes: list[str]) -> ImuTrack:
     with_rate = [source for source in sources if source.rate is not None]
     with_rate.sort(key=lambda each: (each.acceleration is None, -len(each.rate.time if each.rate else ())))
-    if with_rate:
-        source = with_rate[0]
-        rate = source.rate
-        kind = "rate"
-        if len(with_rate) > 1:
-            notes.append(f"angular rates are read from {source.source}; {_others(with_rate)} has some too")
-    else:
+    source = _first("rate", "angular rates", with_rate, sources, columns, notes)
+    rate = None if source is None else source.rate
+    if source is None:
         source = _best_attitude(name, sources)
         rate = body_rates(source.attitude) if source.attitude is not None else None
-        kind = "attitude"
         notes.append(f"{source.source} has no angular rates: they are differences of its attitudes")
-    columns.update(_taken(kind, source, sources))
+        columns.update(_taken("attitude", source, sources))
     if rate is None or len(rate.time) < _FEWEST:
         raise BadInputError(
             f"{name} has {0 if rate is None else len(rate.time)} samples of angular rates; at least {_FEWEST} are "
@@ -258,10 +239,6 @@ def _imu(name: str, sources: Sequence[DriveSignals], columns: dict[str, str], no
         return ImuTrack(rate.time, rate.values, np.full(rate.values.shape, np.nan))
     columns.update({**_taken("acceleration", with_acceleration[0], sources), **columns})
     return ImuTrack(rate.time, rate.values, _at(rate.time, with_acceleration[0].acceleration))
-
-
-def _others(sources: Sequence[DriveSignals]) -> str:
-    return ", ".join(source.source for source in sources[1:])
 
 
 def _best_attitude(name: str, sources: Sequence[DriveSignals]) -> DriveSignals:
@@ -289,51 +266,30 @@ def _at(times: Floats, signal: Signal | None) -> Floats:
     return np.where((far & ~exact)[:, None], np.nan, values)
 
 
-def _places(sources: Sequence[DriveSignals], columns: dict[str, str], notes: list[str]) -> PlaceTrack | None:
-    found = [source for source in sources if source.places is not None]
-    found.sort(key=lambda each: _KINDS.index(each.places.kind) if each.places else len(_KINDS))
-    if not found:
-        return None
-    if len(found) > 1:
-        notes.append(f"positions are read from {found[0].source}; {_others(found)} has some too")
-    columns.update({key: text for key, text in _taken("places", found[0], sources).items() if key not in columns})
-    return found[0].places
-
-
-def _wheels(sources: Sequence[DriveSignals], columns: dict[str, str], notes: list[str]) -> WheelTrack | None:
-    found = [source for source in sources if source.wheels is not None]
-    found.sort(key=lambda each: bool(each.wheels is None or np.isnan(each.wheels.difference).all()))
-    if not found:
-        return None
-    if len(found) > 1:
-        notes.append(f"speeds are read from {found[0].source}; {_others(found)} has some too")
-    columns.update({key: text for key, text in _taken("wheels", found[0], sources).items() if key not in columns})
-    return found[0].wheels
-
-
 def _require_common_clock(name: str, what: str, imu: Floats, times: Floats) -> None:
     if times[-1] < imu[0] or times[0] > imu[-1]:
         hours = round(float(times[0] - imu[0]) / 3600.0)
         zone = abs(times[0] - imu[0] - hours * 3600.0) < _NEAR_S and 0 < abs(hours) <= _MOST_HOURS
         hint = f" They are {abs(hours)} h apart, like a time zone: write both in UTC." if zone else ""
         raise BadInputError(
-            f"the {what} of {name} have no time in common with its angular rates: {_span(times)} against {_span(imu)}."
-            f"{hint or ' Write both with times of the same clock'}"
+            f"the {what} of {name} have no time in common with its angular rates: {times[0]:.3f} to {times[-1]:.3f} s "
+            f"against {imu[0]:.3f} to {imu[-1]:.3f} s.{hint or ' Write both with times of the same clock'}"
         )
-
-
-def _span(times: Floats) -> str:
-    return f"{times[0]:.3f} to {times[-1]:.3f} s"
 
 
 def _gaps(what: str, times: Floats) -> list[str]:
     steps = np.diff(times)
-    if not len(steps):
-        return []
-    gaps = steps[steps > max(_GAP * float(np.median(steps)), _LEAST_GAP_S[what])]
+    gaps = steps[steps > max(_GAP * float(np.median(steps)), _LEAST_GAP_S[what])] if len(steps) else steps
     if not len(gaps):
         return []
     return [f"{what} have {len(gaps):,} gap{'s' * (len(gaps) > 1)}, the longest of {gaps.max():.2f} s"]
+
+
+def attitudes(time: Floats, values: Floats) -> Signal | None:
+    """Return the quaternions, (n, 4), whose length is about 1; None if they are fewer than two."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        good = np.abs(np.linalg.norm(values, axis=1) - 1.0) < _ROUNDING
+    return Signal(time[good], values[good]) if good.sum() > 1 else None
 
 
 _LONGEST_STEP_S = 0.5

@@ -1,7 +1,7 @@
 """Turn the columns of a table of text into the signals of a drive: sensors, positions, messages of ArduPilot logs."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,78 +34,52 @@ from bumpymap.readers.drives.signals import (
     DriveSignals,
     Floats,
     Signal,
+    attitudes,
     quaternions_of_angles,
 )
 from bumpymap.readers.drives.text_table import TextTable
 from bumpymap.readers.source import open_source
 
-__all__ = [
-    "PLACE_GROUPS",
-    "find_columns",
-    "fresh_places",
-    "instance_column",
-    "is_dataflash",
-    "keep_first_instance",
-    "read_places",
-    "refuse_binary",
-    "table_signals",
-    "to_flu",
-]
+__all__ = ["find_columns", "fresh_places", "refuse_binary", "table_signals"]
 
-_TIME = "TimeUS"
+_TIME_US, _INSTANCE = "TimeUS", "I"
+"""Columns of the messages of ArduPilot logs: the time, by which they are known, and the number of the sensor."""
 _SYNC = b"\xa3\x95"
 """First bytes of every message of a binary log."""
 _DOWN = ("rate_y", "rate_z", "acc_y", "acc_z", "pitch", "yaw")
 """Quantities whose sign differs between x forward, y right, z down and x forward, y left, z up."""
+_ARDUPILOT_UNITS = {
+    **dict.fromkeys(RATES, "rad/s"),
+    **dict.fromkeys(ACCELERATIONS, "m/s2"),
+    **dict.fromkeys(ANGLES, "deg"),
+    "speed": "m/s",
+}
+_PLACE_GROUPS = (LONLAT, EASTING_NORTHING, LOCAL)
+_LEAST_FIX = {"fix_type": 2.0, "fix": 1.0, "quality": 1.0, "gps_qual": 1.0}
+"""Name -> least value of a position that was measured; 0 for others (``status`` of ROS)."""
+_HELD = 0.5
+"""From this share of repeated positions on, the table repeats the last one in rows between two positions."""
+_SENSOR = re.compile(r"gyroscope|gyro|acceleration|accelerometer|accel", re.IGNORECASE)
+_GPS_AHEAD_S = 18.0
+"""Leap seconds between the time of GPS and UTC, since 2017."""
 
 
-def is_dataflash(names: Sequence[str]) -> bool:
-    """Return whether columns are those of a message of an ArduPilot log."""
-    return _TIME in names
-
-
-def instance_column(names: Sequence[str]) -> str | None:
-    """Return the column that numbers the sensors of one kind; None if there is none."""
-    return "I" if is_dataflash(names) and "I" in names else None
-
-
-def keep_first_instance(
-    values: Mapping[str, Floats], instance: NDArray[Any], source: str, notes: list[str]
-) -> dict[str, Floats]:
-    """Return the rows of the first sensor only."""
-    numbers = instance.astype(np.float64)
-    first = numbers == np.nanmin(numbers) if np.isfinite(numbers).any() else np.ones(len(numbers), bool)
-    if not first.all():
-        notes.append(f"{source} holds several sensors; the first one is read (I = {np.nanmin(numbers):g})")
-    return {quantity: column[first] for quantity, column in values.items()}
-
-
-def to_flu(
+def _of_ardupilot(
     values: Mapping[str, Floats], columns: Mapping[str, DriveColumn], source: str, notes: list[str]
 ) -> tuple[dict[str, Floats], dict[str, DriveColumn]]:
-    """Turn x forward, y right, z down into x forward, y left, z up; rates are rad/s, angles degrees."""
+    """Turn x forward, y right, z down into x forward, y left, z up; state the units of the log."""
     if set(columns) & {*RATES, *ACCELERATIONS, *ANGLES}:
         notes.append(f"{source} is of ArduPilot: x forward, y right, z down is turned into x forward, y left, z up")
-    units = {
-        **dict.fromkeys(RATES, "rad/s"),
-        **dict.fromkeys(ACCELERATIONS, "m/s2"),
-        **dict.fromkeys(ANGLES, "deg"),
-        "speed": "m/s",
-    }
-    unstated = {quantity for quantity, unit in units.items() if quantity in columns and columns[quantity].unit is None}
-    factor = {quantity: np.deg2rad(1.0) for quantity in ANGLES if quantity in unstated}
-    lowest = {"fix": 2.0}  # 0: no receiver, 1: no fix
-    turned = {
-        quantity: (column - lowest.get(quantity, 0.0))
-        * ((-1.0 if quantity in _DOWN else 1.0) * factor.get(quantity, 1.0))
-        for quantity, column in values.items()
-        if quantity != "time"
-    }
-    stated = {
-        quantity: column._replace(unit=units[quantity]) if quantity in unstated else column
-        for quantity, column in columns.items()
-    }
-    return {**turned, "time": values["time"]}, stated
+    stated, turned = dict(columns), dict(values)
+    for quantity in set(values) - {"time"}:
+        column = columns[quantity]
+        factor = -1.0 if quantity in _DOWN else 1.0
+        if column.unit is None and quantity in _ARDUPILOT_UNITS:
+            stated[quantity] = column._replace(unit=_ARDUPILOT_UNITS[quantity])
+            factor *= np.deg2rad(1.0) if quantity in ANGLES else 1.0
+        # A fix of 0 is no receiver, of 1 no fix.
+        turned[quantity] = (values[quantity] - (2.0 if quantity == "fix" else 0.0)) * factor
+    return turned, stated
 
 
 def refuse_binary(path: Path) -> None:
@@ -119,79 +93,6 @@ def refuse_binary(path: Path) -> None:
         f"mavlogdump.py --format csv --types IMU {path.name} > {stem}_imu.csv, the same with --types GPS > "
         f"{stem}_gps.csv, and give {stem}_imu.csv,{stem}_gps.csv"
     )
-
-
-PLACE_GROUPS = (LONLAT, EASTING_NORTHING, LOCAL)
-_LEAST_FIX = {"fix_type": 2.0, "fix": 1.0, "quality": 1.0, "gps_qual": 1.0}
-"""Name -> least value of a position that was measured; 0 for others (``status`` of ROS)."""
-_HELD = 0.5
-"""From this share of repeated positions on, the table repeats the last one in rows between two positions."""
-
-
-def read_places(
-    source: str, columns: Mapping[str, DriveColumn], values: Mapping[str, Floats], notes: list[str]
-) -> PlaceTrack | None:
-    """Return the positions of a table: longitude and latitude before eastings and northings, these before odometry.
-
-    Raises
-    ------
-    BadInputError
-        Degrees are out of range, or times are out of order.
-    """
-    for group in PLACE_GROUPS:
-        if set(group) <= set(values):
-            found = _track(source, group, (columns, values), notes)
-            if found is not None:
-                return found
-    return None
-
-
-def _track(
-    source: str,
-    group: tuple[str, ...],
-    table: tuple[Mapping[str, DriveColumn], Mapping[str, Floats]],
-    notes: list[str],
-) -> PlaceTrack | None:
-    columns, values = table
-    time, x, y = values["time"], values[group[0]], values[group[1]]
-    rows = np.isfinite(time) & np.isfinite(x) & np.isfinite(y)
-    bad = np.zeros_like(rows)
-    if "fix" in values:
-        name = columns["fix"].name.lower()
-        bad |= values["fix"] < next((least for key, least in _LEAST_FIX.items() if key in name), 0.0)
-    if group == LONLAT:
-        bad |= (x == 0.0) & (y == 0.0)
-    if lost := int((bad & rows).sum()):
-        notes.append(f"{lost:,} positions of {source} were taken without a fix and are left out")
-    places = np.flatnonzero(rows & ~bad)
-    if not len(places):
-        return None
-    keep, note = in_order(time[places], f"the positions of {source}")
-    notes.extend([note] if note else [])
-    places = places[keep]
-    error = values["error"][places] if "error" in values else np.full(len(places), np.nan)
-    return _settled(source, group, (columns, notes), (time[places], x[places], y[places], error))
-
-
-def _settled(
-    source: str,
-    group: tuple[str, ...],
-    told: tuple[Mapping[str, DriveColumn], list[str]],
-    samples: tuple[Floats, Floats, Floats, Floats],
-) -> PlaceTrack:
-    columns, notes = told
-    time, x, y, error = samples
-    kind: PlaceKind = "lonlat" if group == LONLAT else "projected"
-    note: str | None = None
-    if group == LONLAT:
-        x, y, note = check_lonlat(x, y, source, tuple(columns[quantity].name for quantity in group))
-    elif group == LOCAL:
-        kind, note = guess_local(x, y, source)
-    notes.extend([note] if note else [])
-    fresh = fresh_places(time, x, y)
-    if len(fresh) < len(time):
-        notes.append(f"{len(time) - len(fresh):,} positions of {source} only repeat the one before and are left out")
-    return PlaceTrack(time[fresh], x[fresh], y[fresh], error[fresh], kind)
 
 
 def fresh_places(time: Floats, x: Floats, y: Floats) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
@@ -228,11 +129,6 @@ def fresh_places(time: Floats, x: Floats, y: Floats) -> np.ndarray[tuple[int], n
     return kept
 
 
-_SENSOR = re.compile(r"gyroscope|gyro|acceleration|accelerometer|accel", re.IGNORECASE)
-_GPS_AHEAD_S = 18.0
-"""Leap seconds between the time of GPS and UTC, since 2017."""
-
-
 class _Values(NamedTuple):
     """The values of a table by quantity, and what is said about them."""
 
@@ -260,6 +156,44 @@ class _Values(NamedTuple):
         self.notes.extend([note] if note else [])
         return time[rows][keep], values[rows][keep]
 
+    def places(self) -> PlaceTrack | None:
+        """Return longitude and latitude before eastings and northings, these before odometry."""
+        groups = (group for group in _PLACE_GROUPS if set(group) <= set(self.values))
+        return next((track for group in groups if (track := self._track(group)) is not None), None)
+
+    def _track(self, group: tuple[str, ...]) -> PlaceTrack | None:
+        source, values, notes = self.source, self.values, self.notes
+        time, x, y = values["time"], values[group[0]], values[group[1]]
+        rows = np.isfinite(time) & np.isfinite(x) & np.isfinite(y)
+        bad = np.zeros_like(rows)
+        if "fix" in values:
+            name = self.columns["fix"].name.lower()
+            bad |= values["fix"] < next((least for key, least in _LEAST_FIX.items() if key in name), 0.0)
+        if group == LONLAT:
+            bad |= (x == 0.0) & (y == 0.0)
+        if lost := int((bad & rows).sum()):
+            notes.append(f"{lost:,} positions of {source} were taken without a fix and are left out")
+        places = np.flatnonzero(rows & ~bad)
+        if not len(places):
+            return None
+        keep, note = in_order(time[places], f"the positions of {source}")
+        notes.extend([note] if note else [])
+        places = places[keep]
+        time, x, y = time[places], x[places], y[places]
+        error = values["error"][places] if "error" in values else np.full(len(places), np.nan)
+        kind: PlaceKind = "projected"
+        if group == LONLAT:
+            kind = "lonlat"
+            x, y, note = check_lonlat(x, y, source, self.names(group))
+            notes.extend([note] if note else [])
+        elif group == LOCAL:
+            kind, told = guess_local(x, y, source)
+            notes.append(told)
+        fresh = fresh_places(time, x, y)
+        if lost := len(time) - len(fresh):
+            notes.append(f"{lost:,} positions of {source} only repeat the one before and are left out")
+        return PlaceTrack(time[fresh], x[fresh], y[fresh], error[fresh], kind)
+
 
 def find_columns(table: TextTable, columns: Mapping[str, str]) -> dict[str, DriveColumn]:
     """Return which columns of a table hold what: as named, the others as their names tell.
@@ -274,20 +208,17 @@ def find_columns(table: TextTable, columns: Mapping[str, str]) -> dict[str, Driv
     names = table.head.names
     chosen = chosen_columns(columns, names)
     known = (set(columns) - {"time"}) | set(chosen)
-    for group in PLACE_GROUPS:
+    for group in _PLACE_GROUPS:
         if set(group) & set(columns):
-            known |= {quantity for other in PLACE_GROUPS if other != group for quantity in other}
+            known |= {quantity for other in _PLACE_GROUPS if other != group for quantity in other}
     if "speed" in columns or set(SIDES) & set(columns):
         known |= {"speed"} if set(SIDES) & set(columns) else set(SIDES)
-    spelled = {_with_sensor(table.path.stem, name): name for name in names}
+    # A file may be named after its sensor: x of Gyroscope.csv.
+    sensor = _SENSOR.search(table.path.stem)
+    axis = f"{sensor.group().lower()}_" if sensor else ""
+    spelled = {axis * (name.strip().lower() in {"x", "y", "z"}) + name: name for name in names}
     guessed = guess_columns(table.path.name, list(spelled), known)
     return {**{quantity: each._replace(name=spelled[each.name]) for quantity, each in guessed.items()}, **chosen}
-
-
-def _with_sensor(stem: str, name: str) -> str:
-    """Return the name of an axis with the sensor that the file is named after: x of Gyroscope.csv."""
-    sensor = _SENSOR.search(stem)
-    return f"{sensor.group().lower()}_{name}" if sensor and name.strip().lower() in {"x", "y", "z"} else name
 
 
 def table_signals(table: TextTable, columns: Mapping[str, DriveColumn]) -> DriveSignals:
@@ -314,28 +245,27 @@ def table_signals(table: TextTable, columns: Mapping[str, DriveColumn]) -> Drive
             f"{', '.join(table.head.names)}. Name it, with its unit: `columns='time=NAME[s]'`"
         )
     values = _read(table, columns)
-    rate = _rates(values)
     return DriveSignals(
         source=source,
-        rate=rate,
+        rate=_rates(values),
         acceleration=_accelerations(values),
         attitude=_attitude(values),
-        places=read_places(source, values.columns, values.values, values.notes),
+        places=values.places(),
         wheels=_wheels(values),
-        columns={quantity: _told(column) for quantity, column in columns.items()},
+        columns={
+            quantity: name if unit is None or unit in name else f"{name} [{unit}]"
+            for quantity, (name, unit, _) in columns.items()
+        },
         notes=tuple(values.notes),
         listing=listing,
     )
 
 
-def _told(column: DriveColumn) -> str:
-    return column.name if column.unit is None or column.unit in column.name else f"{column.name} [{column.unit}]"
-
-
 def _read(table: TextTable, columns: Mapping[str, DriveColumn]) -> _Values:
     notes: list[str] = []
     source = table.path.name
-    instance = instance_column(table.head.names)
+    is_ardupilot = _TIME_US in table.head.names
+    instance = _INSTANCE if is_ardupilot and _INSTANCE in table.head.names else None
     names = list(dict.fromkeys([*(column.name for column in columns.values()), *([instance] if instance else [])]))
     arrays, broken = table.read(names)
     if broken:
@@ -350,9 +280,13 @@ def _read(table: TextTable, columns: Mapping[str, DriveColumn]) -> _Values:
     kept = {quantity: each for quantity, each in values.items() if each is not None}
     kept["time"] = _times(arrays, columns, source, notes)
     if instance is not None:
-        kept = keep_first_instance(kept, arrays[instance].to_numpy(), source, notes)
-    if is_dataflash(table.head.names):
-        kept, columns = to_flu(kept, columns, source, notes)
+        numbers = arrays[instance].to_numpy().astype(np.float64)
+        first = numbers == np.nanmin(numbers) if np.isfinite(numbers).any() else np.ones(len(numbers), bool)
+        if not first.all():
+            notes.append(f"{source} holds several sensors; the first one is read (I = {np.nanmin(numbers):g})")
+        kept = {quantity: column[first] for quantity, column in kept.items()}
+    if is_ardupilot:
+        kept, columns = _of_ardupilot(kept, columns, source, notes)
     return _Values(source, columns, kept, notes)
 
 
@@ -424,9 +358,7 @@ def _accelerations(table: _Values) -> Signal | None:
 def _attitude(table: _Values) -> Signal | None:
     found = table.rows(QUATERNION, "the attitudes")
     if found is not None:
-        length = np.linalg.norm(found[1], axis=1)
-        good = np.abs(length - 1.0) < 0.1
-        return Signal(found[0][good], found[1][good]) if good.sum() > 1 else None
+        return attitudes(*found)
     full = {**table.values}
     if "yaw" not in full and {"roll", "pitch"} <= set(full):
         full["yaw"] = np.zeros_like(full["roll"])

@@ -243,20 +243,14 @@ def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     table = values.reshape(-1, width)
     _refuse_nonsense(path, table[:: max(len(table) // _CHECKED, 1), :3])
     labels = label_file(path)
-    return RawScan(
-        table[:, :3],
-        table[:, 3],
-        None if labels is None else _read_labels(labels, path, len(table)),
-        _seconds(table) if width == _WITH_TIME else None,
-    )
-
-
-def _seconds(table: NDArray[np.float32]) -> NDArray[np.float32] | None:
-    """Return the time of each point; None if the columns after the intensity are not ring and time."""
-    ring = table[:, 4]
-    with np.errstate(invalid="ignore"):
-        is_ring = bool(((ring >= 0.0) & (ring < _MOST_RINGS) & (ring == np.rint(ring))).all())
-    return point_seconds(table[:, 5]) if is_ring else None
+    ids = None if labels is None else _read_labels(labels, path, len(table))
+    seconds = None
+    if width == _WITH_TIME:
+        ring = table[:, 4]
+        with np.errstate(invalid="ignore"):
+            is_ring = bool(((ring >= 0.0) & (ring < _MOST_RINGS) & (ring == np.rint(ring))).all())
+        seconds = point_seconds(table[:, 5]) if is_ring else None  # else the columns are not ring and time
+    return RawScan(table[:, :3], table[:, 3], ids, seconds)
 
 
 def _whole(path: Path, size: int) -> NDArray[np.uint8]:

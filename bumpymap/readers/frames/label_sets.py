@@ -261,10 +261,13 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
         return
     fitting = [other.name for other in LABEL_SETS.values() if other.name != known.name and other.explains(labelled)]
     if fitting or known.is_known(labelled).mean() < _LEAST_KNOWN:
+        foreign = labelled[~known.is_known(labelled)]
+        what = f"none of the ids ({_listed(np.unique(labelled))}) is ground there"
+        if len(foreign):
+            share = len(foreign) / len(labelled)
+            what = f"{share:.0%} of the labelled points have other ids ({_listed(np.unique(foreign))})"
         advice = f"They fit `labels='{fitting[0]}'`" if fitting else "Name the set they are of, or a file with it"
-        raise BadInputError(
-            f"the labels of {origin} are not those of the set {known.name}: {_describe(labelled, known)}. {advice}"
-        )
+        raise BadInputError(f"the labels of {origin} are not those of the set {known.name}: {what}. {advice}")
 
 
 def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
@@ -291,15 +294,6 @@ def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
         f"the labels of {origin} (ids {_listed(ids)}) {what}; say which they are: `labels='NAME'` "
         f"({', '.join(LABEL_SETS)}), or `labels='FILE.csv'` with the columns id,class,name,kind"
     )
-
-
-def _describe(labelled: NDArray[np.integer[Any]], known: LabelSet) -> str:
-    foreign = labelled[~known.is_known(labelled)]
-    if len(foreign):
-        return (
-            f"{len(foreign) / len(labelled):.0%} of the labelled points have other ids ({_listed(np.unique(foreign))})"
-        )
-    return f"none of the ids ({_listed(np.unique(labelled))}) is ground there"
 
 
 def _listed(ids: NDArray[np.integer[Any]]) -> str:

@@ -284,7 +284,6 @@ _MOST_ALONG_Z, _CAMERA_ALONG_Z = 0.3, 0.7
 """Share of the way along z: at most this for a LiDAR, at least this for a camera."""
 _LEAST_UP = 0.3
 """Least mean of the z axes' upward component: the mean tilt of a sensor is below 72 degrees."""
-_ROTATION_ROUNDING = 0.02
 
 
 def calib_beside(folders: Sequence[Path]) -> Path | None:
@@ -367,7 +366,7 @@ def _read_transform(calib: Path) -> NDArray[np.float64] | None:
     except ValueError:
         transform[:] = np.nan
     turn = transform[:3, :3]
-    if not np.isfinite(transform).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _ROTATION_ROUNDING:
+    if not np.isfinite(transform).all() or np.abs(turn @ turn.T - np.eye(3)).max() > _ROUNDING:
         raise BadInputError(f"the line Tr: of {calib} is not a transform: it must be twelve numbers, a 3 x 4 matrix")
     return transform
 

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, FrameSource, PoseTrack
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
 from bumpymap.readers.frames.pose_files import (
-    PoseFile,
     calib_beside,
     in_lidar_frame,
     read_pose_file,
@@ -60,18 +59,13 @@ def frame_times(frames: Sequence[Path], folders: Sequence[Path]) -> tuple[NDArra
                 "one line per frame. Copy both again, or remove the list"
             )
         return times[[sequence[frame.name] for frame in frames]], str(listed)
-    starts = _starts(frames)
-    return starts, "the times of their points" if starts is not None else ""
-
-
-def _starts(frames: Sequence[Path]) -> NDArray[np.float64] | None:
     starts = []
     for frame in frames:
         start = None if frame.suffix.lower() == ".bin" else read_start(frame)
         if start is None:
-            return None
+            return None, ""
         starts.append(start)
-    return np.array(starts)
+    return np.array(starts), "the times of their points"
 
 
 def find_times(folders: Sequence[Path]) -> Path | None:
@@ -130,7 +124,13 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
     """
     file = read_pose_file(path)
     folders = _folders(path, frames)
-    poses, calib = _of_lidar(path, file, calib_beside(folders))
+    poses, calib = file.poses, calib_beside(folders)
+    turned = None if calib is None else in_lidar_frame(poses, calib, is_kitti=file.is_kitti)
+    if turned is None:
+        calib = None
+    else:
+        poses = turned
+        _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)
     refuse_wrong_frame(path, poses)
     times = _times_beside(path, len(poses), len(frames)) if file.times is None else file.times
     track = None if times is None else _track(path, times, poses)
@@ -166,14 +166,6 @@ def _folders(path: Path, frames: Sequence[Path]) -> list[Path]:
     of_frames = [frame.parent for frame in frames[:1]]
     of_sequence = [folder.parent for folder in of_frames if folder.name in _POINT_FOLDERS]
     return [*of_frames, *of_sequence, path.parent]
-
-
-def _of_lidar(path: Path, file: PoseFile, calib: Path | None) -> tuple[NDArray[np.float64], Path | None]:
-    turned = None if calib is None else in_lidar_frame(file.poses, calib, is_kitti=file.is_kitti)
-    if turned is None:
-        return file.poses, None
-    _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)
-    return turned, calib
 
 
 def _times_beside(path: Path, poses: int, frames: int) -> NDArray[np.float64] | None:

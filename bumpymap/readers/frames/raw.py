@@ -133,7 +133,8 @@ class BagReader:
         BadInputError
             The bag is damaged.
         """
-        return _records(self._reader, self.path, topics, start_ns)
+        wanted = [connection for connection in self._reader.connections if connection.topic in topics]
+        return _records(self._reader, self.path, wanted, start_ns)
 
     def read(self, message: BagMessage) -> Any:
         """Return a message, deserialised.
@@ -165,10 +166,8 @@ class BagReader:
             return self._types.deserialize_cdr(data, kind)
 
 
-def _records(
-    reader: Any, path: Path, topics: Collection[str], start_ns: int | None
-) -> Generator[BagRecord, None, None]:
-    wanted = [connection for connection in reader.connections if connection.topic in topics]
+def _records(reader: Any, path: Path, wanted: list[Any], start_ns: int | None) -> Generator[BagRecord, None, None]:
+    # Not a method: a generator that holds its bag would keep it open.
     with _reading(path):
         for connection, time_ns, data in reader.messages(wanted, start=start_ns) if wanted else ():
             yield BagRecord(connection.topic, time_ns, bytes(data))
@@ -223,15 +222,11 @@ def _refuse_database(file: Path) -> None:
 
 TIME_COLUMNS = ("t", "time", "timestamp", "offset_time", "time_stamp", "timestamps", "scalar_timestamp", "scalar_time")
 """Names, in lower case, of columns with the time of each point."""
-
-
 _WANTED = {
     "label": ("label", "labels", "scalar_label", "semantic", "semantic_label", "sem_id"),
     "intensity": ("intensity", "scalar_intensity", "reflectivity", "remission"),
     "time": TIME_COLUMNS,
 }
-
-
 _MOST_ID = 65_535
 
 
@@ -278,13 +273,9 @@ def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:
 
 _UNITS_S = (1.0, 1e-6, 1e-9)
 """Seconds, microseconds, nanoseconds."""
-
-
 _SPAN_S = (0.005, 2.0)
 """Time that a scan takes: a revolution at 5 to 20 Hz and its parts, or several. Within these limits no time fits two
 units."""
-
-
 _EPOCH_S = 1e8
 """Later than this (1973) is a time of day and not one since the sensor was switched on."""
 
@@ -334,16 +325,10 @@ def _first(times: NDArray[np.float64]) -> float:
 
 
 _ATTRIBUTES = ("height", "width", "point_step", "row_step", "is_bigendian", "fields", "data")
-
-
 _TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Types of numpy of the constants in sensor_msgs/PointField."""
-
-
 _INTENSITY = ("intensity", "intensities", "reflectivity")
 """Names of fields with the strength of the return; the first one that is there is taken."""
-
-
 _SAME_CLOCK_S = 2.0
 """Times of points and of the header that are farther apart are of different clocks: no scan takes longer."""
 
@@ -387,19 +372,16 @@ def read_cloud(message: Any) -> RawScan:
         See `points_of`.
     """
     rows = _rows(message)
-    intensity, time = (_column(rows, names) for names in (_INTENSITY, TIME_COLUMNS))
+    held = rows.dtype.names or ()
+    intensity, time = (
+        next((rows[name].ravel() for name in names if name in held), None) for names in (_INTENSITY, TIME_COLUMNS)
+    )
     seconds = None if time is None else point_seconds(time)
     if time is not None and seconds is not None:
         start, stamp = start_of_day_time(time), message.header.stamp
         late = 0.0 if start is None else start - (stamp.sec + 1e-9 * stamp.nanosec)
         seconds += np.float32(late if abs(late) < _SAME_CLOCK_S else 0.0)
     return RawScan(_xyz(rows), None if intensity is None else intensity.astype(np.float32), None, seconds)
-
-
-def _column(rows: NDArray[np.void], names: tuple[str, ...]) -> NDArray[Any] | None:
-    """Return the values of the first of some fields that is there, (n,)."""
-    name = next((name for name in names if name in (rows.dtype.names or ())), None)
-    return None if name is None else rows[name].ravel()
 
 
 def _xyz(rows: NDArray[np.void]) -> NDArray[np.float32]:
@@ -413,19 +395,6 @@ def _xyz(rows: NDArray[np.void]) -> NDArray[np.float32]:
 def _rows(message: Any) -> NDArray[np.void]:
     """Return a view of the points, (height, width), with the fields that hold one number each."""
     height, width, step = int(message.height), int(message.width), int(message.point_step)
-    dtype = _dtype(message, step)
-    data = np.frombuffer(message.data, np.uint8)
-    pitch = int(message.row_step) if height > 1 else width * step
-    needed = (height - 1) * pitch + width * step if height and width else 0
-    if pitch < width * step or needed > data.size:
-        raise BadInputError(
-            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, in rows of {message.row_step:,} "
-            f"bytes, and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
-        )
-    return np.ndarray((height, width) if needed else (0, 0), dtype, data, strides=(pitch, step))
-
-
-def _dtype(message: Any, step: int) -> np.dtype[np.void]:
     order = ">" if message.is_bigendian else "<"
     fields = {
         str(field.name): (np.dtype(order + _TYPES[int(field.datatype)]), int(field.offset))
@@ -440,11 +409,14 @@ def _dtype(message: Any, step: int) -> np.dtype[np.void]:
             f"has no {', '.join(missing)}" if missing else f"declares {outside[0]} outside of its {step} bytes a point"
         )
         raise BadInputError(f"the point cloud {what}; its fields are {names}. x, y and z are needed, a number each")
-    return np.dtype(
-        {
-            "names": list(fields),
-            "formats": [kind for kind, _ in fields.values()],
-            "offsets": [offset for _, offset in fields.values()],
-            "itemsize": step,
-        }
-    )
+    data = np.frombuffer(message.data, np.uint8)
+    pitch = int(message.row_step) if height > 1 else width * step
+    needed = (height - 1) * pitch + width * step if height and width else 0
+    if pitch < width * step or needed > data.size:
+        raise BadInputError(
+            f"the point cloud declares {height:,} x {width:,} points of {step} bytes, in rows of {message.row_step:,} "
+            f"bytes, and holds {data.size:,} bytes of data. The message is damaged or its driver is faulty"
+        )
+    kinds, offsets = zip(*fields.values(), strict=True)
+    dtype = np.dtype({"names": list(fields), "formats": kinds, "offsets": offsets, "itemsize": step})
+    return np.ndarray((height, width) if needed else (0, 0), dtype, data, strides=(pitch, step))

@@ -12,9 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Robot, Scan, UsageError
-from bumpymap.readers.frames.kitti import POINT_FOLDERS
+from bumpymap.readers.frames.kitti import POINT_FOLDERS, read_kitti
 from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
-from bumpymap.readers.frames.raw import BAG_SUFFIXES, CLOUD, BagReader, BagRecord, RawScan, is_bag, read_cloud
+from bumpymap.readers.frames.raw import (
+    BAG_SUFFIXES,
+    CLOUD,
+    BagReader,
+    BagRecord,
+    RawScan,
+    is_bag,
+    read_cloud,
+    read_table,
+)
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["BagTopics", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
@@ -351,7 +360,7 @@ def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None
     """
     version = version_of(path)
     with pinned_version(path, version):
-        raw = _read(path, columns)
+        raw = read_kitti(path, columns) if path.suffix.lower() == ".bin" else read_table(path)
     require_unchanged(path, version)
     return _keep_points(raw, robot or Robot(), path.stem)
 
@@ -364,16 +373,6 @@ def read_message(bag: BagReader, message: BagMessage, robot: Robot, name: str) -
         raise BadInputError(
             f"cannot read message {message.number} of {message.topic} in {bag.path}: {error}"
         ) from error
-
-
-def _read(path: Path, columns: int | None) -> RawScan:
-    if path.suffix.lower() == ".bin":
-        from bumpymap.readers.frames.kitti import read_kitti
-
-        return read_kitti(path, columns)
-    from bumpymap.readers.frames.raw import read_table
-
-    return read_table(path)
 
 
 def scene_points(points: NDArray[np.float32], robot: Robot) -> NDArray[np.bool_]:

@@ -49,8 +49,9 @@ from bumpymap.layers import (
     read_thumbnail,
     write_manifest,
 )
+from bumpymap.survey.pipeline import map_surveys, recorded_result
 from bumpymap.survey.run_record import MapResult, WarningCollector
-from bumpytiles import compile_packages
+from bumpytiles import compile_loaded
 
 __all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
 
@@ -155,8 +156,6 @@ def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> Sur
     OutputError
         They were made from other inputs or settings, or one of them is not there as a whole.
     """
-    from bumpymap.survey.pipeline import recorded_result
-
     with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
         write_manifest(manifest, Path(name) / MANIFEST_NAME)
         config = replace(task.config, out=Path(name))
@@ -199,8 +198,6 @@ def _run(task: MapTask) -> MapResult:
 
     An interrupted run of other inputs or settings has left no layers, so it is always replaced.
     """
-    from bumpymap.survey.pipeline import map_surveys
-
     out, progress = task.config.out, _Begun()
     run = partial(map_surveys, progress=progress, crs_must_agree=False, recorded_memory=task.memory)
     resume = is_interrupted(out)
@@ -286,7 +283,7 @@ def map_tasks(
     UsageError
         No process can be started.
     """
-    compile_packages("bumpymap", "bumpytiles", at_once=False)  # here it is shown, and not done by each worker
+    compile_loaded()  # all of a map; here it is shown, and not done by each worker
     workers = _Workers()
     waiting = deque(tasks)
     try:

@@ -1,5 +1,4 @@
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,8 +13,6 @@ from bumpymap.rating import DrivenPatches, NoisyPatches, Rides, fit_correction
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.textures import TextureModel
 from bumpymap.rating.vehicle_profile import load_profile
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "benchmarks"))  # drivers of other evaluations
 
 QUARRY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry.laz"
 

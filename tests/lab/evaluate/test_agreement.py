@@ -8,18 +8,14 @@ from sklearn.isotonic import IsotonicRegression
 from sklearn.metrics import confusion_matrix, roc_auc_score
 
 from bumpymap.lab.evaluate.agreement import (
-    ClassShift,
     class_shift,
     confusion,
     coverage,
     cross_validated_fit,
     driven_class,
     fail_auc,
-    median_error,
-    median_ratio,
     monotone_fit,
     reliability,
-    same_order,
     spearman,
 )
 
@@ -33,10 +29,6 @@ def test_rank_correlation_is_that_of_scipy_ties_and_all(seed, count):
         assert spearman(first, second) == pytest.approx(spearmanr(first, second).statistic)
     else:
         assert np.isnan(spearman(first, second))
-
-
-def test_two_patches_have_no_rank_correlation():
-    assert np.isnan(spearman(np.array([1.0, 2.0]), np.array([1.0, 2.0])))
 
 
 @given(SEEDS, st.integers(2, 60))
@@ -59,10 +51,6 @@ def test_area_under_the_curve_is_that_of_every_single_drive(seed, count):
     assert fail_auc(p_fail, failed, completed) == pytest.approx(roc_auc_score(labels, scores))
 
 
-def test_without_a_failure_there_is_no_area():
-    assert np.isnan(fail_auc(np.array([0.1, 0.2]), np.array([0, 0]), np.array([3, 3])))
-
-
 @given(SEEDS, st.integers(2, 40))
 def test_fit_without_a_tenth_is_that_of_scikit_learns_folds(seed, count):
     rng = np.random.default_rng(seed)
@@ -77,10 +65,10 @@ def test_fit_without_a_tenth_is_that_of_scikit_learns_folds(seed, count):
 
 def test_reliability_counts_patches():
     found = reliability(np.array([0.1, 0.15, 0.5, 1.0]), np.array([0.0, 0.25, 0.5, 1.0]))
-    assert [one.patches for one in found] == [2, 0, 1, 0, 1]
-    assert found[0].predicted == pytest.approx(0.125)
-    assert [found[i].share_failed for i in (0, 2, 4)] == [0.125, 0.5, 1.0]
-    assert np.isnan(found[1].predicted)
+    assert [one["patches"] for one in found] == [2, 0, 1, 0, 1]
+    assert found[0]["predicted"] == pytest.approx(0.125)
+    assert [found[i]["share_failed"] for i in (0, 2, 4)] == [0.125, 0.5, 1.0]
+    assert np.isnan(found[1]["predicted"])
 
 
 @given(SEEDS, st.integers(1, 60))
@@ -89,40 +77,19 @@ def test_confusion_matrix_is_that_of_scikit_learn(seed, count):
     table = confusion(driven, predicted, 4)
     assert np.array_equal(table, confusion_matrix(driven, predicted, labels=range(4)))
     away = np.abs(driven - predicted)
-    steps = class_shift(table)
-    assert (steps.same, steps.one_off, steps.further) == pytest.approx(
-        [(away == 0).mean(), (away == 1).mean(), (away > 1).mean()]
-    )
-
-
-def test_no_patches_have_no_shares():
-    assert all(np.isnan(value) for value in (class_shift(np.zeros((4, 4), np.int64)).same, *_empty()))
-    assert class_shift(np.eye(4, dtype=np.int64)) == ClassShift(1.0, 0.0, 0.0)
-
-
-def _empty():
-    none = np.zeros(0)
-    return coverage(none, none, none).held, median_error(none, none), median_ratio(none, none)
+    shares = {"same": (away == 0).mean(), "one_off": (away == 1).mean(), "further": (away > 1).mean()}
+    assert class_shift(table) == pytest.approx(shares)
+    assert all(np.isnan(share) for share in class_shift(np.zeros((4, 4), np.int64)).values())
 
 
 def test_interval_holds_its_ends():
     found = coverage(np.full(4, 1.0), np.full(4, 2.0), np.array([1.0, 2.0, 0.9, 2.5]))
-    assert (found.held, found.below, found.above) == (0.5, 0.25, 0.25)
-
-
-def test_errors_are_shares_of_the_driven_value():
-    predicted, driven = np.array([1.1, 0.8, 3.0]), np.array([1.0, 1.0, 2.0])
-    assert median_error(predicted, driven) == pytest.approx(0.2)
-    assert median_ratio(predicted, driven) == pytest.approx(1.1)
+    assert found == {"held": 0.5, "below": 0.25, "above": 0.25}
+    none = np.zeros(0)
+    assert np.isnan(coverage(none, none, none)["held"])
 
 
 def test_where_half_of_the_drives_failed_the_class_is_the_last():
     c_r = np.array([0.05, 0.05, 0.2, np.nan, 0.1])
     share = np.array([0.0, 0.5, 0.49, 1.0, 0.0])
     assert driven_class(c_r, share, (0.1, 0.3, 0.5)).tolist() == [0, 3, 1, 3, 1]
-
-
-def test_order_counts_all_vehicles():
-    predicted = np.array([[1.0, 1.0, 3.0], [2.0, 3.0, 2.0], [3.0, 2.0, 1.0]])
-    driven = np.array([[0.1, 0.1, 0.1], [0.2, 0.2, 0.2], [0.3, 0.3, 0.3]])
-    assert same_order(predicted, driven).tolist() == [True, False, False]

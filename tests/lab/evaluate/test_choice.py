@@ -1,10 +1,11 @@
 """Which patches are driven, and random numbers that belong to a thing."""
 
 import numpy as np
+import pytest
 from hypothesis import given, strategies as st
-from scipy.stats import kstest
 
-from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, strata, uniform_by_key
+from bumpymap.lab.evaluate.rated_survey import take_tiles
+from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, driven_ground, strata, uniform_by_key
 
 SEEDS = st.integers(0, 2**31)
 
@@ -33,21 +34,12 @@ def test_more_patches_keep_those_of_before(seed):
     assert set(few.tolist()) < set(many.tolist())
 
 
-def test_few_tiles_are_all_chosen():
-    c_r, p_fail, priority = ground(3, 40)
-    assert sorted(choose_patches(strata(c_r, p_fail), priority, 300).tolist()) == list(range(40))
-
-
 def test_ground_that_is_expected_to_fail_is_a_stratum_of_its_own():
     c_r, p_fail, _ = ground(5)
     stratum = strata(c_r, p_fail)
     assert np.array_equal(stratum == BINS, p_fail >= 0.5)
     within = [np.ptp(np.log(c_r[stratum == number])) for number in range(1, BINS - 1)]
     assert np.allclose(within, np.median(within), rtol=0.1)
-
-
-def test_ground_that_fails_everywhere_is_one_stratum():
-    assert set(strata(np.array([0.1, 0.2, 0.3]), np.ones(3)).tolist()) == {BINS}
 
 
 def test_a_thing_keeps_its_number_whatever_stands_beside_it():
@@ -58,10 +50,38 @@ def test_a_thing_keeps_its_number_whatever_stands_beside_it():
     assert not np.array_equal(uniform_by_key(3, row, col), whole)
 
 
-def test_numbers_are_evenly_spread():
-    col, row = (axis.ravel() for axis in np.meshgrid(np.arange(-70, 70), np.arange(100_000, 100_140)))
-    moving_bars = uniform_by_key(0, col, row)
-    assert 0 <= moving_bars.min() < moving_bars.max() < 1
-    assert kstest(moving_bars, "uniform").pvalue > 0.01
-    square = moving_bars.reshape(140, 140)
-    assert abs(np.corrcoef(square[:, 1:].ravel(), square[:, :-1].ravel())[0, 1]) < 0.03
+@pytest.fixture(scope="module")
+def bumpy():
+    """Heights of a bumpy slope 1500 m up, four points a pixel."""
+
+    def surface(x, y):
+        return 1500 + 0.3 * x - 0.1 * y + 0.05 * np.sin(4 * x) * np.cos(3 * y)
+
+    axis = (np.arange(30) + 0.5) * 0.1
+    x, y = (part.ravel() for part in np.meshgrid(axis, axis))
+    return x, y, surface(x, y)
+
+
+def test_without_holes_it_is_the_heightmap(bumpy, measure_points):
+    patches = measure_points(*bumpy)
+    ground, heights = driven_ground(patches)[0], patches.heights[0].astype(float)
+    np.testing.assert_allclose(ground - ground.mean(), heights - heights.mean(), atol=5e-4)
+
+
+def test_holes_are_filled_on_the_same_plane(bumpy, measure_points):
+    x, y, z = bumpy
+    kept = np.hypot(x - 1.2, y - 1.8) > 0.4
+    whole, holed = measure_points(x, y, z), measure_points(x[kept], y[kept], z[kept])
+    assert np.isnan(holed.heights[0]).any()
+    apart = driven_ground(holed)[0] - driven_ground(whole)[0]
+    assert np.isfinite(apart).all()
+    assert np.ptp(apart) < 0.12
+
+
+def test_tiles_can_be_chosen_in_any_order(measure_points):
+    rng = np.random.default_rng(2)
+    patches = measure_points(rng.uniform(0, 6, 2000), rng.uniform(0, 6, 2000), rng.random(2000))
+    order = np.array([2, 0, 3])
+    chosen = take_tiles(patches, order)
+    assert np.array_equal(chosen.heights, patches.heights[order], equal_nan=True)
+    assert chosen.col.tolist() == patches.col[order].tolist()

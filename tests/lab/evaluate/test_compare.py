@@ -1,9 +1,9 @@
-"""Predictions beside drives, on made-up numbers."""
+"""Predictions beside drives, and Table I, on made-up numbers."""
 
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.agreement import DriveStats, compare, compare_order
+from bumpymap.lab.evaluate.agreement import DriveStats, class_table, compare, compare_order
 from bumpymap.lab.simulate.drive import PatchDrives
 
 LIMITS = (0.1, 0.3, 0.5)
@@ -35,10 +35,10 @@ def test_a_perfect_prediction_is_perfect(verdict_of):
     for own in found.agreement.values():
         assert own.spearman == pytest.approx(1)
     own, plain = found.agreement["ride"], found.agreement["height"]
-    assert (own.median_error, own.steps.same) == (pytest.approx(0), 1)
+    assert (own.median_error, own.steps["same"]) == (pytest.approx(0), 1)
     assert plain.fitted_error == pytest.approx(0)
     assert 0 < plain.median_error < 0.1
-    assert found.agreement["ride"].coverage.held == 1
+    assert found.agreement["ride"].coverage["held"] == 1
     assert found.agreement["height"].fail is None
     assert (found.left_out, found.label_error, found.label_error_over) == (0, pytest.approx(0.03), 0)
 
@@ -53,8 +53,8 @@ def test_survivors_are_not_compared_but_their_failures_count(verdict_of):
     assert own.median_error == pytest.approx(0)
     assert sum(map(sum, own.confusion)) == 3  # the class of the one beyond the slope limit is a rule
     # Every patch counts alike: shares 9/16 of failures against 2 of safe ground and 23/16 of the same ground.
-    assert own.fail.auc == pytest.approx((2 + 23 / 16 / 2) / (2 + 23 / 16))
-    assert own.fail.auc_below_limit == pytest.approx((2 + 11 / 16 / 2) / (2 + 11 / 16))
+    assert own.fail["auc"] == pytest.approx((2 + 23 / 16 / 2) / (2 + 23 / 16))
+    assert own.fail["auc_below_limit"] == pytest.approx((2 + 11 / 16 / 2) / (2 + 11 / 16))
     # Shares of 0, 0, 4/16 and 5/16: of 9/16 * 55/16 pairs, 2 * 9/16 are safe, the others of four and five compare.
     assert found.auc_most == pytest.approx((2 * 9 + 5 * 12 / 16 + (4 * 12 + 5 * 11) / 32) / (9 * 55 / 16))
 
@@ -75,5 +75,37 @@ def test_order_of_vehicles_counts_where_all_came_through(verdict_of):
     }
     verdicts = {"small": verdict_of([0.2, 0.1, 0.1, 0.1]), "large": verdict_of([0.1, 0.2, 0.2, 0.2])}
     found = compare_order("ride", verdicts, driven)
-    assert (found.patches, found.clear_patches) == (3, 2)
-    assert (found.same, found.clear_same) == (pytest.approx(1 / 3), 0.5)
+    assert (found["patches"], found["clear_patches"]) == (3, 2)
+    assert (found["same"], found["clear_same"]) == (pytest.approx(1 / 3), 0.5)
+
+
+KLASS = [0, 0, 1, 1, 2, 3]
+VARIANCE = np.array([1.0, 3.0, 4.0, 6.0, 7.0, 9.0])
+RESIDUAL = np.array([0.1, 0.3, 0.4, np.nan, 0.7, 0.9])
+
+
+def test_rows_hold_means_medians_and_shares(verdict_of):
+    found = class_table(verdict_of([0.1, 0.2, 0.3, 0.4, 0.5, 0.6], KLASS), VARIANCE, RESIDUAL)
+    first, second = found["rows"][:2]
+    assert (first["tiles"], first["share"]) == (2, pytest.approx(1 / 3))
+    assert (first["variance_mean"], first["residual_median"], first["c_r_median"]) == pytest.approx((2, 0.2, 0.15))
+    assert second["residual_mean"] == 0.4
+    assert all(found["rises"].values())
+
+
+def test_what_does_not_rise_is_named(verdict_of):
+    found = class_table(verdict_of([0.1, 0.2, 0.3, 0.4, 0.5, 0.3], KLASS), VARIANCE[::-1], RESIDUAL)
+    assert found["rises"] == {
+        "variance_median": False,
+        "residual_median": True,
+        "c_r_median": False,
+        "variance_mean": False,
+        "residual_mean": True,
+    }
+
+
+def test_a_class_without_tiles_breaks_no_rise(verdict_of):
+    found = class_table(verdict_of([0.1, 0.2, 0.5], [0, 1, 3]), np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
+    assert found["rows"][2]["tiles"] == 0
+    assert np.isnan(found["rows"][2]["variance_mean"])
+    assert all(found["rises"].values())

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.agreement import DriveStats, VehicleOrder, class_table, compare
+from bumpymap.lab.evaluate.agreement import DriveStats, class_table, compare
 from bumpymap.lab.evaluate.report import write_report
 from bumpymap.lab.evaluate.survey_trial import ComparedPatches, Findings
 
@@ -38,7 +38,8 @@ def findings(verdict_of):
     found.classes = {"ride": class_table(verdicts["ride"], truth**2, truth / 5)}
     found.comparisons = {"rover": compare(verdicts, plain, driven, np.zeros(30, bool), (0.1, 0.3, 0.5))}
     found.patches = {"rover": ComparedPatches([(i, -i) for i in range(30)], driven, verdicts)}
-    found.orders = [VehicleOrder("ride", ("rover", "car"), 20, 0.95, 12, 1.0)]
+    order = {"rating": "ride", "vehicles": ("rover", "car"), "patches": 20, "same": 0.95}
+    found.orders = [order | {"clear_patches": 12, "clear_same": 1.0}]
     return found
 
 

@@ -45,7 +45,7 @@ class KinematicVehicle:
 
 def run(**motion):
     vehicle = KinematicVehicle(**motion)
-    return vehicle, follow(vehicle, STRIP, PROFILE, 7, SETTINGS)
+    return vehicle, follow(vehicle, STRIP, PROFILE, SETTINGS)
 
 
 def test_c_r_is_the_pitch_per_metre():
@@ -54,13 +54,6 @@ def test_c_r_is_the_pitch_per_metre():
     assert drive.c_r == pytest.approx(0.25, rel=1e-9)
     assert drive.path_m == pytest.approx(2.0, rel=1e-9)
     assert drive.progress_m == pytest.approx(2.0, rel=1e-9)
-    assert drive.seed == 7
-
-
-def test_c_r_of_a_swinging_chassis_counts_both_ways():
-    # integral of |sin| over whole periods is 2/pi of the time.
-    _, drive = run(pitch_rate=lambda t: 0.5 * math.sin(2 * math.pi * (t - 0.4)))
-    assert drive.c_r == pytest.approx(0.5 * 2 / math.pi, rel=1e-3)
 
 
 def test_pitch_before_the_measurement_does_not_count():
@@ -68,22 +61,11 @@ def test_pitch_before_the_measurement_does_not_count():
     assert drive.c_r == 0.0
 
 
-def test_speed_is_rest_then_a_ramp_then_the_profiles():
-    vehicle, _ = run()
-    speeds = [left for left, _ in vehicle.commands]
-    assert speeds[:11] == [0.0] * 11
-    assert speeds[20] == pytest.approx(PROFILE.speed_mps / 2)
-    assert speeds[30:] == pytest.approx([PROFILE.speed_mps] * len(speeds[30:]))
-
-
 def test_slow_vehicle_is_stuck_below_a_fifth_of_its_way():
-    assert run(grip=lambda _t: 0.19)[1].outcome == "stuck"
+    _, stuck = run(grip=lambda _t: 0.19, pitch_rate=lambda _t: 1.0)
+    assert stuck.outcome == "stuck"
+    assert math.isnan(stuck.c_r)
     assert run(grip=lambda _t: 0.21)[1].outcome == "completed"
-
-
-def test_failed_drive_has_no_c_r():
-    _, drive = run(grip=lambda _t: 0.0, pitch_rate=lambda _t: 1.0)
-    assert math.isnan(drive.c_r)
 
 
 def test_vehicle_past_sixty_degrees_has_rolled_over_at_any_time():
@@ -102,11 +84,6 @@ def test_vehicle_beside_its_line_steers_back():
 
 def test_vehicle_pushed_off_its_line_has_failed():
     assert run(drift=1.2)[1].outcome == "stuck"
-
-
-def test_path_that_winds_is_longer_than_the_progress():
-    _, drive = run(beside=0.5)
-    assert drive.path_m > drive.progress_m
 
 
 def test_time_step_must_divide_the_time_between_samples():

@@ -13,13 +13,10 @@ from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.model import (
     DartVehicle,
     Physics,
-    belly_points,
     require_dart,
     standing_pose,
-    stl_bytes,
-    wheel_inertia,
 )
-from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip, strip_triangles
+from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip
 from bumpymap.rating.textures import make_textures
 from bumpymap.rating.vehicle_profile import load_profile
 
@@ -52,11 +49,6 @@ def test_standing_vehicle_rests_on_its_wheels():
     assert height == pytest.approx(WARTHOG.wheel.radius_m + WARTHOG.chassis.com_height_m, abs=0.005)
 
 
-def test_vehicle_weighs_what_its_profile_says():
-    vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
-    assert vehicle.chassis.getSkeleton().getMass() == pytest.approx(260.0)
-
-
 def test_vehicle_is_put_down_along_the_slope_with_no_wheel_in_the_ground():
     slope = math.tan(math.radians(20))
     rotation, place = standing_pose(WARTHOG, PlaneGround((slope, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0))
@@ -66,36 +58,13 @@ def test_vehicle_is_put_down_along_the_slope_with_no_wheel_in_the_ground():
     assert 0 < clearance < 0.005
 
 
-def test_wheel_is_a_solid_cylinder():
-    _, axle, _ = wheel_inertia(WARTHOG)
-    assert axle == pytest.approx(0.5 * 15 * 0.3**2)
-
-
-def test_stl_is_read_back_as_it_was_written():
-    triangles = strip_triangles(rough_ground(0.2), Strip(0.0, 0.0, 0.3, 1.0, 0.5))
-    content = stl_bytes(triangles)
-    assert len(content) == 84 + 50 * len(triangles)
-    assert int.from_bytes(content[80:84], "little") == len(triangles)
-    first = np.frombuffer(content, "<f4", 12, 84)
-    np.testing.assert_array_equal(first[3:].reshape(3, 3), triangles[0])
-    assert first[2] > 0
-
-
-def test_no_file_is_left_behind(tmp_path, monkeypatch):
-    monkeypatch.setattr(model.tempfile, "tempdir", str(tmp_path))
-    made = []
-    monkeypatch.setattr(model, "stl_bytes", lambda triangles: made.append(1) or stl_bytes(triangles))
-    DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
-    assert made == [1]
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_temporary_folder_may_have_an_odd_name(tmp_path, monkeypatch):
     odd = tmp_path / "a b&c%20<ä"
     odd.mkdir()
     monkeypatch.setattr(model.tempfile, "tempdir", str(odd))
     vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
     vehicle.advance(500)
+    assert list(odd.iterdir()) == []
     assert vehicle.pose().tilt < 0.01
     assert vehicle.chassis.getWorldTransform().matrix()[2, 3] > 0.3
 
@@ -106,9 +75,8 @@ def test_temporary_folder_that_is_gone_is_reported_with_what_to_do(tmp_path, mon
         DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
 
 
-@pytest.mark.parametrize("heading", [0.0, 2.5])
-def test_level_ground_is_crossed_straight_at_the_profiles_speed(heading):
-    result = drive_from(WARTHOG, PlaneGround((0.0, 0.0)), Start(0.5, 0.5, heading), 0, SHORT)
+def test_level_ground_is_crossed_straight_at_the_profiles_speed():
+    result = drive_from(WARTHOG, PlaneGround((0.0, 0.0)), Start(0.5, 0.5, 2.5), SHORT)
     assert result.outcome == "completed"
     assert result.progress_m == pytest.approx(2.0, rel=2e-3)
     assert result.c_r < 0.001
@@ -116,42 +84,18 @@ def test_level_ground_is_crossed_straight_at_the_profiles_speed(heading):
 
 def test_waves_cost_the_same_both_ways_and_nothing_along_their_crests():
     waves = SineGround(0.05, 2.0)
-    there = drive_from(WARTHOG, waves, Start(0.0, 0.0, 0.0), 0, SHORT)
-    back = drive_from(WARTHOG, waves, Start(0.0, 0.0, math.pi), 0, SHORT)
-    along = drive_from(WARTHOG, waves, Start(0.5, 0.0, math.pi / 2), 0, SHORT)
+    there = drive_from(WARTHOG, waves, Start(0.0, 0.0, 0.0), SHORT)
+    back = drive_from(WARTHOG, waves, Start(0.0, 0.0, math.pi), SHORT)
+    along = drive_from(WARTHOG, waves, Start(0.5, 0.0, math.pi / 2), SHORT)
     assert back.c_r == pytest.approx(there.c_r, rel=0.05)
     assert there.c_r > 0.15
     assert along.c_r < 0.005
 
 
-def test_waves_across_do_not_count_as_pitch():
-    # Crests run along the way and the two sides stand at different heights: the vehicle rolls, it does not pitch.
-    result = drive_from(WARTHOG, SineGround(0.05, 2.24), Start(0.0, 0.0, math.pi / 2), 0, SHORT)
-    assert result.outcome == "completed"
-    assert result.c_r < 0.01
-
-
-def test_rougher_ground_costs_more():
-    costs = [drive(WARTHOG, rough_ground(z), 11, SHORT).c_r for z in (0.02, 0.1, 0.4)]
-    assert costs[0] < costs[1] / 2 < costs[2] / 4
-
-
 def test_slope_that_friction_cannot_hold_is_not_climbed():
-    result = drive_from(WARTHOG, PlaneGround((math.tan(math.radians(50)), 0.0)), Start(0.0, 0.0, 0.0), 0, SHORT)
+    result = drive_from(WARTHOG, PlaneGround((math.tan(math.radians(50)), 0.0)), Start(0.0, 0.0, 0.0), SHORT)
     assert result.outcome != "completed"
     assert math.isnan(result.c_r)
-
-
-def test_boulders_as_high_as_a_house_door_stop_the_vehicle():
-    outcomes = {drive(WARTHOG, rough_ground(2.5, seed), seed, SHORT).outcome for seed in range(4)}
-    assert outcomes & {"stuck", "rolled"}
-
-
-def test_other_seed_starts_elsewhere():
-    ground = rough_ground(0.2)
-    first, again, other = (drive(WARTHOG, ground, seed, SHORT) for seed in (1, 1, 2))
-    assert first == again
-    assert first.c_r != other.c_r
 
 
 def ridge(height):
@@ -164,29 +108,15 @@ def ridge(height):
 @pytest.mark.parametrize(("height", "outcome"), [(0.22, "completed"), (0.45, "stuck")])
 def test_ridge_between_the_wheels_holds_the_belly_that_it_reaches(height, outcome):
     along, brief = Start(0.5, 1.5, 0.0), DriveSettings(measure_s=1.0)
-    assert drive_from(WARTHOG, ridge(height), along, 0, brief).outcome == outcome
+    assert drive_from(WARTHOG, ridge(height), along, brief).outcome == outcome
     high = replace(WARTHOG, belly=replace(WARTHOG.belly, clearance_m=0.55))
-    assert drive_from(high, ridge(height), along, 0, brief).outcome == "completed"
-
-
-@pytest.mark.parametrize("height", [0.1, 0.45])
-def test_vehicle_is_put_down_with_no_belly_in_the_ground(height):
-    strip = Strip(0.5, 1.5, 0.0, 1.0, 2.0)
-    rotation, place = standing_pose(WARTHOG, ridge(height), strip)
-    under = belly_points(WARTHOG) @ rotation.T + place
-    gap = under[:, 2] - ridge(height).height(under[:, 0], under[:, 1])
-    assert gap.min() == pytest.approx(0.001 if height > 0.25 else 0.25 - height, abs=0.002)
-
-
-def test_belly_that_touches_nothing_changes_no_bit():
-    high = replace(WARTHOG, belly=replace(WARTHOG.belly, clearance_m=0.55))
-    assert drive(WARTHOG, rough_ground(0.2), 4, SHORT) == drive(high, rough_ground(0.2), 4, SHORT)
+    assert drive_from(high, ridge(height), along, brief).outcome == "completed"
 
 
 @pytest.mark.parametrize("name", ["small_rover", "car", "husky"])
 def test_other_shipped_vehicles_drive_too(name):
     profile = load_profile(name)
-    level = drive_from(profile, PlaneGround((0.0, 0.0)), Start(0.0, 0.0, 0.4), 0, SHORT)
+    level = drive_from(profile, PlaneGround((0.0, 0.0)), Start(0.0, 0.0, 0.4), SHORT)
     rough = drive(profile, rough_ground(0.1), 5, SHORT)
     assert level.outcome == rough.outcome == "completed"
     assert level.c_r < 0.001

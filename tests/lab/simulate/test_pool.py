@@ -24,7 +24,6 @@ class Job:
     starts: int = 1
 
 def twice(job): return 2 * job.key
-def fail(job): return 1 // job.key
 def die(job): os._exit(1)
 def never(job):
     print(os.getpid(), flush=True)
@@ -102,11 +101,6 @@ def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
         key: 2 * key for key in range(7)
     }
     assert seen == [(done, 7, before) for done in range(8)]
-
-
-def test_what_a_job_raises_comes_back(jobs):
-    with pytest.raises(ZeroDivisionError):
-        drive_jobs(jobs.fail, [jobs.Job(1), jobs.Job(0)], workers=2)
 
 
 def test_a_dead_worker_is_reported_with_what_to_do(jobs):

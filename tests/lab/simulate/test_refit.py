@@ -6,17 +6,16 @@ from dataclasses import replace
 import pytest
 
 from bumpymap.core import UsageError
-from bumpymap.lab.simulate.refit import refit, refit_thin
+from bumpymap.lab.simulate.refit import refit
 from bumpymap.rating import Calibration
 
 WARTHOG = Calibration.shipped("warthog")
 
 
-@pytest.mark.parametrize("fit", [refit, refit_thin])
-def test_a_calibration_that_was_moved_to_real_drives_is_refused(fit):
+def test_a_calibration_that_was_moved_to_real_drives_is_refused():
     moved = replace(WARTHOG, settings=WARTHOG.settings | {"moved_to_drives": {"calibration_id": WARTHOG.id}})
     with pytest.raises(UsageError, match=f"moved to real drives.*Fit the calibration {WARTHOG.id}.*check --refit"):
-        fit(moved)
+        refit(moved)
 
 
 def test_a_calibration_without_the_library_is_refused():

@@ -59,11 +59,6 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
 
 
-def test_natural_breaks_find_clear_groups():
-    limits = natural_breaks(np.array([1.0, 1.1, 5.0, 20.0, 0.9, 40.0, 5.2, 21.0]), 4)
-    assert limits == pytest.approx([3.05, 12.8, 30.25])
-
-
 def test_cell_is_the_mean_over_patches_of_patch_means(cells):
     calibration = summarise(cells, "how")
     assert calibration.textures == TEXTURES
@@ -84,21 +79,6 @@ def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
     assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
-
-
-def test_cell_without_a_completed_drive_has_no_c_r(cells):
-    cells[2, 1] = [drives(None, None)] * 3
-    calibration = summarise(cells)
-    assert calibration.c_r[2][1] is None
-    assert calibration.c_r_log_sd[2][1] is None
-    assert calibration.p_fail[2][1] == 1.0
-
-
-def test_class_means_lie_between_their_limits(cells):
-    calibration = summarise(cells)
-    low, middle, high = calibration.class_limits
-    a, b, c, d = calibration.class_c_r
-    assert 0 < a < low <= b < middle <= c < high <= d
 
 
 def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():

@@ -9,16 +9,15 @@ import pytest
 from click.testing import CliRunner
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.core.types import TEXTURES
+from bumpymap.core.errors import OutputError
 
 torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'")
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.cli import main  # noqa: E402
+from bumpymap.core.errors import UsageError  # noqa: E402
 from bumpymap.lab.settings import NetworkSettings, TrainSettings  # noqa: E402
 from bumpymap.lab.train import textures  # noqa: E402
-from bumpymap.lab.train.model_files import Score  # noqa: E402
 from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
 from bumpymap.lab.train.textures import predict, score, to_onnx, train  # noqa: E402
 from bumpymap.rating.textures import TextureModel, infer  # noqa: E402
@@ -79,26 +78,9 @@ def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
     _assert_same(resumed, small)
 
 
-@pytest.mark.parametrize("batch", [2, 67, 1000])
-def test_no_batch_is_too_small_to_normalise(batch):
-    # 16 patches of each texture and 4 short waves: 67 would leave one patch over.
-    net = train(replace(SMALL, epochs=1, batch=batch))
-    assert all(np.isfinite(value).all() for value in _numbers(net).values())
-
-
 def test_a_batch_of_one_patch_is_refused():
     with pytest.raises(UsageError, match="batch is 1; it must be a whole number, at least 2"):
         replace(SMALL, batch=1)
-
-
-def test_a_checkpoint_says_what_it_holds(tmp_path):
-    train(SMALL, tmp_path / "c")
-    state = torch.load(tmp_path / "c", weights_only=True)
-    assert state["record"]["network"]["classes"] == list(TEXTURES)
-    assert state["record"]["network"]["channels"] == [16, 32, 64, 96]
-    assert state["record"]["feature_version"] == 1
-    with pytest.raises(UsageError, match="seed 1 \\(now 5\\)"):
-        train(replace(SMALL, seed=5), tmp_path / "c")
 
 
 def test_a_foreign_checkpoint_is_refused(tmp_path):
@@ -116,7 +98,7 @@ def test_training_leaves_global_state_alone():
     assert torch.get_num_threads() == threads
 
 
-@pytest.mark.parametrize("pixels", [9, 11, 15, 30])
+@pytest.mark.parametrize("pixels", [9, 15])
 def test_onnx_says_what_torch_says(pixels):
     settings = NetworkSettings(pixels=pixels)
     net = train(replace(SMALL, epochs=1, network=settings))
@@ -128,23 +110,6 @@ def test_onnx_says_what_torch_says(pixels):
     patches = unseen_patches(3, 100, pixels).patches
     model = TextureModel(to_onnx(net, {}), {}, 3.0, pixels)
     assert_allclose(infer(model, patches), predict(net, torch.from_numpy(patches)[:, None]), atol=2e-5)
-
-
-def test_export_is_small_plain_and_repeatable(small):
-    content = to_onnx(small, {"seed": 1, "note": "text", "classes": ["a"]})
-    assert content == to_onnx(small, {"seed": 1, "note": "text", "classes": ["a"]})
-    proto = onnx.load_model_from_string(content)
-    props = {prop.key: prop.value for prop in proto.metadata_props}
-    assert props == {"seed": "1", "note": "text", "classes": '["a"]'}
-    assert [value.name for value in proto.graph.input] == ["patches"]
-    assert proto.graph.input[0].type.tensor_type.shape.dim[0].dim_param == "batch"
-    assert [value.name for value in proto.graph.output] == ["probability"]
-
-
-def test_score_counts():
-    result = Score(((3, 1, 0, 0), (0, 4, 0, 0), (0, 0, 2, 2), (0, 0, 0, 4)))
-    assert result.count == 16
-    assert result.accuracy == 13 / 16
 
 
 @pytest.mark.usefixtures("few_scored")

@@ -162,19 +162,6 @@ def test_a_scan_of_nothing_is_empty_and_says_why(tmp_path, row):
     assert scan.dropped.no_return + scan.dropped.not_finite == 50
 
 
-@pytest.mark.parametrize("suffix", ["ply", "pcd", "bin"])
-def test_an_empty_file_is_refused(tmp_path, suffix):
-    (tmp_path / f"a.{suffix}").write_bytes(b"")
-    with pytest.raises(BadInputError, match="empty"):
-        read_scan(tmp_path / f"a.{suffix}")
-
-
-@pytest.mark.parametrize("suffix", ["ply", "pcd", "bin"])
-def test_no_file_is_refused(tmp_path, suffix):
-    with pytest.raises(BadInputError, match="cannot read"):
-        read_scan(tmp_path / f"a.{suffix}")
-
-
 def write_all(folder):
     yield write_ply(folder / "binary.ply", table(label=True))
     yield write_ply(folder / "text.ply", table(label=True), order="=")

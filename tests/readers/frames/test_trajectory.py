@@ -1,15 +1,13 @@
-"""Interpolated transforms and chains of them, against scipy."""
+"""Chains of transforms, against their products."""
 
 from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from bumpymap.core import BadInputError
-from bumpymap.readers.frames.pose_files import FrameTree, Trajectory, seconds_since
+from bumpymap.readers.frames.pose_files import FrameTree
 
 START = 1_700_000_000
 
@@ -47,53 +45,6 @@ def matrix(pose):
 
 def random_pose(rng):
     return Rotation.random(random_state=rng.integers(2**31)), rng.normal(0, 20, 3)
-
-
-def trajectory(times, poses):
-    found = Trajectory("/odom")
-    for seconds, (turn, place) in zip(times, poses, strict=True):
-        each = link("", "", (turn, place), seconds).transform
-        found.add(stamp(seconds), each.translation, each.rotation)
-    return found
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 2**31), st.integers(2, 12))
-def test_between_samples_as_scipy_does(seed, count):
-    rng = np.random.default_rng(seed)
-    times = START + np.cumsum(rng.uniform(0.01, 0.9, count))
-    turns, places = Rotation.random(count, random_state=seed), rng.normal(0, 20, (count, 3))
-    wanted = np.sort(rng.uniform(times[0], times[-1], 20))
-    mixed = rng.permutation(count)  # the order in which they came does not matter
-    track = trajectory(times[mixed], [(turns[int(i)], places[i]) for i in mixed]).track(START * 10**9)
-    found, known = track.at(wanted - START), track.covers(wanted - START)
-    assert known.all()
-    expected = Slerp(times, turns)(wanted).as_matrix()
-    np.testing.assert_allclose(found[:, :3, :3], expected, atol=1e-4)  # times in scipy have steps of 0.2 microseconds
-    for axis in range(3):
-        np.testing.assert_allclose(found[:, axis, 3], np.interp(wanted, times, places[:, axis]), atol=1e-3)
-
-
-def test_a_sample_at_the_very_time_is_taken_as_it_is():
-    times = START + np.array([0.1, 0.2, 0.3])
-    poses = [(Rotation.identity(), np.full(3, value)) for value in (1.0, 2.0, 7.0)]
-    track = trajectory(times, poses).track(int(nanoseconds(times[1])))
-    found = track.at(seconds_since(int(nanoseconds(times[1])), nanoseconds(times)))
-    np.testing.assert_array_equal(found[:, 0, 3], [1.0, 2.0, 7.0])
-
-
-def test_of_equal_times_the_last_one_counts():
-    poses = [(Rotation.identity(), np.full(3, value)) for value in (1.0, 2.0, 3.0)]
-    found = trajectory([START, START, START + 0.5], poses).track(START * 10**9).at(np.zeros(1))
-    np.testing.assert_array_equal(found[0, :3, 3], 2.0)
-
-
-@pytest.mark.parametrize("value", [np.nan, 0.0, 0.5])
-def test_an_invalid_quaternion_is_refused(value):
-    moving = Trajectory("/odom")
-    moving.add(stamp(START), vector(x=0.0, y=0.0, z=0.0), vector(x=value, y=0.0, z=0.0, w=0.0))
-    with pytest.raises(BadInputError, match=r"/odom .*(not finite|a quaternion)"):
-        moving.track(0)
 
 
 @pytest.mark.parametrize("fixed", ["map", "odom"])

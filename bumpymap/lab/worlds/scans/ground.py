@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from bumpymap.lab.worlds.scans.things import Field, Floats, Label, smoothstep
 from bumpymap.lab.worlds.terrains import log_uniform
 
-__all__ = ["Bank", "Blob", "Region", "Road", "SceneGround", "ground_mesh", "make_blob", "make_road"]
-
 
 @dataclass(frozen=True, slots=True)
 class Blob:

@@ -18,8 +18,6 @@ from bumpymap.lab.worlds.scans.scene import Scene
 from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label
 from bumpymap.lab.worlds.terrains import log_uniform
 
-__all__ = ["draw_sensor", "load_open3d", "overhead_scan", "simulate_scan"]
-
 Pattern = Literal["lines", "rosette"]
 """Horizontal lines, or loops through the middle of the view, as two rotating prisms make them."""
 _LOOP_TURN = 0.2199
@@ -59,24 +57,6 @@ class Sensor:
     """Lines per degree in this band, divided by those outside."""
     stray: float = 0.0
     """Share of the pulses that return from dust, rain or nothing, at any range."""
-
-    def __post_init__(self) -> None:
-        if self.lines < 2 or self.columns < 8:
-            raise UsageError(f"a sensor has {self.lines} lines and {self.columns} columns; it needs at least 2 and 8")
-        if not -90.0 < self.lowest_deg < self.highest_deg < 90.0:
-            raise UsageError(f"lines from {self.lowest_deg} to {self.highest_deg} deg; they must rise within -90 to 90")
-        if not (0.0 < self.view_deg <= 360.0 and self.dense_deg[0] < self.dense_deg[1] and self.dense > 0):
-            raise UsageError(
-                f"view_deg is {self.view_deg}, dense_deg {self.dense_deg}, dense {self.dense}; the view must be above "
-                "0 and at most 360 degrees, the band must rise, its density be above 0"
-            )
-        if not 0 <= self.stray < 1:
-            raise UsageError(f"stray is {self.stray}; it must be 0 or more, and below 1")
-        if not (min(self.height_m, self.reach_m) > 0 and self.noise_m >= 0 and self.end_m > 1 and 0 <= self.lost < 1):
-            raise UsageError(
-                f"height_m is {self.height_m}, noise_m {self.noise_m}, reach_m {self.reach_m}, end_m {self.end_m}, "
-                f"lost {self.lost}; height and reach must be above 0, end above 1, noise 0 or more, lost 0 to 1"
-            )
 
     def directions(self) -> NDArray[np.float64]:
         """Return unit vectors in the sensor's frame, (lines * columns, 3): lines from the lowest, loops in time."""
@@ -373,9 +353,9 @@ def _returns(
     """Return which beams have a return, which are reflected away, and the intensity."""
     reflectivity = np.zeros(256)
     lost = np.zeros(256)
-    for label, reflection in REFLECTIONS.items():
-        reflectivity[label] = rng.uniform(*reflection.reflectivity)
-        lost[label] = rng.uniform(*reflection.specular_loss)
+    for label, (returned, reflected) in REFLECTIONS.items():
+        reflectivity[label] = rng.uniform(*returned)
+        lost[label] = rng.uniform(*reflected)
     lost[list(_GET_WET)] = np.maximum(lost[list(_GET_WET)], scene.wet)
     count = len(hits.distance)
     bright = reflectivity[hits.label] * np.maximum(hits.cosine, _LEAST_COSINE) ** 0.6 * rng.uniform(0.7, 1.3, count)

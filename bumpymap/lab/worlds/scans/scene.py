@@ -1,35 +1,14 @@
 """Scenes: ground with regions and objects, drawn from one seed. The sensor is at the origin."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from bumpymap.core import UsageError
+from bumpymap.lab.worlds.scans import things as make
 from bumpymap.lab.worlds.scans.ground import Bank, Blob, Region, Road, SceneGround, make_blob, make_road
-from bumpymap.lab.worlds.scans.things import (
-    Floats,
-    Height,
-    Label,
-    Triangles,
-    barrier,
-    block_field,
-    bush,
-    fence,
-    fence_along,
-    guard_rail,
-    hedge,
-    herb,
-    make_field,
-    person,
-    pole,
-    stone_field,
-    tree,
-    vehicle,
-    wall,
-)
+from bumpymap.lab.worlds.scans.things import Floats, Height, Label, Triangles, make_field
 from bumpymap.lab.worlds.terrains import log_uniform
-
-__all__ = ["Scene", "make_scene"]
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""
@@ -71,44 +50,27 @@ class Roadside:
     persons: int = 0
 
 
+_SIDES = {  # street, highway, avenue
+    "half_width_m": ((2.6, 5.5), (6.0, 12.0), (1.5, 4.0)),
+    "kerb_m": ((0.05, 0.2), (0.0, 0.0), (0.03, 0.15)),
+    "pavement_m": ((1.2, 3.5), (0.0, 0.0), (0.0, 0.0)),
+    "ditch_m": ((0.0, 0.0), (0.3, 1.5), (0.1, 0.6)),
+    "bank_m": (0.0, 5.0, 3.0),
+    "bend_m": (4.0, 2.0, 4.0),
+    "parked": (0.7, 0.0, 0.15),
+    "moving": (2.0, 2.0, 0.5),
+    "walls": (0.6, 0.0, 0.0),
+    "rails": (0.0, 0.6, 0.0),
+    "fences": (0.3, 0.3, 0.25),
+    "hedges": (0.35, 0.4, 0.3),
+    "trees_m": ((7.0, 15.0), (0.0, 0.0), (3.5, 10.0)),
+    "poles": (0.8, 0.8, 0.5),
+    "bushes": (0, 40, 40),
+    "persons": (10, 0, 3),
+}
 ROADSIDES = {
-    "street": Roadside(
-        half_width_m=(2.6, 5.5),
-        kerb_m=(0.05, 0.2),
-        pavement_m=(1.2, 3.5),
-        parked=0.7,
-        moving=2.0,
-        walls=0.6,
-        fences=0.3,
-        hedges=0.35,
-        trees_m=(7.0, 15.0),
-        persons=10,
-    ),
-    "highway": Roadside(
-        half_width_m=(6.0, 12.0),
-        ditch_m=(0.3, 1.5),
-        bank_m=5.0,
-        bend_m=2.0,
-        moving=2.0,
-        rails=0.6,
-        fences=0.3,
-        hedges=0.4,
-        bushes=40,
-    ),
-    "avenue": Roadside(
-        half_width_m=(1.5, 4.0),
-        kerb_m=(0.03, 0.15),
-        ditch_m=(0.1, 0.6),
-        bank_m=3.0,
-        parked=0.15,
-        moving=0.5,
-        fences=0.25,
-        hedges=0.3,
-        trees_m=(3.5, 10.0),
-        poles=0.5,
-        bushes=40,
-        persons=3,
-    ),
+    name: Roadside(**{field: values[place] for field, values in _SIDES.items()})  # type: ignore[arg-type]
+    for place, name in enumerate(("street", "highway", "avenue"))
 }
 """By theme of the scene."""
 
@@ -155,11 +117,11 @@ def roadside_things(
     edge = road.half_width_m + road.pavement_m
     for _ in range(int(rng.integers(0, side.persons + 1))):
         feet = _feet(road, rng.uniform(-30, 30, 1), rng.choice([-1, 1]) * rng.uniform(0.4, 1.0) * edge, height)
-        things.append((Label.PERSON, person(rng, feet[0, :3])))
+        things.append((Label.PERSON, make.person(rng, feet[0, :3])))
     for _ in range(int(rng.integers(0, side.bushes + 1))):
         away = (edge + 1.5 * road.verge_m + rng.exponential(8.0)) * rng.choice([-1, 1])
         feet = _feet(road, rng.uniform(-60, 60, 1), away, height)
-        things.append((Label.BUSH, bush(rng, feet[0, :3], log_uniform(rng, 0.4, 2.5))))
+        things.append((Label.BUSH, make.bush(rng, feet[0, :3], log_uniform(rng, 0.4, 2.5))))
     return [
         (label, soup)
         for label, soup in things
@@ -187,7 +149,7 @@ def _vehicles(rng: np.random.Generator, side: Roadside, road: Road, height: Heig
         across.append(np.full(count, way * road.half_width_m * rng.uniform(0.3, 0.6)))
     feet = _feet(road, np.concatenate(along), np.concatenate(across), height)
     far = np.hypot(feet[:, 0], feet[:, 1]) > 4.5
-    return [(Label.VEHICLE, vehicle(rng, foot[:3], float(foot[3]))) for foot in feet[far]]
+    return [(Label.VEHICLE, make.vehicle(rng, foot[:3], float(foot[3]))) for foot in feet[far]]
 
 
 def _row(
@@ -206,24 +168,24 @@ def _row(
         feet = _feet(road, np.arange(-_END_M, _END_M, step) + rng.uniform(0, step), way * away, height)
         for foot in feet[rng.uniform(size=len(feet)) < 0.85]:
             clear = rng.uniform(*side.clear_m)
-            things.append((Label.TREE, tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)))
+            things.append((Label.TREE, make.tree(rng, foot[:3], clear + log_uniform(rng, 3.0, 10.0), clear)))
     if rng.uniform() < side.poles:
         away = road.half_width_m + rng.uniform(0.3, 1.0)
         feet = _feet(road, np.arange(-_END_M, _END_M, rng.uniform(15.0, 40.0)), way * away, height)
-        things += [(Label.BARRIER, pole(rng, foot[:3], float(foot[3]))) for foot in feet]
+        things += [(Label.BARRIER, make.pole(rng, foot[:3], float(foot[3]))) for foot in feet]
     if rng.uniform() < side.rails:
-        things.append((Label.BARRIER, guard_rail(stretch(rng.uniform(2.0, 4.0), road.half_width_m + 0.8, 150.0))))
+        things.append((Label.BARRIER, make.guard_rail(stretch(rng.uniform(2.0, 4.0), road.half_width_m + 0.8, 150.0))))
     if rng.uniform() < side.fences:
         feet = stretch(rng.uniform(1.8, 3.0), edge + rng.uniform(0.8, 2 * road.verge_m), 60.0)
-        things.append((Label.FENCE, fence_along(rng, feet[:, :2], height)))
+        things.append((Label.FENCE, make.fence_along(rng, feet[:, :2], height)))
     if rng.uniform() < side.hedges:
-        things.append((Label.BUSH, hedge(rng, stretch(rng.uniform(0.6, 1.2), edge + rng.uniform(1.0, 6.0), 50.0))))
+        things.append((Label.BUSH, make.hedge(rng, stretch(rng.uniform(0.6, 1.2), edge + rng.uniform(1.0, 6.0), 50.0))))
     if rng.uniform() < side.walls:
         away, start = edge + rng.uniform(0.3, 6.0), -_END_M
         while start < _END_M:
             long = rng.uniform(6.0, 25.0)
             feet = _feet(road, np.linspace(start, start + long, 6), way * (away + rng.uniform(0, 1.5)), height)
-            things.append((Label.BARRIER, wall(rng, feet[:, :3])))
+            things.append((Label.BARRIER, make.wall(rng, feet[:, :3])))
             start += long + (rng.uniform(1.0, 8.0) if rng.uniform() < 0.6 else 0.0)
     return things
 
@@ -259,36 +221,19 @@ class Theme:
 
 
 THEMES = {
-    "meadow": Theme(roads=2, mud=0, bushes=40, trees=40, fences=2, grassy=1.0, slope_deg=10.0),
-    "forest": Theme(
-        mud=0, herbs=300, bushes=80, trees=170, persons=1, vehicles=1, grassy=0.4, floor_m=(0.005, 0.04), slope_deg=12.0
-    ),
-    "bushland": Theme(mud=0, puddles=0, herbs=120, bushes=500, trees=20),
-    "mire": Theme(mud=5, puddles=8, bushes=15, trees=12),
-    "quarry": Theme(
-        mud=0,
-        rubble=9,
-        puddles=3,
-        herbs=10,
-        bushes=8,
-        trees=10,
-        vehicles=8,
-        barriers=4,
-        persons=4,
-        grassy=0.15,
-        banks=1,
-    ),
-    "shore": Theme(water=4, mud=1, puddles=4, bushes=50, trees=20),
-    "yard": Theme(
-        mud=0, roads=3, rubble=2, bushes=8, trees=20, persons=14, vehicles=20, fences=6, barriers=6, grassy=0.5
-    ),
-    "street": Theme(roads=0, mud=0, herbs=10, bushes=5, trees=5, persons=0, fences=0, barriers=0, street=True),
-    "highway": Theme(
-        roads=0, mud=0, puddles=1, trees=80, bushes=60, persons=0, vehicles=0, fences=0, street=True, grassy=1.0
-    ),
-    "avenue": Theme(roads=0, mud=0, herbs=60, bushes=80, trees=220, persons=0, vehicles=0, fences=0, street=True),
-    "hillside": Theme(roads=0, mud=0, puddles=0, bushes=60, trees=60, fences=2, slope_deg=25.0, banks=3),
-}
+    # roads, mud, water, puddles, rubble, bare, herbs, bushes, trees, persons, vehicles, fences, barriers, grassy, ...
+    "meadow": Theme(2, 0, 0, 2, 0, 1, 40, 40, 40, 3, 2, 2, 1, 1.0, slope_deg=10.0),
+    "forest": Theme(1, 0, 0, 2, 0, 1, 300, 80, 170, 1, 1, 1, 1, 0.4, floor_m=(0.005, 0.04), slope_deg=12.0),
+    "bushland": Theme(1, 0, 0, 0, 0, 1, 120, 500, 20, 3, 2, 1, 1, 0.7),
+    "mire": Theme(1, 5, 0, 8, 0, 1, 40, 15, 12, 3, 2, 1, 1, 0.7),
+    "quarry": Theme(1, 0, 0, 3, 9, 1, 10, 8, 10, 4, 8, 1, 4, 0.15, banks=1),
+    "shore": Theme(1, 1, 4, 4, 0, 1, 40, 50, 20, 3, 2, 1, 1, 0.7),
+    "yard": Theme(3, 0, 0, 2, 2, 1, 40, 8, 20, 14, 20, 6, 6, 0.5),
+    "street": Theme(0, 0, 0, 2, 0, 1, 10, 5, 5, 0, 2, 0, 0, 0.7, street=True),
+    "highway": Theme(0, 0, 0, 1, 0, 1, 40, 60, 80, 0, 0, 0, 1, 1.0, street=True),
+    "avenue": Theme(0, 0, 0, 2, 0, 1, 60, 80, 220, 0, 0, 0, 1, 0.7, street=True),
+    "hillside": Theme(0, 0, 0, 0, 0, 1, 40, 60, 60, 3, 2, 2, 1, 0.7, slope_deg=25.0, banks=3),
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -405,7 +350,7 @@ def _draw_ground(rng: np.random.Generator, theme: Theme, name: str) -> SceneGrou
         label = (Label.DIRT, Label.ASPHALT, Label.CONCRETE)[rng.integers(3)]
         regions.append(make_road(rng, label, float(rng.normal(0, 3) if number == 0 else rng.uniform(-30, 30))))
     regions += _draw_water(rng, theme, bare)
-    return SceneGround(**{**{name: getattr(bare, name) for name in bare.__slots__}, "regions": tuple(regions)})
+    return replace(bare, regions=tuple(regions))
 
 
 def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> list[Region]:
@@ -422,7 +367,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
         if blob.reach(origin, origin)[0] < 1.5:
             continue
         level = float(bank.min()) - rng.uniform(0.0, 0.25 if label == Label.WATER else 0.05)
-        drawn.append(Blob(label, blob.centre, radius, blob.waves, blob.rough_m, level))
+        drawn.append(replace(blob, level_m=level))
     return drawn
 
 
@@ -440,12 +385,12 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
     ):
         z = height(places[:, 0], places[:, 1])
         things += [(label, _grow(rng, label, np.array([*place, up]))) for place, up in zip(places, z, strict=True)]
-    for label, most, build in ((Label.FENCE, theme.fences, fence), (Label.BARRIER, theme.barriers, barrier)):
+    for label, most, build in ((Label.FENCE, theme.fences, make.fence), (Label.BARRIER, theme.barriers, make.barrier)):
         lines = [build(rng, np.array(_place(rng, 5, 50)), height) for _ in range(_up_to(rng, most))]
         things += [(label, soup) for soup in lines if np.hypot(soup[..., 0], soup[..., 1]).min() > 2.0]
     for region in ground.regions:
         if region.label == Label.RUBBLE and isinstance(region, Blob):
-            build_field = stone_field if rng.uniform() < 0.35 else block_field
+            build_field = make.stone_field if rng.uniform() < 0.35 else make.block_field
             things.append((Label.RUBBLE, build_field(rng, _inside(rng, region, ground), height)))
     return [(label, soup) for label, soup in things if len(soup)]
 
@@ -453,14 +398,14 @@ def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) ->
 def _grow(rng: np.random.Generator, label: Label, base: Floats) -> Triangles:
     match label:
         case Label.GRASS:
-            return herb(rng, base, log_uniform(rng, 0.1, 0.4))
+            return make.herb(rng, base, log_uniform(rng, 0.1, 0.4))
         case Label.BUSH:
-            return bush(rng, base, log_uniform(rng, 0.4, 2.5))
+            return make.bush(rng, base, log_uniform(rng, 0.4, 2.5))
         case Label.TREE:
-            return tree(rng, base, log_uniform(rng, 2.5, 14.0))
+            return make.tree(rng, base, log_uniform(rng, 2.5, 14.0))
         case Label.PERSON:
-            return person(rng, base)
-    return vehicle(rng, base)
+            return make.person(rng, base)
+    return make.vehicle(rng, base)
 
 
 def _spots(rng: np.random.Generator, count: int, nearest: float, farthest: float) -> Floats:

@@ -13,31 +13,6 @@ from numpy.typing import NDArray
 
 from bumpymap.lab.worlds.terrains import log_uniform
 
-__all__ = [
-    "REFLECTIONS",
-    "Field",
-    "Floats",
-    "Height",
-    "Label",
-    "Triangles",
-    "barrier",
-    "block_field",
-    "bush",
-    "fence",
-    "fence_along",
-    "guard_rail",
-    "hedge",
-    "herb",
-    "make_field",
-    "person",
-    "pole",
-    "smoothstep",
-    "stone_field",
-    "tree",
-    "vehicle",
-    "wall",
-]
-
 Floats = NDArray[np.float64]
 
 
@@ -107,36 +82,29 @@ class Label(IntEnum):
     RUBBLE = 34
 
 
-@dataclass(frozen=True, slots=True)
-class Reflection:
-    """Reflection of a laser pulse by a surface."""
-
-    reflectivity: tuple[float, float]
-    """Range of the reflectivity, 0..1; each scene draws its own value."""
-    specular_loss: tuple[float, float] = (0.0, 0.0)
-    """Range of the share of pulses that a smooth wet or painted surface reflects away from the sensor."""
-
-
 REFLECTIONS = {
-    Label.DIRT: Reflection((0.2, 0.4)),
-    Label.GRASS: Reflection((0.3, 0.6)),
-    Label.TREE: Reflection((0.3, 0.6)),
-    Label.WATER: Reflection((0.05, 0.2), (0.75, 0.97)),
-    Label.VEHICLE: Reflection((0.2, 0.7), (0.05, 0.35)),
-    Label.ASPHALT: Reflection((0.1, 0.25)),
-    Label.PERSON: Reflection((0.2, 0.6)),
-    Label.FENCE: Reflection((0.2, 0.5)),
-    Label.BUSH: Reflection((0.3, 0.6)),
-    Label.CONCRETE: Reflection((0.25, 0.5)),
-    Label.BARRIER: Reflection((0.25, 0.5)),
-    Label.PUDDLE: Reflection((0.05, 0.25), (0.7, 0.95)),
-    Label.MUD: Reflection((0.1, 0.25), (0.05, 0.4)),
-    Label.RUBBLE: Reflection((0.2, 0.45)),
+    Label.DIRT: ((0.2, 0.4), (0.0, 0.0)),
+    Label.GRASS: ((0.3, 0.6), (0.0, 0.0)),
+    Label.TREE: ((0.3, 0.6), (0.0, 0.0)),
+    Label.WATER: ((0.05, 0.2), (0.75, 0.97)),
+    Label.VEHICLE: ((0.2, 0.7), (0.05, 0.35)),
+    Label.ASPHALT: ((0.1, 0.25), (0.0, 0.0)),
+    Label.PERSON: ((0.2, 0.6), (0.0, 0.0)),
+    Label.FENCE: ((0.2, 0.5), (0.0, 0.0)),
+    Label.BUSH: ((0.3, 0.6), (0.0, 0.0)),
+    Label.CONCRETE: ((0.25, 0.5), (0.0, 0.0)),
+    Label.BARRIER: ((0.25, 0.5), (0.0, 0.0)),
+    Label.PUDDLE: ((0.05, 0.25), (0.7, 0.95)),
+    Label.MUD: ((0.1, 0.25), (0.05, 0.4)),
+    Label.RUBBLE: ((0.2, 0.45), (0.0, 0.0)),
 }
-"""Open water returns little light at the low angles of a ground robot, wet mud less than dry dirt."""
+"""Label -> range of the reflectivity, and of the share of pulses that a smooth wet or painted surface reflects away;
+each scene draws its own values. Open water returns little light at the low angles of a ground robot, wet mud less than
+dry dirt."""
 
 
 Triangles = NDArray[np.float32]
+_UP = np.array([0.0, 0.0, 1.0])
 
 _BOX = np.array(
     [
@@ -277,9 +245,8 @@ def vehicle(rng: np.random.Generator, base: Floats, heading: float | None = None
     long, wide, tall, back, front, body, clear = _MODELS[rng.integers(len(_MODELS))] * rng.uniform(0.93, 1.07, 7)
     turn = rng.uniform(0, 2 * np.pi) if heading is None else heading
     ahead, side = np.array([np.cos(turn), np.sin(turn), 0.0]), np.array([-np.sin(turn), np.cos(turn), 0.0])
-    up = np.array([0.0, 0.0, 1.0])
-    low = base + clear * up
-    cabin = low + 0.98 * (body * tall - clear) * up + ((back + front) / 2 - 0.5) * long * ahead
+    low = base + clear * _UP
+    cabin = low + 0.98 * (body * tall - clear) * _UP + ((back + front) / 2 - 0.5) * long * ahead
     sizes = np.array(
         [[long, wide, body * tall - clear], [(front - back) * long, 0.9 * wide, (1 - body) * tall]],
     )
@@ -287,10 +254,10 @@ def vehicle(rng: np.random.Generator, base: Floats, heading: float | None = None
     radius = max(0.3, 0.8 * clear + 0.1)
     for along in (-0.3, 0.3):
         for way in (-1.0, 1.0):
-            middle = base + radius * up + along * long * ahead + 0.5 * way * wide * side
+            middle = base + radius * _UP + along * long * ahead + 0.5 * way * wide * side
             parts.append(tube(middle - 0.12 * side, middle + 0.12 * side, radius, radius, 12))
             hub = np.array([[1.2 * radius, 0.2, 1.2 * radius]])
-            parts.append(boxes(hub, (middle - 0.6 * radius * up)[None], np.array([turn])))
+            parts.append(boxes(hub, (middle - 0.6 * radius * _UP)[None], np.array([turn])))
     return np.concatenate(parts)
 
 
@@ -313,12 +280,11 @@ def fence_along(rng: np.random.Generator, places: Floats, height: Height) -> Tri
     """Make a fence with posts at ``places`` (n, 2)."""
     feet = np.column_stack([places, height(places[:, 0], places[:, 1])])
     tall, thick = rng.uniform(0.9, 2.0), rng.uniform(0.03, 0.07)
-    up = np.array([0.0, 0.0, 1.0])
-    parts = [tube(foot - 0.1 * up, foot + tall * up, thick, thick, 6) for foot in feet]
+    parts = [tube(foot - 0.1 * _UP, foot + tall * _UP, thick, thick, 6) for foot in feet]
     style = rng.integers(3)
     if style == 0:  # boards along it
         band = rng.uniform(0.08, 0.18)
-        parts += [ribbon(feet + low * up, band) for low in np.arange(0.2, tall - band, rng.uniform(0.25, 0.45))]
+        parts += [ribbon(feet + low * _UP, band) for low in np.arange(0.2, tall - band, rng.uniform(0.25, 0.45))]
         return np.concatenate(parts)
     gap, width = (rng.uniform(0.11, 0.2), rng.uniform(0.06, 0.1)) if style == 1 else (0.06, 0.012)
     share = np.arange(0, len(feet) - 1, gap / np.linalg.norm(places[1] - places[0]))
@@ -328,9 +294,9 @@ def fence_along(rng: np.random.Generator, places: Floats, height: Height) -> Tri
     turn = np.arctan2(along[:, 1], along[:, 0])
     low = 0.05 if style == 1 else 0.02
     size = np.broadcast_to([width, 0.015, tall - low - 0.05], (len(at), 3))
-    parts.append(boxes(np.asarray(size), at + low * up, turn))
+    parts.append(boxes(np.asarray(size), at + low * _UP, turn))
     band, apart = (0.06, 0.4) if style == 1 else (0.015, 0.12)
-    parts += [ribbon(feet + z * up, band) for z in np.arange(0.15, tall, apart)]
+    parts += [ribbon(feet + z * _UP, band) for z in np.arange(0.15, tall, apart)]
     return np.concatenate(parts)
 
 
@@ -342,15 +308,14 @@ def barrier(rng: np.random.Generator, middle: Floats, height: Height) -> Triangl
     along = np.diff(places, axis=0)
     turn = np.arctan2(along[:, 1], along[:, 0])
     base = (feet[:-1] + feet[1:]) / 2
-    up = np.array([0.0, 0.0, 1.0])
     count = len(base)
     if rng.uniform() < 0.25:
         return guard_rail(feet)
     tall, wide, gap = rng.uniform(0.7, 1.1), rng.uniform(0.5, 0.9), rng.uniform(0.0, 0.4)
     parts = [
-        boxes(np.tile([step - gap, wide, 0.3 * tall], (count, 1)), base - 0.05 * up, turn),
-        boxes(np.tile([step - gap, 0.6 * wide, 0.35 * tall], (count, 1)), base + 0.24 * tall * up, turn),
-        boxes(np.tile([step - gap, 0.35 * wide, 0.45 * tall], (count, 1)), base + 0.55 * tall * up, turn),
+        boxes(np.tile([step - gap, wide, 0.3 * tall], (count, 1)), base - 0.05 * _UP, turn),
+        boxes(np.tile([step - gap, 0.6 * wide, 0.35 * tall], (count, 1)), base + 0.24 * tall * _UP, turn),
+        boxes(np.tile([step - gap, 0.35 * wide, 0.45 * tall], (count, 1)), base + 0.55 * tall * _UP, turn),
     ]
     return np.concatenate(parts)
 
@@ -366,13 +331,12 @@ def guard_rail(feet: Floats) -> Triangles:
 
 def pole(rng: np.random.Generator, base: Floats, heading: float) -> Triangles:
     """Make a lamp post, or a traffic sign whose face looks along the road."""
-    up = np.array([0.0, 0.0, 1.0])
     if rng.uniform() < 0.5:
         tall, thick = rng.uniform(4.0, 9.0), rng.uniform(0.06, 0.12)
-        return tube(base - 0.1 * up, base + tall * up, thick, 0.6 * thick, 8)
+        return tube(base - 0.1 * _UP, base + tall * _UP, thick, 0.6 * thick, 8)
     tall, wide = rng.uniform(1.8, 3.2), rng.uniform(0.5, 1.2)
-    face = boxes(np.array([[0.03, wide, wide * rng.uniform(0.6, 1.3)]]), (base + tall * up)[None], np.array([heading]))
-    return np.concatenate([tube(base - 0.1 * up, base + (tall + 0.2) * up, 0.04, 0.04, 8), face])
+    face = boxes(np.array([[0.03, wide, wide * rng.uniform(0.6, 1.3)]]), (base + tall * _UP)[None], np.array([heading]))
+    return np.concatenate([tube(base - 0.1 * _UP, base + (tall + 0.2) * _UP, 0.04, 0.04, 8), face])
 
 
 def wall(rng: np.random.Generator, feet: Floats) -> Triangles:

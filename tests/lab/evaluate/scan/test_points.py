@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import ClassedSectors, Scan
-from bumpymap.lab.evaluate.scans import GroundScore, ground_score, mean_ground, obstacle_score, sum_obstacles
+from bumpymap.lab.evaluate.scans import ground_score, mean_ground, obstacle_score
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import polar_sectors
 
@@ -30,22 +30,20 @@ def test_ground_is_counted_between_4_and_80_m_where_points_have_a_label():
     scan = _scan([5, 6, 7, 8, 9, 10, 3, 81], [ROAD, ROAD, ROAD, FENCE, NONE, OTHER, ROAD, ROAD])
     found = np.array([True, True, False, True, True, True, True, True])
     score = ground_score(scan, found, KITTI)
-    assert (score.frame, score.points) == ("one", 4)
-    assert score.precision == pytest.approx(2 / 3)
-    assert score.recall == pytest.approx(2 / 3)
-    assert score.f1 == pytest.approx(2 / 3)
+    assert (score["frame"], score["points"]) == ("one", 4)
+    assert (score["precision"], score["recall"], score["f1"]) == pytest.approx((2 / 3, 2 / 3, 2 / 3))
 
 
 def test_nothing_found_has_no_precision_and_a_frame_without_ground_no_part_in_the_mean():
     scan = _scan([5, 6], [ROAD, FENCE])
     score = ground_score(scan, np.zeros(2, np.bool_), KITTI)
-    assert np.isnan(score.precision)
-    assert (score.recall, score.f1) == (0.0, 0.0)
+    assert np.isnan(score["precision"])
+    assert (score["recall"], score["f1"]) == (0.0, 0.0)
     bare = ground_score(_scan([5], [FENCE]), np.zeros(1, np.bool_), KITTI)
-    good = GroundScore("two", 10, 1.0, 0.5, 0.8)
-    mean = mean_ground([score, good, bare])
-    assert (mean.points, mean.precision, mean.recall, mean.f1) == (12, 1.0, 0.25, 0.4)
-    assert np.isnan(mean_ground([bare]).f1)
+    good = {"frame": "two", "points": 10, "precision": 1.0, "recall": 0.5, "f1": 0.8}
+    mean = {"frame": "mean", "points": 12, "precision": 1.0, "recall": 0.25, "f1": 0.4}
+    assert mean_ground([score, good, bare]) == mean
+    assert np.isnan(mean_ground([bare])["f1"])
 
 
 def _classed():
@@ -72,6 +70,4 @@ def _classed():
 def test_points_of_obstacles_are_looked_for_in_free_sectors():
     scan, classed = _classed()
     score = obstacle_score(scan, classed, KITTI)
-    assert (score.points, score.in_free, score.in_free_low, score.in_free_class) == (6, 2, 1, 3)
-    both = sum_obstacles([score, score])
-    assert (both.points, both.in_free, both.in_free_low, both.in_free_class) == (12, 4, 2, 6)
+    assert score == {"points": 6, "in_free": 2, "in_free_low": 1, "in_free_class": 3}

@@ -99,12 +99,6 @@ def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, me
     assert not (tmp_path / "out" / "report.md").exists()
 
 
-def test_labels_of_scenes_are_not_asked_for(tmp_path):
-    run = CliRunner().invoke(main, ["evaluate", "--scans", "--labels", "kitti", "--out", str(tmp_path / "out")])
-    assert run.exit_code == 2
-    assert "--labels applies to frames" in run.output
-
-
 def test_an_empty_drive_says_so(tmp_path):
     np.zeros((50, 4), "<f4").tofile(tmp_path / "0.bin")
     run = CliRunner().invoke(main, ["evaluate", "--scans", str(tmp_path), "--out", str(tmp_path / "out")])

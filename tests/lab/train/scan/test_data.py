@@ -11,15 +11,12 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab.train import scan_sectors as data
 from bumpymap.lab.train.scan_sectors import (
-    GRIDS,
     SWAPPED_MEASURES,
     Sectors,
     crowns_as_bushes,
-    draw_cuts,
     draw_epoch,
     folder_frames,
     folder_sectors,
-    join,
     labelled_sectors,
     overhead_sectors,
     simulated_sectors,
@@ -27,7 +24,6 @@ from bumpymap.lab.train.scan_sectors import (
 from bumpymap.lab.worlds.scans.lidar import Sensor
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan.learned import CHANNELS, MEASURES
-from bumpymap.scan.polar import polar_sectors
 
 pytestmark = pytest.mark.slow
 
@@ -72,25 +68,6 @@ def test_the_most_frequent_label_decides_the_class(label):
     assert (sectors.label == label).all()
     assert sectors.patches.shape == (96, CHANNELS, 15, 15)
     assert sectors.measures.shape == (96, len(MEASURES))
-
-
-def test_labels_without_a_class_are_left_out():
-    for label in (0, 7, 12, 500):
-        assert len(labelled_sectors(_ring(label, lambda rng, n: rng.normal(0, 0.01, n))).class_id) == 0
-
-
-def test_additional_cuts_turn_and_use_several_grids():
-    cuts = draw_cuts(np.random.default_rng(1), 200)
-    assert cuts == draw_cuts(np.random.default_rng(1), 200)
-    assert {grid for _, grid in cuts} == {PolarSettings(), *GRIDS}
-    assert 60 < sum(grid == PolarSettings() for _, grid in cuts) < 140
-    assert all(0 <= angle < 2 * np.pi for angle, _ in cuts)
-
-
-def test_sectors_without_ground_are_left_out():
-    wall = _ring(18, lambda rng, n: rng.uniform(-1, 3, n))
-    stack = polar_sectors(wall)
-    assert len(labelled_sectors(wall).class_id) == stack.traversable.sum() < len(stack.zone)
 
 
 def test_crowns_over_the_ground_are_bushes_and_trunks_are_not():
@@ -202,15 +179,6 @@ def test_some_measures_are_lent_and_others_never():
         foreign = (measures[:, column] != who).mean()
         assert 0.1 < foreign < 0.2 if name in SWAPPED_MEASURES else foreign == 0
         assert_array_equal(np.sort(measures[:, column]), np.sort(who))  # lent, not made up
-
-
-def test_an_epoch_does_without_a_class_that_is_not_there():
-    assert np.bincount(draw_epoch(_made([5, 0, 5]), 4, np.random.default_rng(1))[2]).tolist() == [4, 0, 4]
-
-
-def test_join_keeps_the_order():
-    one, two = _made([2, 1, 0]), _made([0, 0, 3])
-    assert_array_equal(join([one, two]).class_id, [0, 0, 1, 2, 2, 2])
 
 
 def test_ground_from_above_is_half_blocks_and_none_of_it_water():

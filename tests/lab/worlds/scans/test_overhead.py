@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 
 from bumpymap.lab.worlds.scans.ground import Blob
 from bumpymap.lab.worlds.scans.lidar import overhead_scan
@@ -20,15 +19,7 @@ def level():
     return Scene("level", made, (), (7,))
 
 
-def test_the_seed_decides_every_bit():
-    scene = make_scene(2, 4)
-    one, two, other = (overhead_scan(scene, seed) for seed in (1, 1, 2))
-    for name in ("points", "intensity", "label"):
-        assert_array_equal(getattr(one, name), getattr(two, name))
-    assert len(one.points) != len(other.points)
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
     seen = overhead_scan(level, seed)
     heap = seen.label == Label.RUBBLE
@@ -43,14 +34,6 @@ def test_blocks_lie_on_one_side_and_level_ground_on_the_other(level, seed):
     away = np.hypot(*seen.points[:, :2].T)
     assert away.min() >= 3.999
     assert away.max() < 60.001
-
-
-def test_grass_stands_on_the_ground(level):
-    ground = replace(level.ground, cover=Label.GRASS, grass_m=0.3, grass_path_m=0.1)
-    seen = overhead_scan(replace(level, ground=ground), 1)
-    grass = seen.label == Label.GRASS
-    assert seen.points[grass, 2].std() > 0.05
-    assert np.ptp(seen.points[grass, 2]) < 2 * 0.3 + 0.3
 
 
 def test_water_has_no_label(level):

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from bumpymap.core.errors import UsageError
-from bumpymap.lab.worlds.terrains import KINDS, ScanEffects, Terrain, make_terrain, survey_terrain
+from bumpymap.lab.worlds.terrains import ScanEffects, Terrain, survey_terrain
 
 LEVEL = Terrain("plane", np.zeros((60, 60)), 3.0)
 
@@ -21,24 +21,7 @@ def survey(terrain, seed=1, **effects):
     return survey_terrain(terrain, ScanEffects(**effects), np.random.default_rng(seed))
 
 
-def test_same_generator_state_gives_the_same_bits():
-    terrain = make_terrain("stones", 1, 2)
-    effects = {"noise_m": 0.02, "noise_length_m": 0.3, "hole_share": 0.2, "smoothing_m": 0.1}
-    first, again, other = (survey(terrain, seed, **effects) for seed in (4, 4, 5))
-    np.testing.assert_array_equal(first.upward, again.upward)
-    assert not np.array_equal(first.easting[:50], other.easting[:50])
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_is_surveyed_inside_its_tile(kind):
-    points = survey(make_terrain(kind, 1, 0), noise_m=0.01, noise_length_m=0.2, smoothing_m=0.05)
-    for axis in (points.easting, points.northing):
-        assert axis.min() >= 0
-        assert axis.max() < 3.0
-    assert np.isfinite(points.upward).all()
-
-
-@pytest.mark.parametrize("density", [10, 100, 1000])
+@pytest.mark.parametrize("density", [10, 1000])
 def test_density_is_that_of_a_poisson_process(density):
     counts = [len(survey(LEVEL, seed, density=density).upward) for seed in range(40)]
     expected = 9 * density
@@ -52,17 +35,6 @@ def test_perfect_points_lie_on_the_surface_north_up():
     inside = (np.abs(points.easting - 1.5) < 1.4) & (np.abs(points.northing - 1.5) < 1.4)
     expected = 0.2 * points.easting - 0.3 * (3.0 - points.northing)
     np.testing.assert_allclose(points.upward[inside], expected[inside], atol=1e-9)
-
-
-def test_pixel_means_of_a_dense_survey_are_the_terrains_heights():
-    terrain = make_terrain("fractal_5", 2, 1, slope_limit_deg=5.0)
-    points = survey(terrain, density=40_000)
-    col, row = (points.easting / 0.2).astype(int), 14 - (points.northing / 0.2).astype(int)
-    total, count = np.zeros((15, 15)), np.zeros((15, 15))
-    np.add.at(total, (row, col), points.upward)
-    np.add.at(count, (row, col), 1)
-    spread = np.ptp(terrain.heights)
-    np.testing.assert_allclose(total / count, terrain.heights, atol=0.01 * spread)
 
 
 @pytest.mark.parametrize("noise", [0.01, 0.05])
@@ -113,10 +85,6 @@ def test_smoothing_damps_a_wave_as_a_gaussian_does(smoothing):
     basis = np.sin(2 * np.pi * points.easting[middle] / length)
     amplitude = float(basis @ points.upward[middle] / (basis @ basis))
     assert amplitude == pytest.approx(np.exp(-2 * (np.pi * smoothing / length) ** 2), abs=0.02)
-
-
-def test_a_survey_may_be_empty():
-    assert survey(LEVEL, density=1e-6).upward.shape == (0,)
 
 
 @pytest.mark.parametrize(

@@ -17,31 +17,6 @@ LOW, HIGH = BODY.lowest_obstacle_m, BODY.height_m
 TILES = 16  # 48 m
 
 
-def test_the_same_seed_gives_the_same_survey():
-    wood = plant_wood(3, side=12.0)
-    one, other = survey_wood(wood, 20, 0), survey_wood(plant_wood(3, side=12.0), 20, 0)
-    np.testing.assert_array_equal(one.upward, other.upward)
-    assert not np.array_equal(survey_wood(wood, 20, 1).upward, one.upward)
-
-
-def test_ground_points_lie_on_the_ground_and_the_others_above_it():
-    wood = plant_wood(1)
-    points = survey_wood(wood, 20, 1)
-    height = points.upward - wood.ground(points.easting, points.northing)
-    ground = points.classification == GROUND
-    assert np.abs(height[ground]).max() < 0.15
-    assert height[~ground].min() > -0.1
-    assert 0.4 < ground.mean() < 0.95
-
-
-def test_what_is_in_the_way_depends_on_the_heights():
-    wood = plant_wood(2)
-    assert true_pixels(wood, 0.1, 1.4, 0.2).sum() > true_pixels(wood, 0.5, 1.4, 0.2).sum() > 0
-    narrow, wide = (swept_tiles(wood, LOW, HIGH, width, 3.0) for width in (0.5, 2.5))
-    assert np.all(narrow[wide])
-    assert narrow.sum() > wide.sum()
-
-
 @pytest.fixture(scope="module")
 def surveyed():
     """A wood, and the pixels of its survey at 50 points/m2 with a ring of missing tiles."""

@@ -1,0 +1,11 @@
+"""Helpers of kernels, compiled by numba in this process, to be called from Python."""
+
+from numba import njit
+
+from bumpytiles import native
+
+
+def jitted(function):
+    """Return a helper, or the plain function of a kernel, that numba compiles when it is called."""
+    native._register(native._helpers)
+    return njit(error_model="numpy", **native._helpers.get(function, {}))(function)

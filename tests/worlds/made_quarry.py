@@ -1,0 +1,739 @@
+"""The sample survey: a synthetic quarry with relief in closed form, flown over by a drone, as files.
+
+    python tests/worlds/made_quarry.py --out sample_data
+
+Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
+of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
+surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
+the distance from the core in metres: zero or less inside.
+
+The flight has overlapping lines of zigzag sweeps, noise, crowns and errors, and points in the order of flight.
+"""
+
+import datetime as dt
+from argparse import ArgumentParser
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, Literal, get_args
+
+import laspy
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import CRS
+
+from bumpymap.core import write_vertices
+from bumpytiles import Bounds
+
+Floats = NDArray[np.float64]
+
+
+def smooth_step(value: Floats, start: float, end: float) -> Floats:
+    """Rise from 0 at ``start`` to 1 at ``end`` with level ends; with ``end`` below ``start`` the step falls."""
+    share = np.clip((value - start) / (end - start), 0.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)
+
+
+class WaveField:
+    """A random surface: sum of plane sine waves in evenly spread directions; longer waves are higher."""
+
+    def __init__(self, key: tuple[int, int], shortest: float, longest: float, deviation: float, waves: int = 14):
+        """Draw a field of ``waves`` wavelengths [m], spread evenly on a logarithmic scale, from seed and number."""
+        rng = np.random.default_rng(key)
+        steps = (np.arange(waves) + rng.random(waves)) / waves
+        wavelength = shortest * (longest / shortest) ** steps
+        direction = np.pi * (rng.permutation(waves) + rng.random(waves)) / waves
+        weight = wavelength**0.8
+        amplitude = deviation * weight * np.sqrt(2.0 / np.sum(weight**2))
+        frequency = 2.0 * np.pi / wavelength
+        phase = 2.0 * np.pi * rng.random(waves)
+        east, north = frequency * np.cos(direction), frequency * np.sin(direction)
+        self._waves = np.stack([amplitude, east, north, phase], axis=1).tolist()
+
+    def __call__(self, x: Floats, y: Floats) -> Floats:
+        """Return heights (n,) at local coordinates, m."""
+        total = np.zeros(np.broadcast(x, y).shape)
+        for amplitude, east, north, phase in self._waves:
+            total += amplitude * np.sin(east * x + north * y + phase)
+        return total
+
+
+@dataclass(frozen=True, slots=True)
+class BlockLayer:
+    """Angular stones of similar size: at most one per lattice cell, at a random position and angle."""
+
+    key: int
+    """Seed of the layer."""
+    cell: float
+    """Side of a lattice cell, m. A stone is 0.5 to 1.1 cells long."""
+    lowest: float
+    """Height of the smallest stone, m."""
+    highest: float
+    """Height of the tallest stone, m."""
+
+    def height(self, x: Floats, y: Floats, share: Callable[[Floats, Floats], Floats]) -> Floats:
+        """Return the height (n,) of the stone at each position [m], 0 between stones.
+
+        ``share`` is the probability of a stone by its centre. It reaches at most into the neighbouring cells.
+        """
+        column, line = np.floor(x / self.cell).astype(np.int64), np.floor(y / self.cell).astype(np.int64)
+        top = np.zeros(x.shape)
+        for step_x in (-1, 0, 1):
+            for step_y in (-1, 0, 1):
+                np.maximum(top, self._stone(x, y, column + step_x, line + step_y, share), out=top)
+        return top
+
+    def _stone(
+        self,
+        x: Floats,
+        y: Floats,
+        column: NDArray[np.int64],
+        line: NDArray[np.int64],
+        share: Callable[[Floats, Floats], Floats],
+    ) -> Floats:
+        """Return the height of the stone of one cell at each position, (n,) m."""
+        draw = [uniform(column, line, self.key + number) for number in range(8)]
+        centre_x, centre_y = (column + draw[0]) * self.cell, (line + draw[1]) * self.cell
+        half_length, half_width = self.cell * (0.25 + 0.3 * draw[2]), self.cell * (0.2 + 0.2 * draw[3])
+        cosine, sine = np.cos(np.pi * draw[4]), np.sin(np.pi * draw[4])
+        along = (cosine * (x - centre_x) + sine * (y - centre_y)) / half_length
+        across = (cosine * (y - centre_y) - sine * (x - centre_x)) / half_width
+        inside = 1.0 - np.maximum(np.abs(along), np.abs(across))
+        flanks = np.clip(inside / 0.3, 0.0, 1.0)
+        tilted_top = 1.0 - 0.35 * draw[5] * (1.0 + along) / 2.0
+        height = self.lowest + (self.highest - self.lowest) * draw[6] ** 2
+        return np.where(draw[7] < share(centre_x, centre_y), height * tilted_top * flanks, 0.0)
+
+
+def uniform(column: NDArray[np.int64], line: NDArray[np.int64], key: int) -> Floats:
+    """Hash lattice cells to uniform numbers 0..1 (n,), identical on all machines."""
+    mixed = column.astype(np.uint64) * np.uint64(0x9E3779B97F4A7C15) + line.astype(np.uint64) * np.uint64(
+        0xC2B2AE3D27D4EB4F
+    )
+    mixed += np.uint64((key * 0x165667B19E3779F9) % 2**64)
+    for shift, factor in ((32, 0xD6E8FEB86659FD93), (29, 0xA0761D6478BD642F)):
+        mixed = (mixed ^ (mixed >> np.uint64(shift))) * np.uint64(factor)
+    mixed ^= mixed >> np.uint64(32)
+    return (mixed >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+EAST_WEST, NORTH_SOUTH = 126.0, 102.0
+"""Size of the site, m."""
+ROAD_HALF_WIDTH = 6.0
+WASHBOARD = (48.0, 80.0)
+"""West and east end of the washboard, m east of the corner."""
+RUTS = (84.0, EAST_WEST)
+PAD = (58.4, 44.3, 76.4, 59.3)
+"""West, south, east, north edge of the concrete pad; no edge lies on a border of 3 m tiles."""
+KERB_BAND = 2.9
+"""The zone 'step' extends this far to both sides of the pad's edge, m."""
+RAMP = (12.0, 50.0, 26.0, 76.0)
+LANDING_NORTH = 85.0
+"""Northern end of the level landing of the ramp, at the upper bench, m."""
+BANK_WIDTH = 12.0
+STOCKPILES = ((42.6, 46.5, 6.2), (47.2, 51.6, 4.2))
+"""x, y and radius of the gravel heaps, m."""
+BLEND = {"road": 3.0, "spur": 3.0, "ramp": 5.0, "pad": 7.0, "pond": 3.5}
+"""Width of the blend around a core, m. The pad's apron is flat over the first ``KERB_BAND`` metres of its blend."""
+
+_POND = (37.0, 61.5, 5.0, 4.0)
+_RUBBLE = (99.0, 53.5, 19.0, 12.5)
+
+
+def road_offset(x: Floats, y: Floats) -> Floats:
+    """Distance to the north of the road's centreline, m (measured across the road)."""
+    turn = 2.0 * np.pi / 140.0
+    centre = 26.0 + 4.0 * np.sin(turn * (x - 10.0))
+    gradient = 4.0 * turn * np.cos(turn * (x - 10.0))
+    return (y - centre) / np.sqrt(1.0 + gradient**2)
+
+
+def along_bank(x: Floats, y: Floats) -> Floats:
+    """Distance to the north of the foot of the bench wall, m; the wall is ``BANK_WIDTH`` wide."""
+    arc = 71.0 - 9.0 * ((x - 63.0) / 63.0) ** 4
+    return y - (arc + 1.6 * np.sin(2.0 * np.pi * x / 61.0 + 0.6) + 0.8 * np.sin(2.0 * np.pi * x / 23.0))
+
+
+def outside_box(x: Floats, y: Floats, box: tuple[float, float, float, float]) -> Floats:
+    """Distance to a (west, south, east, north) box, m; inside it is minus the distance to the edge."""
+    west, south, east, north = box
+    from_x, from_y = np.maximum(west - x, x - east), np.maximum(south - y, y - north)
+    corner = np.hypot(np.maximum(from_x, 0.0), np.maximum(from_y, 0.0))
+    return corner + np.minimum(np.maximum(from_x, from_y), 0.0)
+
+
+def outside_ramp(x: Floats, y: Floats) -> Floats:
+    """Distance to the ramp and its landing, m."""
+    return outside_box(x, y, (*RAMP[:3], LANDING_NORTH))
+
+
+def outside_spur(x: Floats, y: Floats) -> Floats:
+    """Distance to the spur that leads from the road to the foot of the ramp, m."""
+    return outside_box(x, y, (RAMP[0], 26.0, RAMP[2], RAMP[1]))
+
+
+def outside_pond(x: Floats, y: Floats) -> Floats:
+    """Approximate distance to the 10 x 8 m ellipse of the pond, m; the sign is exact."""
+    x0, y0, half_x, half_y = _POND
+    return (np.hypot((x - x0) / half_x, (y - y0) / half_y) - 1.0) * half_y
+
+
+def outside_rubble(x: Floats, y: Floats) -> Floats:
+    """Approximate distance to the lobed outline of the rubble field, m; the sign is exact."""
+    x0, y0, half_x, half_y = _RUBBLE
+    angle = np.arctan2((y - y0) / half_y, (x - x0) / half_x)
+    lobes = 1.0 + 0.07 * np.sin(3.0 * angle + 0.8) + 0.05 * np.sin(7.0 * angle)
+    return (np.hypot((x - x0) / half_x, (y - y0) / half_y) / lobes - 1.0) * half_y
+
+
+def outside_stockpile(x: Floats, y: Floats) -> Floats:
+    """Distance to the foot of the nearest gravel heap, m."""
+    distances = [np.hypot(x - x0, y - y0) - radius for x0, y0, radius in STOCKPILES]
+    return np.minimum(distances[0], distances[1])
+
+
+DATUM = 412.0
+CROWN = 0.02
+"""Cross fall of the road to both sides of its centreline, m/m."""
+WASHBOARD_AMPLITUDE = 0.02
+"""Half of the crest-to-trough height, m."""
+WASHBOARD_LENGTH = 0.7
+"""Crest to crest along the easting, m."""
+RUT_DEPTH = 0.16
+"""Mean depth along the rut, m."""
+KERB_HEIGHT = 0.25
+"""Height of the pad above its apron on all four sides, m."""
+RAMP_SLOPE_DEG = 15.0
+BENCH_HEIGHT = 7.0
+"""Height of the upper bench above the quarry floor, m."""
+_RUT_OFFSETS = (-3.8, -1.4, 1.4, 3.8)
+_RUT_WIDTH = 0.24
+
+
+@lru_cache(maxsize=8)
+def _roughness(seed: int) -> SimpleNamespace:
+    """Draw the random fields of one site."""
+    return SimpleNamespace(
+        floor=WaveField((seed, 1), 0.8, 20.0, 0.04, waves=24),
+        road=WaveField((seed, 2), 0.6, 4.0, 0.004),
+        undulation=WaveField((seed, 3), 12.0, 34.0, 0.17, waves=9),
+        tussocks=WaveField((seed, 4), 0.5, 1.6, 0.012, waves=24),
+        rock=WaveField((seed, 5), 0.7, 6.0, 0.24, waves=36),
+        gravel=WaveField((seed, 6), 0.4, 2.5, 0.05),
+        small_blocks=BlockLayer(seed * 64, 0.6, 0.10, 0.25),
+        large_blocks=BlockLayer(seed * 64 + 32, 1.25, 0.20, 0.50),
+    )
+
+
+def relief(seed: int, x: Floats, y: Floats) -> Floats:
+    """Return the height of the ground, (n,) m, at local coordinates ``x``, ``y`` (n,) m."""
+    z = _open_ground(seed, x, y)
+    z = _overlay(z, x, y, outside_stockpile(x, y) < 0.0, lambda z, x, y: z + _stockpile(seed, x, y))
+    z = _overlay(z, x, y, _stone_share(x, y, 2.0) > 0.0, lambda z, x, y: z + _rubble(seed, x, y))
+    z = _overlay(z, x, y, outside_pond(x, y) < BLEND["pond"], _pond)
+    z = _overlay(z, x, y, outside_box(x, y, PAD) < BLEND["pad"], _pad)
+    z = _overlay(z, x, y, outside_ramp(x, y) < BLEND["ramp"], _ramp)
+    z = _overlay(z, x, y, outside_spur(x, y) < BLEND["spur"], lambda z, x, y: _spur(seed, z, x, y))
+    near_road = np.abs(road_offset(x, y)) < ROAD_HALF_WIDTH + BLEND["road"]
+    return _overlay(z, x, y, near_road, lambda z, x, y: _road(seed, z, x, y))
+
+
+def _overlay(
+    z: Floats, x: Floats, y: Floats, where: np.ndarray, surface: Callable[[Floats, Floats, Floats], Floats]
+) -> Floats:
+    """Overlay a surface on the ground where ``where`` is True, and evaluate it only there."""
+    if where.any():
+        z[where] = surface(z[where], x[where], y[where])
+    return z
+
+
+def _base(x: Floats, y: Floats) -> Floats:
+    """Return the quarry floor without roughness: a plane that falls to the south-west."""
+    return DATUM + 0.012 * x + 0.006 * y
+
+
+def _meadow_share(x: Floats, y: Floats) -> Floats:
+    """Return 1 on vegetated ground (south strip, upper bench), 0 on the quarry floor."""
+    south = smooth_step(road_offset(x, y), -6.0, -9.0)
+    return np.maximum(south, smooth_step(along_bank(x, y), BANK_WIDTH - 1.5, BANK_WIDTH))
+
+
+def _open_ground(seed: int, x: Floats, y: Floats) -> Floats:
+    """Floor, meadow and the bench wall: two rough faces with a narrow berm between them."""
+    rough = _roughness(seed)
+    north = along_bank(x, y)
+    faces = 3.7 * smooth_step(north, 0.0, 5.0) + (BENCH_HEIGHT - 3.7) * smooth_step(north, 7.0, BANK_WIDTH)
+    meadow = _meadow_share(x, y)
+    z = _base(x, y) + faces + 0.5 * smooth_step(road_offset(x, y), -7.0, -22.0)
+    z = _overlay(z, x, y, meadow < 1.0, lambda z, x, y: z + (1.0 - _meadow_share(x, y)) * rough.floor(x, y))
+    grown = rough.undulation
+    z = _overlay(z, x, y, meadow > 0.0, lambda z, x, y: z + _meadow_share(x, y) * (grown(x, y) + rough.tussocks(x, y)))
+    return _overlay(z, x, y, (north > -1.0) & (north < BANK_WIDTH), lambda z, x, y: z + _rock(seed, x, y))
+
+
+def _rock(seed: int, x: Floats, y: Floats) -> Floats:
+    """Broken rock on the faces: folded waves give ribs and gullies, fading at the foot and at the edge."""
+    north = along_bank(x, y)
+    strength = smooth_step(north, -1.0, 0.8) * smooth_step(north, BANK_WIDTH, BANK_WIDTH - 1.2)
+    waves = _roughness(seed).rock(x, y)
+    return strength * (waves - 0.6 * np.abs(waves))
+
+
+def _stockpile(seed: int, x: Floats, y: Floats) -> Floats:
+    """Gravel heaps at 32 degrees with rounded tops, m above the floor."""
+    tops: list[Floats] = [
+        np.tan(np.radians(32.0)) * np.maximum(radius - np.sqrt((x - x0) ** 2 + (y - y0) ** 2 + 0.6) + 0.05, 0.0)
+        for x0, y0, radius in STOCKPILES
+    ]
+    heap = np.maximum(tops[0], tops[1])
+    return heap + np.minimum(heap, 1.0) * _roughness(seed).gravel(x, y)
+
+
+def _stone_share(x: Floats, y: Floats, reach: float = 0.0) -> Floats:
+    """Return the probability of a stone per lattice cell: high in the rubble field, lower around it and below the wall.
+
+    ``reach`` [m] widens both areas, to find all positions that a stone inside may cover.
+    """
+    field = smooth_step(outside_rubble(x, y), 4.0 + reach, 0.0)
+    north = along_bank(x, y)
+    talus = smooth_step(north, -4.0 - reach, 0.0) * smooth_step(north, 5.0 + reach, 1.0)
+    return np.maximum(0.92 * field, 0.22 * talus)
+
+
+def _rubble(seed: int, x: Floats, y: Floats) -> Floats:
+    """Blocks over smaller blocks, m above the ground."""
+    rough = _roughness(seed)
+    small = rough.small_blocks.height(x, y, _stone_share)
+    return np.maximum(small, rough.large_blocks.height(x, y, lambda x, y: 0.6 * _stone_share(x, y)))
+
+
+def _pond(z: Floats, x: Floats, y: Floats) -> Floats:
+    """Return a pond 0.9 m below the floor; surveys have no points inside its shore."""
+    share = smooth_step(outside_pond(x, y), BLEND["pond"], -1.0)
+    return (1.0 - share) * z + share * (_base(x, y) - 0.9)
+
+
+def _pad(z: Floats, x: Floats, y: Floats) -> Floats:
+    """Concrete slab on a flat apron: a clean kerb of ``KERB_HEIGHT`` all around."""
+    outside = outside_box(x, y, PAD)
+    share = smooth_step(outside, BLEND["pad"], KERB_BAND)
+    apron = DATUM + 1.1 + 0.004 * (x - PAD[0]) + 0.010 * (y - PAD[1])
+    return (1.0 - share) * z + share * apron + np.where(outside <= 0.0, KERB_HEIGHT, 0.0)
+
+
+def _ramp(z: Floats, x: Floats, y: Floats) -> Floats:
+    """Return an exact plane of ``RAMP_SLOPE_DEG`` that climbs to the north, with a level landing at the top."""
+    share = smooth_step(outside_ramp(x, y), BLEND["ramp"], 0.0)
+    climb = np.clip(y - RAMP[1], 0.0, RAMP[3] - RAMP[1])
+    plane: Floats = DATUM + 0.75 + np.tan(np.radians(RAMP_SLOPE_DEG)) * climb
+    return (1.0 - share) * z + share * plane
+
+
+def _spur(seed: int, z: Floats, x: Floats, y: Floats) -> Floats:
+    """Graded track from the road to the ramp; its blend stops at the ramp's toe."""
+    share = smooth_step(outside_spur(x, y), BLEND["spur"], 0.0) * smooth_step(y, RAMP[1], RAMP[1] - 3.0)
+    return (1.0 - share) * z + share * (DATUM + 0.75 + 0.006 * (y - RAMP[1]) + _roughness(seed).road(x, y))
+
+
+def _road(seed: int, z: Floats, x: Floats, y: Floats) -> Floats:
+    """Crowned haul road with a washboard and a rutted section, and a windrow along its southern edge."""
+    offset = road_offset(x, y)
+    share = smooth_step(np.abs(offset), ROAD_HALF_WIDTH + BLEND["road"], ROAD_HALF_WIDTH)
+    crown = -CROWN * (np.sqrt(offset**2 + 0.5) - np.sqrt(0.5))
+    surface: Floats = DATUM + 0.6 + 0.012 * x + crown + _roughness(seed).road(x, y)
+    surface += _washboard(x, offset) + _ruts(x, offset)
+    windrow = 0.45 * np.exp(-(((offset + 7.4) / 0.55) ** 2)) * (1.0 - smooth_step(-offset, 6.6, 6.0))
+    return (1.0 - share) * z + share * surface + np.where(offset < -ROAD_HALF_WIDTH, windrow, 0.0)
+
+
+def _washboard(x: Floats, offset: Floats) -> Floats:
+    """Sine crests across the road, slightly bent, full height between the ends of ``WASHBOARD``, m."""
+    west, east = WASHBOARD
+    strength = smooth_step(x, west - 4.0, west) * smooth_step(x, east + 4.0, east)
+    bend = 0.12 * np.sin(2.0 * np.pi * offset / 9.0)
+    return WASHBOARD_AMPLITUDE * strength * np.sin(2.0 * np.pi * (x + bend) / WASHBOARD_LENGTH)
+
+
+def _ruts(x: Floats, offset: Floats) -> Floats:
+    """Two parallel troughs in each of the two lanes, with pushed-up shoulders, wandering a little, m."""
+    strength = smooth_step(x, RUTS[0] - 4.0, RUTS[0]) * (1.0 + 0.25 * np.sin(2.0 * np.pi * x / 11.0))
+    wander = offset + 0.12 * np.sin(2.0 * np.pi * x / 17.0)
+    total = np.zeros(x.shape)
+    for trough in _RUT_OFFSETS:
+        from_trough = (wander - trough) / _RUT_WIDTH
+        total += -np.exp(-0.5 * from_trough**2) + 0.3 * np.exp(-0.5 * (np.abs(from_trough) - 2.2) ** 2 / 0.5)
+    return RUT_DEPTH * strength * total
+
+
+_WANTED = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """One tree; the crown is round seen from above."""
+
+    easting: float
+    """m."""
+    northing: float
+    """m."""
+    radius: float
+    """Radius of the crown, m."""
+    height: float
+    """Top above the ground at the trunk, m."""
+    is_conifer: bool
+    """True: a cone almost down to the ground; False: an ellipsoid on a trunk."""
+
+
+def plant(
+    seed: int, corner: tuple[float, float], may_stand: Callable[[Floats, Floats], NDArray[np.bool_]]
+) -> tuple[Tree, ...]:
+    """Draw random trees that do not touch each other, where ``may_stand`` is True of local x and y (n,)."""
+    rng = np.random.default_rng((seed, 101))
+    candidates = rng.random((400, 2)) * (EAST_WEST, NORTH_SOUTH)
+    candidates = candidates[may_stand(candidates[:, 0], candidates[:, 1])]
+    chosen: list[Tree] = []
+    for x, y in candidates.tolist():
+        radius = float(rng.uniform(1.3, 2.7))
+        tree = Tree(
+            corner[0] + x, corner[1] + y, radius, radius * float(rng.uniform(2.3, 3.2)), bool(rng.random() < 0.4)
+        )
+        clear = all(
+            np.hypot(tree.easting - other.easting, tree.northing - other.northing) > radius + other.radius + 0.5
+            for other in chosen
+        )
+        if clear:
+            chosen.append(tree)
+        if len(chosen) == _WANTED:
+            break
+    return tuple(chosen)
+
+
+def crown_over(trees: Iterable[Tree], easting: Floats, northing: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Return top and bottom (n,) of the crown above each position, m above the foot, and its tree; NaN, -1 without."""
+    top, bottom = np.full(easting.shape, np.nan), np.full(easting.shape, np.nan)
+    which = np.full(easting.shape, -1, dtype=np.int64)
+    for number, tree in enumerate(trees):
+        distance = np.hypot(easting - tree.easting, northing - tree.northing) / tree.radius
+        under = distance < 1.0
+        share = distance[under]
+        which[under] = number
+        if tree.is_conifer:
+            top[under], bottom[under] = tree.height * (1.0 - 0.85 * share), 0.1 * tree.height
+        else:
+            half = 0.36 * tree.height
+            bulge = half * np.sqrt(1.0 - share**2)
+            top[under], bottom[under] = tree.height - half + bulge, tree.height - half - bulge
+    return top, bottom, which
+
+
+Zone = Literal[
+    "transition",
+    "floor",
+    "meadow",
+    "bank",
+    "rubble",
+    "stockpile",
+    "pond",
+    "pad",
+    "step",
+    "ramp",
+    "road",
+    "washboard",
+    "ruts",
+    "outside",
+]
+ZONES: tuple[Zone, ...] = get_args(Zone)
+"""'transition' is the blend between two surfaces; 'outside' is beyond the site."""
+EPSG = 32632
+"""CRS of the site: WGS 84 / UTM zone 32N, metres. The location is arbitrary."""
+
+_CORNER = (512_340.0, 5_403_210.0)
+
+
+@dataclass(frozen=True, slots=True)
+class QuarrySite:
+    """A quarry of 126 x 102 m: road, washboard, ruts, rubble, pad with kerb, ramp, bench wall, meadow, pond, trees.
+
+    The seed changes stones, waves and trees, but not the zones.
+    """
+
+    seed: int = 1
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}; it must be zero or more")
+
+    @property
+    def bounds(self) -> Bounds:
+        """Extent of the site, m; a whole number of 3 m tiles."""
+        west, south = _CORNER
+        return Bounds(west, south, west + EAST_WEST, south + NORTH_SOUTH)
+
+    @property
+    def trees(self) -> tuple[Tree, ...]:
+        """The trees; their crowns do not belong to the ground."""
+        return _trees(self.seed)
+
+    def height(self, easting: Floats, northing: Floats) -> Floats:
+        """Return the height of the bare ground at any places, m; continuous except at the kerb of the pad."""
+        x, y = _local(easting, northing)
+        return relief(self.seed, x.ravel(), y.ravel()).reshape(x.shape)
+
+    def is_water(self, easting: Floats, northing: Floats) -> NDArray[np.bool_]:
+        """Return True in the pond, where surveys have no points."""
+        return outside_pond(*_local(easting, northing)) <= 0.0
+
+    def zone_at(self, easting: Floats, northing: Floats) -> NDArray[np.str_]:
+        """Return the zone at each position, one of ``ZONES``."""
+        x, y = _local(easting, northing)
+        return np.array(ZONES)[_zone_code(x, y)]
+
+    def tiles_inside(self, zone: Zone, size: float = 3.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return columns and rows (k,) of the tiles that lie in a zone at 31 x 31 places of each, and under no tree."""
+        box = self.bounds
+        col, row = np.meshgrid(
+            np.arange(np.floor(box.west / size), np.ceil(box.east / size)),
+            np.arange(np.floor(box.south / size), np.ceil(box.north / size)),
+        )
+        west, south = col.ravel() * size, row.ravel() * size
+        for places in (3, 31):  # coarse test first, which excludes most tiles
+            inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
+            easting, northing = np.broadcast_arrays(
+                west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
+            )
+            within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
+            west, south = west[within], south[within]
+        clear = np.all(crown_over(self.trees, easting[within], northing[within])[2] < 0, axis=(1, 2))
+        return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
+
+
+def _local(easting: Floats, northing: Floats) -> tuple[Floats, Floats]:
+    """Return coordinates relative to the south-west corner, m, broadcast to a common shape."""
+    x, y = np.broadcast_arrays(np.asarray(easting, np.float64), np.asarray(northing, np.float64))
+    return x - _CORNER[0], y - _CORNER[1]
+
+
+@lru_cache(maxsize=8)
+def _trees(seed: int) -> tuple[Tree, ...]:
+    return plant(seed, _CORNER, lambda x, y: _zone_code(x, y) == ZONES.index("meadow"))
+
+
+def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
+    """Return the index into ``ZONES``; later features cover earlier ones, like their surfaces."""
+    code = np.full(x.shape, ZONES.index("floor"), dtype=np.int64)
+    north, offset, pad = along_bank(x, y), road_offset(x, y), outside_box(x, y, PAD)
+
+    def paint(zone: Zone, core: NDArray[np.bool_], around: NDArray[np.bool_] | None = None) -> None:
+        if around is not None:
+            code[around] = ZONES.index("transition")
+        code[core] = ZONES.index(zone)
+
+    paint("meadow", offset < -ROAD_HALF_WIDTH)
+    paint("bank", (north > 0.0) & (north < BANK_WIDTH), (north > -4.0) & (north < BANK_WIDTH + 0.5))
+    paint("meadow", north >= BANK_WIDTH + 0.5)
+    rubble, heap, pond = outside_rubble(x, y), outside_stockpile(x, y), outside_pond(x, y)
+    paint("stockpile", heap <= -0.5, heap < 0.5)
+    paint("rubble", rubble <= 0.0, (rubble < 5.0) & (north <= 0.0))
+    paint("pond", pond <= 0.0, pond < BLEND["pond"])
+    paint("pad", pad < -KERB_BAND, pad < BLEND["pad"])
+    paint("step", np.abs(pad) <= KERB_BAND)
+    ramp, spur = outside_ramp(x, y), outside_spur(x, y)
+    paint("ramp", outside_box(x, y, RAMP) <= 0.0, ramp < BLEND["ramp"])
+    graded = (spur <= 0.0) & (y < RAMP[1] - 3.0)
+    paint("road", graded, (spur < BLEND["spur"]) & (ramp > 0.0))
+    core = np.abs(offset) <= ROAD_HALF_WIDTH
+    shoulder = np.abs(offset) < ROAD_HALF_WIDTH + BLEND["road"]
+    paint("road", core, shoulder)
+    sections: tuple[tuple[Zone, tuple[float, float]], ...] = (("washboard", WASHBOARD), ("ruts", RUTS))
+    for zone, (west, east) in sections:
+        paint(zone, core & (x >= west) & (x <= east), core & (x > west - 4.0) & (x < east + 4.0))
+    paint("outside", (x < 0.0) | (x >= EAST_WEST) | (y < 0.0) | (y >= NORTH_SOUTH))
+    return code
+
+
+SCALE = 0.001
+"""Coordinates are whole millimetres."""
+NOISE_SIGMA = 0.008
+"""Standard deviation of the normal noise of ground heights, m. Horizontal positions have no noise."""
+STRAYS = 8
+"""Number of unflagged outliers, tens of metres above (5) or below (3) the ground."""
+NOISE_POINTS = 60
+"""Number of points of class 7, metres off the ground."""
+WITHHELD_POINTS = 40
+"""Number of points with the withheld flag, decimetres to metres off the ground."""
+
+_LINES = 6
+_HALF_SWATH = 13.0
+_FLIGHT_HEIGHT = 40.0
+_CANOPY_SHARE = 0.7
+_PULSE_SECONDS = 1e-5
+_FEWEST = 1000
+UNASSIGNED, GROUND, TREE, NOISE = 1, 2, 5, 7
+
+
+Points = dict[str, NDArray[Any]]
+"""The columns of a survey, (n,) each in the order of flight: easting, northing, upward [m, in the millimetre steps of
+the file], classification, withheld, is_stray (far off, but not flagged in the file), line from 1, gps_time [s]."""
+
+
+def sample_survey(site: QuarrySite, density: float = 100.0) -> Points:
+    """Simulate a survey flight of ``density`` points per square metre, which varies by a factor of about three."""
+    lines = [_fly_line(site, number, density) for number in range(_LINES)]
+    return _add_errors({name: np.concatenate([line[name] for line in lines]) for name in lines[0]}, site.seed)
+
+
+def is_true_ground(points: Points) -> NDArray[np.bool_]:
+    """Return True (n,) where the height is that of the relief, within the noise."""
+    return (points["classification"] == GROUND) & ~points["withheld"] & ~points["is_stray"]
+
+
+def _fly_line(site: QuarrySite, number: int, density: float) -> Points:
+    """Return the points of one flight line."""
+    area = site.bounds
+    rng = np.random.default_rng((site.seed, 200 + number))
+    easting, northing, pulse = _sweep(rng, site.bounds, number, density)
+    ground_noise = NOISE_SIGMA * rng.standard_normal(easting.size)
+    crown_draw, crown_depth = rng.random(easting.size), rng.exponential(0.5, easting.size)
+    easting, northing = _quantised(easting, site.bounds.west), _quantised(northing, site.bounds.south)
+    keep = (easting >= area.west) & (easting < area.east) & (northing >= area.south) & (northing < area.north)
+    keep &= ~site.is_water(easting, northing) & (rng.random(easting.size) > 0.01)
+    easting, northing = easting[keep], northing[keep]
+    canopy, is_tree = _canopy(site, easting, northing, crown_draw[keep], crown_depth[keep])
+    upward = np.where(is_tree, canopy, site.height(easting, northing) + ground_noise[keep])
+    none = np.zeros(easting.size, dtype=np.bool_)
+    return {
+        "easting": easting,
+        "northing": northing,
+        "upward": _quantised(upward, 0.0),
+        "classification": np.where(is_tree, TREE, GROUND).astype(np.uint8),
+        "withheld": none,
+        "is_stray": none,
+        "line": np.full(easting.size, number + 1, dtype=np.uint16),
+        "gps_time": 60.0 * number + _PULSE_SECONDS * pulse[keep],
+    }
+
+
+def _sweep(
+    rng: np.random.Generator, box: Bounds, number: int, density: float
+) -> tuple[Floats, Floats, NDArray[np.int64]]:
+    """Return the positions at which the pulses of a line hit the ground inside the site, in the order of the pulses.
+
+    The drone's speed varies by a quarter, it rolls a little, and its start and end points vary; odd lines fly west.
+    """
+    width, pitch = box.east - box.west, (box.north - box.south) / _LINES
+    swept = 2.0 * _HALF_SWATH * _LINES - 2.0 * (_HALF_SWATH - pitch / 2.0)
+    spacing = 1.0 / np.sqrt(density * (box.north - box.south) / swept)
+    sweeps, pulses = int(width / spacing), int(2.0 * _HALF_SWATH / spacing)
+    pulse = np.arange(sweeps * pulses)
+    sweep, within = np.divmod(pulse, pulses)
+    along = pulse / pulses * spacing
+    along = along + 1.5 * np.sin(2.0 * np.pi * (along / 40.0 + rng.random()))
+    angle = np.arctan(_HALF_SWATH / _FLIGHT_HEIGHT) * (2.0 * (within + 0.5) / pulses - 1.0) * (1 - 2 * (sweep % 2))
+    roll = np.radians(0.6) * np.sin(2.0 * np.pi * (along / 23.0 + rng.random()))
+    x = along + 0.25 * spacing * rng.standard_normal(pulse.size)
+    y = pitch * (number + 0.5) + _FLIGHT_HEIGHT * np.tan(angle + roll)
+    y += 0.25 * spacing * rng.standard_normal(pulse.size)
+    start, end = 1.5 * rng.random(2) * (1.0, -1.0) + (0.0, width)
+    inside = (x >= start) & (x < end) & (y >= 0.0) & (y < box.north - box.south)
+    if number % 2:
+        x = width - x
+    return box.west + x[inside], box.south + y[inside], pulse[inside]
+
+
+def _canopy(
+    site: QuarrySite, easting: Floats, northing: Floats, draw: Floats, depth: Floats
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Return heights of crown points (n,) m, and True (n,) for pulses that stop in a crown."""
+    top, bottom, tree = crown_over(site.trees, easting, northing)
+    is_tree = (tree >= 0) & (draw < _CANOPY_SHARE)
+    trunk = np.array([(t.easting, t.northing) for t in site.trees])
+    foot = site.height(trunk[:, 0], trunk[:, 1])
+    return foot[tree] + np.maximum(top - depth, bottom), is_tree
+
+
+def _add_errors(points: Points, seed: int) -> Points:
+    """Move some ground points off the ground: unflagged outliers, class 7, withheld."""
+    rng = np.random.default_rng((seed, 300))
+    ground = np.flatnonzero(points["classification"] == GROUND)
+    chosen = rng.choice(ground, STRAYS + NOISE_POINTS + WITHHELD_POINTS, replace=False)
+    stray, noise, withheld = np.split(chosen, (STRAYS, STRAYS + NOISE_POINTS))
+    upward, classification, is_stray, is_withheld = (
+        points[name] for name in ("upward", "classification", "is_stray", "withheld")
+    )
+    upward[stray[:5]] += rng.uniform(18.0, 60.0, 5)
+    upward[stray[5:]] -= rng.uniform(12.0, 40.0, STRAYS - 5)
+    classification[stray[::2]] = UNASSIGNED
+    is_stray[stray] = True
+    upward[noise] += rng.uniform(3.0, 25.0, noise.size) * rng.choice((-1.0, 1.0), noise.size)
+    classification[noise] = NOISE
+    upward[withheld] += rng.uniform(0.3, 3.0, withheld.size) * rng.choice((-1.0, 1.0), withheld.size)
+    is_withheld[withheld] = True
+    points["upward"] = _quantised(upward, 0.0)
+    return points
+
+
+def _quantised(value: Floats, origin: float) -> Floats:
+    """Round to the file's resolution and return the exact float that a reader of the file computes."""
+    return np.rint((value - origin) / SCALE) * SCALE + origin
+
+
+_FLOWN_ON = dt.date(2024, 5, 14)
+_FIRST_PULSE = 3.994e8
+"""GPS time of the first pulse, on that day, minus 1e9 s."""
+
+
+def part_of(points: Points) -> Points:
+    """Return the points of the PLY file: washboard, floor and a corner of the pad, without noise and withheld."""
+    east, north = points["easting"] - _CORNER[0], points["northing"] - _CORNER[1]
+    within = (east >= 48.0) & (east < 69.0) & (north >= 27.0) & (north < 48.0)
+    within &= ~points["withheld"] & (points["classification"] != NOISE)
+    return {name: column[within] for name, column in points.items()}
+
+
+def write_laz(points: Points, path: Path) -> None:
+    """Write LAZ 1.4, point format 6, CRS as WKT; the offset is the corner of the site."""
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    header.scales, header.offsets = np.full(3, SCALE), np.array([*_CORNER, 0.0])
+    header.creation_date = _FLOWN_ON
+    header.system_identifier = "bumpymap QuarrySite"
+    header.generating_software = "bumpymap.sample"
+    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
+    header.add_crs(CRS.from_epsg(EPSG))
+    survey = laspy.LasData(header)
+    survey.x, survey.y, survey.z = points["easting"], points["northing"], points["upward"]
+    survey.classification = points["classification"]
+    survey.withheld = points["withheld"].astype(np.uint8)
+    survey.return_number = survey.number_of_returns = np.ones(points["line"].size, dtype=np.uint8)
+    survey.point_source_id = points["line"]
+    survey.gps_time = _FIRST_PULSE + points["gps_time"]
+    with path.open("w+b") as stream:
+        survey.write(stream, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+
+
+def write_ply(points: Points, path: Path) -> None:
+    """Write binary little-endian PLY: x, y, z as double, classification as uchar."""
+    columns = [points[name] for name in ("easting", "northing", "upward", "classification")]
+    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("classification", "u1")]
+    vertex = np.empty(columns[0].size, dtype=kinds)
+    for (name, _), column in zip(kinds, columns, strict=True):
+        vertex[name] = column
+    with path.open("w+b") as stream:
+        write_vertices(vertex, [f"EPSG:{EPSG}, metres"], stream)
+
+
+def main() -> None:
+    """Write quarry.laz and quarry_part.ply."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
+    parser.add_argument("--seed", type=int, default=1, metavar="N", help="determines the site [default: 1]")
+    given = parser.parse_args()
+    given.out.mkdir(parents=True, exist_ok=True)
+    points = sample_survey(QuarrySite(given.seed))
+    write_laz(points, given.out / "quarry.laz")
+    write_ply(part_of(points), given.out / "quarry_part.ply")
+
+
+if __name__ == "__main__":
+    main()
