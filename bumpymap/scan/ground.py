@@ -79,10 +79,12 @@ def ground_ends(
     in each direction ends, m; from sector 0 on, counter-clockwise.
     """
     cells = len(ground.slope)
-    lowest = [buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other")]
+    on_ground, others = (
+        buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other")
+    )
     drops, farthest = np.zeros(cells, np.int32), np.empty(_DIRECTIONS, np.float32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    find_drops(ground, by_cell, grid, DropRule(settings.belly_m, _SLOPE, below), *lowest, drops, farthest)
+    find_drops(ground, by_cell, grid, DropRule(settings.belly_m, _SLOPE, below), on_ground, others, drops, farthest)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
     end = np.max([np.roll(farthest, step) for step in range(-_AROUND, _AROUND + 1)], axis=0)
     return drops >= _SHARE * seen, end
