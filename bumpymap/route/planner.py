@@ -244,7 +244,7 @@ class Planner:
         """
         legs = []
         for start, goal in pairwise(stops):
-            leg = self._leg(start, goal, risk, worn)
+            leg = self.line(start, goal, risk, worn)
             if leg is None:
                 return None
             legs.append(leg)
@@ -263,13 +263,18 @@ class Planner:
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
-        line = self._leg(start, goal, None, None)
+        line = self.line(start, goal)
         return np.inf if line is None else way_cost(self.ground.site, line, self.ground.of_field)
 
-    def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
-        """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
+    def line(
+        self, start: Floats, goal: Floats, risk: float | None = None, worn: WornTiles | None = None
+    ) -> Floats | None:
+        """Return the cheapest line between two points, (m, 2) easting and northing, m; None if there is none.
+
+        ``risk``, ``worn`` as in `way`. Without worn tiles, the line is kept for the next question.
+        """
         if tuple(goal) < tuple(start):  # there and back are the same line
-            back = self._leg(goal, start, risk, worn)
+            back = self.line(goal, start, risk, worn)
             return None if back is None else back[::-1]
         if worn is not None:
             return self._clear_line(start, goal, risk, worn)
@@ -297,10 +302,6 @@ class Planner:
             over_tiles = _tile_line(touching, start, goal)
             return None if over_tiles is None else steer_clear(touching, over_tiles)
         return min(lines, key=partial(way_cost, ground.site, cost_of=ground.of_field), default=None)
-
-    def line(self, start: Floats, goal: Floats) -> Floats | None:
-        """Plan the cheapest line between two points, (m, 2) easting and northing, m; None if there is none."""
-        return self._leg(start, goal, None, None)
 
 
 def _tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
