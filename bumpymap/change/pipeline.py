@@ -233,8 +233,8 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
     # Both have one calibration, or they could not be compared; one may be of an earlier version, and say nothing of it.
     first, second = (CommonError.of(site.manifests[0]) for site in (pair.before, pair.after))
-    bands = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
-    ride = ride_z(*bands, first if first == second else CommonError())
+    before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
+    ride = ride_z(before, after, first if first == second else CommonError())
     decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {

@@ -92,7 +92,8 @@ def plan_way(
         if cost.shape != (window.rows, window.cols):
             raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
-        found = seek(cost, *((row - top, col - left) for row, col in (start, goal)), margin, least)
+        here, there = ((row - top, col - left) for row, col in (start, goal))
+        found = seek(cost, here, there, margin, least)
         sides = _open_sides(found, window, extent)
         if not any(sides):
             break
