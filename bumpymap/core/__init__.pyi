@@ -68,6 +68,7 @@ from .errors import (
     refused_write as refused_write,
     share_text as share_text,
     shares_text as shares_text,
+    write_remedy as write_remedy,
 )
 from .files import (
     STAGED as STAGED,
@@ -124,6 +125,8 @@ from .processes import (
     Child as Child,
     ChildDiedError as ChildDiedError,
     ChildError as ChildError,
+    DecoderError as DecoderError,
+    Guard as Guard,
     SharedBytes as SharedBytes,
     allocate_shared as allocate_shared,
     can_start_children as can_start_children,
@@ -201,6 +204,7 @@ from .settings import (
     refuse_unknown as refuse_unknown,
     settings_of_call as settings_of_call,
     settings_with_options as settings_with_options,
+    short_names as short_names,
     short_repr as short_repr,
 )
 from .shared_kernels import (

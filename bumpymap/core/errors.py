@@ -25,6 +25,7 @@ __all__ = [
     "refused_write",
     "share_text",
     "shares_text",
+    "write_remedy",
 ]
 
 _SHOWN_ESCAPED = {"Cc", "Cf", "Cs", "Zl", "Zp"}
@@ -125,6 +126,13 @@ def _shown(share: float, units: int, decimals: int, percent: str) -> str:
     if 100 - least < 100 * share < 100:
         return f"over {100 - least:.{decimals}f}{percent}"
     return f"{units * least:.{decimals}f}{percent}"
+
+
+def write_remedy(error: BaseException, remedy: str) -> str:
+    """Return what helps after a failed write: a higher limit on the size of files if that was met, else ``remedy``."""
+    if any(isinstance(cause, OSError) and cause.errno == errno.EFBIG for cause in error_chain(error)):
+        return f"Raise {_REFUSED[errno.EFBIG]}"
+    return remedy
 
 
 _RESOURCES = {

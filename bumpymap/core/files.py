@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
 
-from bumpymap.core.errors import OutputError, UsageError, escape_controls
+from bumpymap.core.errors import OutputError, UsageError, escape_controls, write_remedy
 
 __all__ = [
     "STAGED",
@@ -44,6 +44,8 @@ __all__ = [
     "write_together",
 ]
 
+_MOST_SHOWN = 200
+"""Characters of the name of a value that a message shows."""
 _DEEPEST = 50
 """Deeper than any file that bumpymap writes."""
 
@@ -116,7 +118,7 @@ def shape_fault(value: Any, shape: Any, name: str = "it") -> str:
     if isinstance(shape, Nullable):
         return "" if value is None else shape_fault(value, shape.shape, name)
     if wanted := _unlike(value, shape):
-        return f"{name} is {str(value)[:40]!r}; it must be {wanted}"
+        return f"{name[:_MOST_SHOWN]} is {str(value)[:40]!r}; it must be {wanted}"
     within = "" if name == "it" else f"{name}."
     faults = (shape_fault(entry, each, f"{within}{key}") for key, entry, each in _inner(value, shape))
     return next(filter(None, faults), "")
@@ -221,8 +223,9 @@ def atomic(target: Path, failures: tuple[type[Exception], ...] = ()) -> Iterator
         _move(temporary, target)
     except (OSError, *failures) as error:  # type: ignore[misc]
         raise OutputError(
-            f"cannot write {target}: {error}. Free some space, or choose a folder that can be written, "
-            "with `out`; nothing half-written was left there"
+            f"cannot write {target}: {error}. "
+            f"{write_remedy(error, 'Free some space, or choose a folder that can be written, with `out`')}; "
+            "nothing half-written was left there"
         ) from error
     finally:
         # Not by a pattern: Python would keep each one compiled.

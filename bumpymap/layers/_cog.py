@@ -20,6 +20,7 @@ import threading
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -28,7 +29,7 @@ import rasterio
 import rasterio.shutil
 from numpy.typing import NDArray
 from rasterio.enums import Resampling
-from rasterio.errors import RasterioError
+from rasterio.errors import RasterioError, StatisticsError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
@@ -294,10 +295,20 @@ def _convert(scratch: str, layer: str, spec: RasterSpec) -> None:
     if spec.counts_nodata:
         _build_overviews(scratch, spec)
         options["OVERVIEWS"] = "FORCE_USE_EXISTING"
-    else:
-        options["STATISTICS"] = "YES"  # with it GDAL (3.10) makes overviews again; a mean of codes says nothing anyway
+    else:  # with statistics GDAL (3.10) makes overviews again; a mean of codes says nothing anyway
+        _note_statistics(scratch)
     options |= {"NUM_THREADS": gdal_threads(), "SPARSE_OK": "YES"}
     rasterio.shutil.copy(scratch, layer, driver="COG", **options)
+
+
+def _note_statistics(scratch: str) -> None:
+    """Write statistics of its bands into the scratch raster; GDAL's COG driver takes them over.
+
+    Where the driver makes them itself, by its option ``STATISTICS``, it goes through a raster without a name, for which
+    GDAL (3.10) opens the files ``.ovr`` and ``.msk`` of the current folder by any driver: they may lead to a URL.
+    """
+    with rasterio.open(scratch, "r+") as file, suppress(StatisticsError):  # a band without a value has none
+        file.update_stats(approx=False)
 
 
 def _build_overviews(scratch: str, spec: RasterSpec) -> None:

@@ -17,6 +17,7 @@ from bumpymap.core import (
     parse_json,
     utf8_path,
     write_csv,
+    write_remedy,
     write_together,
 )
 from bumpymap.layers.batch_page import SurveyRow, SurveyView, index_page
@@ -145,7 +146,9 @@ def write_batch_summary(
             _write_parquet(rows, path / _PARQUET)
             (path / _PAGE).write_text(index_page(rows, views, links, title, note), encoding="utf-8")
     except OSError as error:
-        raise OutputError(f"cannot write the summary to {folder}: {error}. Free some space there") from error
+        raise OutputError(
+            f"cannot write the summary to {folder}: {error}. {write_remedy(error, 'Free some space there')}"
+        ) from error
 
 
 def _cell(value: Any) -> Any:

@@ -2,8 +2,8 @@
 
 A folder of layers may come from anybody. GDAL chooses a driver by what a file holds, and several formats (VRT first)
 are instructions to read other files or to fetch URLs. So rasters are opened by the GeoTIFF driver alone, without the
-files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs; vector
-files only if they begin as the format that their name states.
+files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs. Vector
+files are read in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
 
 A folder on a server, such as ``s3://bucket/night/site``, is uploaded whole, run.json last.
 """
@@ -13,6 +13,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.etree import ElementTree as ET
@@ -20,8 +21,12 @@ from xml.etree import ElementTree as ET
 from bumpymap.core import (
     BadInputError,
     BumpymapError,
+    Child,
+    DecoderError,
+    Guard,
     OutputError,
     UsageError,
+    module_folder,
     open_regular,
     parse_json,
     remote_files,
@@ -31,14 +36,18 @@ from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
 from bumpymap.layers.sheets.folders import raster_in, sheets_of, virtual_name
 
 if TYPE_CHECKING:
+    import numpy as np
     import rasterio
+    from numpy.typing import NDArray
     from rasterio.io import DatasetReader
 
 __all__ = [
+    "FeatureTable",
     "RemoteFolder",
     "closed_gdal",
     "open_layer",
     "open_raster",
+    "read_features",
     "require_format",
     "require_map_written",
     "require_written",
@@ -277,6 +286,79 @@ def require_format(path: Path) -> None:
         raise BadInputError(
             f"cannot read {path}: it does not begin as such a file does. It is damaged, or of another format"
         )
+
+
+@dataclass(frozen=True, slots=True)
+class FeatureTable:
+    """The features of the only layer of geometries that a vector file holds."""
+
+    crs: str | None
+    """As the file states it: code or WKT."""
+    geometry: "NDArray[np.object_]"
+    """(n,) WKB in two dimensions; None for a feature without one."""
+    columns: "dict[str, NDArray[Any]]"
+    """Name -> (n,) values."""
+
+
+_DRIVERS = {".fgb": "FlatGeobuf", ".gpkg": "GPKG", ".shp": "ESRI Shapefile"}
+SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
+"""Limit of the processor time to read a vector file, and for each of its bytes: ten times what real ones need."""
+_MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
+"""Limit of the memory of the process that reads one, likewise."""
+
+
+def read_features(path: Path, columns: Collection[str] | None = None) -> FeatureTable:
+    """Read a FlatGeobuf, GeoPackage or Shapefile by the driver of its format alone.
+
+    Parameters
+    ----------
+    path : Path
+    columns : collection of str, optional
+        Names of the columns that are read, where they are there; None: all.
+
+    Raises
+    ------
+    BadInputError
+        It is missing, damaged or of another format, computes what it holds, or holds several layers of geometries.
+    UsageError
+        No process can be started.
+    """
+    parts = [part for part in path.parent.iterdir() if part.stem == path.stem] if path.parent.is_dir() else []
+    if pipes := [part for part in parts if part.exists() and not (part.is_file() or part.is_dir())]:
+        raise BadInputError(f"cannot read {path}: {pipes[0]} is a pipe or a device. Remove it")
+    require_format(path)
+    size = sum(part.stat().st_size for part in parts if part.is_file())
+    guard = Guard(lambda: _vector_child(_skipped_drivers()), "reads vector files", "pyogrio")
+    try:
+        found = guard.call(
+            "read",
+            str(path.absolute()),
+            columns,
+            list(_DRIVERS.values()),
+            seconds=SECONDS + SECONDS_PER_BYTE * size,
+            memory=_MEMORY + _MEMORY_PER_BYTE * size,
+        )
+    except DecoderError as error:
+        raise BadInputError(f"cannot read {path}: {error}. Save it again, as GeoJSON for example") from error
+    finally:
+        guard.end()
+    return FeatureTable(*found)
+
+
+def _vector_child(skipped: str) -> Child:
+    folders = [module_folder("pyogrio"), module_folder("numpy"), str(Path(__file__).parent)]
+    closed = {**_CLOSED, "GDAL_SKIP": skipped, "PROJ_NETWORK": "OFF"}
+    return Child("to read vector files", "_vector_child", folders, closed)
+
+
+@cache
+def _skipped_drivers() -> str:
+    """Return the names of all vector drivers but those of the formats that are read, as GDAL takes them."""
+    guard = Guard(lambda: _vector_child(""), "lists the formats of GDAL", "pyogrio")
+    try:
+        return ",".join(sorted(set(guard.call("vector_drivers", seconds=SECONDS)) - set(_DRIVERS.values())))
+    finally:
+        guard.end()
 
 
 def require_written(

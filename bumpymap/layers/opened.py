@@ -27,7 +27,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import open_layer, require_format, require_map_written
+from bumpymap.layers.map_files import open_layer, read_features, require_format, require_map_written
 from bumpymap.layers.sheets.folders import sheet_folders, virtual_name
 
 if TYPE_CHECKING:
@@ -401,13 +401,11 @@ class Layers:
 
     def _table(self, name: str) -> "geopandas.GeoDataFrame":
         """Read a table of every sheet, joined in the order of the sheets."""
-        geopandas = import_notebook("geopandas")
-        read = geopandas.read_parquet if name.endswith(".parquet") else geopandas.read_file
+        read = _read_parquet if name.endswith(".parquet") else _read_features
         parts = []
         self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
-                require_format(path)
                 parts.append(read(path))
         return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
 
@@ -422,6 +420,16 @@ class Layers:
             raise
         except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+
+
+def _read_parquet(path: Path) -> "geopandas.GeoDataFrame":
+    require_format(path)
+    return import_notebook("geopandas").read_parquet(path)
+
+
+def _read_features(path: Path) -> "geopandas.GeoDataFrame":
+    table, geopandas = read_features(path), import_notebook("geopandas")
+    return geopandas.GeoDataFrame(table.columns, geometry=geopandas.GeoSeries.from_wkb(table.geometry), crs=table.crs)
 
 
 def open_layers(folder: str | os.PathLike[str]) -> Layers:

@@ -1,7 +1,7 @@
 """Points and areas of a user's file, for routes: geometries, names and CRS; the tiles that areas touch or hold.
 
 GeoJSON, GPX and CSV are read here: GDAL would choose a driver by what the file holds, and some formats name other files
-or URLs to read. The binary formats go to GDAL once they begin as their name says.
+or URLs to read. The binary formats go to `read_features`.
 """
 
 import csv
@@ -9,8 +9,7 @@ import io
 import json
 import logging
 import os
-import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -22,14 +21,35 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from bumpymap.core import BadInputError, describe_crs, parse_json, read_regular, stated_crs
-from bumpymap.layers.map_files import require_format
+from bumpymap.core import (
+    BadInputError,
+    Each,
+    Nullable,
+    Number,
+    describe_crs,
+    parse_json,
+    read_regular,
+    shape_fault,
+    short_names,
+    short_repr,
+    stated_crs,
+)
+from bumpymap.layers.map_files import read_features
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["FilePoint", "VectorLayer", "read_areas", "read_points", "read_vectors", "tiles_in", "tiles_within"]
+__all__ = [
+    "FilePoint",
+    "VectorLayer",
+    "geojson_features",
+    "line_parts",
+    "read_areas",
+    "read_points",
+    "read_vectors",
+    "tiles_in",
+    "tiles_within",
+]
 
-"""Largest GeoJSON or GPX file that is read."""
 _REMEDY = "Give a vector file such as GeoJSON, which a GIS can save"
 
 
@@ -59,35 +79,106 @@ def read_vectors(path: Path) -> VectorLayer:
             return _read_geojson(path)
         if path.suffix.lower() == ".gpx":
             return _read_gpx(path)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, SyntaxError) as error:
+    except (OSError, ValueError, SyntaxError) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_REMEDY}") from error
-    except (CRSError, shapely.errors.GEOSException) as error:
+    except CRSError as error:
         raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
-    require_format(path)
-    return _read_by_gdal(path)
+    return _read_table(path)
 
 
 def _text(path: Path) -> str:
     return read_regular(path).decode("utf-8-sig")
 
 
-def _read_geojson(path: Path) -> VectorLayer:
+_GEOMETRY = {"type": str, "coordinates?": list, "geometries?": list}
+_FEATURE = {"type": str, "geometry?": Nullable(_GEOMETRY), "properties?": Nullable(Each())}
+_GEOJSON_SHAPE = {
+    **_FEATURE,
+    **_GEOMETRY,
+    "features?": [_FEATURE],
+    "crs?": Nullable({"type": str, "properties": {"name?": str}}),
+}
+
+
+def geojson_features(path: Path) -> tuple[list[tuple[dict[str, Any], dict[str, Any]]], str | None]:
+    """Read a GeoJSON file.
+
+    Returns
+    -------
+    features : list of (dict, dict)
+        Geometry, with two numbers for each position, and properties of each feature that has a geometry.
+    crs : str, optional
+        Name of the CRS that the file states; files of RFC 7946 state none.
+
+    Raises
+    ------
+    OSError, ValueError
+        The file cannot be read, or is no GeoJSON.
+    """
     record = parse_json(_text(path))
-    if not isinstance(record, dict) or "type" not in record:
-        raise ValueError("it is no GeoJSON: it has no type")
-    features = record["features"] if record["type"] == "FeatureCollection" else [record]
-    found, names = [], []
-    for feature in features:
-        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
+    if fault := shape_fault(record, _GEOJSON_SHAPE):
+        raise ValueError(f"it is no GeoJSON: {fault}")
+    stated = record.get("crs") or {"type": "name", "properties": {}}
+    if stated["type"] != "name":
+        raise ValueError("its CRS is given by a link, which is not followed")
+    found = []
+    for number, one in enumerate(record.get("features", ()) if record["type"] == "FeatureCollection" else [record], 1):
+        geometry, about = (one.get("geometry"), one.get("properties")) if one["type"] == "Feature" else (one, None)
         if geometry is not None:
-            found.append(json.dumps(geometry, allow_nan=False))
-            names.append((feature.get("properties") or {}).get("name") if feature["type"] == "Feature" else None)
-    shapes = np.asarray(shapely.force_2d(shapely.from_geojson(found)), object)
-    stated = record.get("crs")
+            found.append((_flat(geometry, f"the geometry of feature {number}"), about or {}))
+    return found, stated["properties"].get("name")
+
+
+def line_parts(geometry: Mapping[str, Any]) -> list[NDArray[np.float64]]:
+    """Return the positions of each line of a LineString or MultiLineString of `geojson_features`, (n, 2) each.
+
+    Raises
+    ------
+    ValueError
+        It is damaged.
+    """
+    parts = geometry["coordinates"] if geometry["type"] == "MultiLineString" else [geometry["coordinates"]]
+    if not parts or not all(isinstance(part, list) and part and all(map(_is_position, part)) for part in parts):
+        raise ValueError(f"a {geometry['type']} of it is damaged: it is no list of positions")
+    return [np.array(part, np.float64) for part in parts]
+
+
+def _is_position(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 2 and not isinstance(value[0], list)
+
+
+def _flat(geometry: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """Return a geometry with two numbers for each position; ValueError if it is none."""
+    if fault := shape_fault(geometry, _GEOMETRY, name):
+        raise ValueError(fault)
+    if geometry["type"] == "GeometryCollection":
+        return {"type": geometry["type"], "geometries": [_flat(part, name) for part in geometry.get("geometries", ())]}
+    return {"type": geometry["type"], "coordinates": _positions(geometry.get("coordinates"), name)}
+
+
+def _positions(value: Any, name: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise ValueError(f"{name} has coordinates that are no arrays of numbers: {str(value)[:40]!r}")  # noqa: TRY004 (the content of a file)
+    if not value or isinstance(value[0], list):
+        return [_positions(part, name) for part in value]
+    if shape_fault(value[:2], (Number(), Number())):
+        raise ValueError(f"{name} has a position that is no two numbers: {str(value)[:40]!r}")
+    return value[:2]
+
+
+def _read_geojson(path: Path) -> VectorLayer:
+    features, stated = geojson_features(path)
+    found = []
+    for geometry, _ in features:
+        try:
+            found.append(shapely.from_geojson(json.dumps(geometry)))
+        except shapely.errors.GEOSException as error:
+            said = str(error).partition(": ")[2].splitlines()[0]
+            raise ValueError(f"a {geometry['type']} of it is damaged: {said}") from error
+    shapes = np.array(found, object)
+    names = [about.get("name") for _, about in features]
     if stated is not None:
-        if stated["type"] != "name":
-            raise ValueError("its CRS is given by a link, which is not followed")
-        return _layer(shapes, names, stated_crs(str(stated["properties"]["name"])))
+        return _layer(shapes, names, stated_crs(stated))
     degrees = (np.abs(shapely.get_coordinates(shapes)) <= (180.0, 90.0)).all()
     return _layer(shapes, names, CRS.from_user_input("OGC:CRS84") if degrees else None)
 
@@ -103,42 +194,23 @@ def _read_gpx(path: Path) -> VectorLayer:
 
 def _gpx_points(root: ET.Element, path: str) -> Iterator[tuple[tuple[float, float], str | None]]:
     for point in root.iterfind(path):
-        place = float(point.attrib["lon"]), float(point.attrib["lat"])
+        try:
+            place = float(point.attrib["lon"]), float(point.attrib["lat"])
+        except (KeyError, ValueError):
+            place = (np.nan, np.nan)
         if not np.isfinite(place).all():
-            raise ValueError("a point of it is not a place")
+            said = ", ".join(f"{name}={value[:40]!r}" for name, value in list(point.attrib.items())[:4])
+            raise ValueError(f"a point of it is not a place: {said or 'it has no lon and lat'}")
         yield place, point.findtext("{*}name")
 
 
-def _read_by_gdal(path: Path) -> VectorLayer:
-    import pyogrio
-    from pyogrio.raw import read
-
-    errors = (
-        pyogrio.errors.DataSourceError,
-        pyogrio.errors.DataLayerError,
-        pyogrio.errors.FeatureError,
-        pyogrio.errors.FieldError,
-        pyogrio.errors.GeometryError,
-        shapely.errors.GEOSException,
-        CRSError,
-        ValueError,
-        UnboundLocalError,  # of pyogrio, where the CRS is no text
-    )
+def _read_table(path: Path) -> VectorLayer:
+    table = read_features(path, ["name"])
     try:
-        layers = [str(name) for name, kind in pyogrio.list_layers(path) if kind is not None]
-        if len(layers) != 1:
-            listed = ", ".join(layers) or "none"
-            raise BadInputError(f"{path} must hold one layer of geometries; it holds: {listed}. Save one by itself")
-        with warnings.catch_warnings(action="ignore"):  # such as of rings that do not end where they began
-            about, _, wkb, columns = read(path, layer=layers[0], columns=["name"], force_2d=True)
-        crs = None if about["crs"] is None else stated_crs(about["crs"])
-        geometry = shapely.from_wkb(wkb)
-    except errors as error:
-        # GDAL's text on a file that it cannot open gives advice on GDAL.
-        damaged = isinstance(error, pyogrio.errors.DataSourceError | UnboundLocalError)
-        said = "it is damaged" if damaged else error
-        raise BadInputError(f"cannot read {path}: {said}. {_REMEDY}") from error
-    return _layer(geometry, columns[0] if len(columns) else [None] * len(geometry), crs)
+        names = table.columns.get("name", [None] * len(table.geometry))
+        return _layer(shapely.from_wkb(table.geometry), names, None if table.crs is None else stated_crs(table.crs))
+    except (CRSError, ValueError, shapely.errors.GEOSException) as error:
+        raise BadInputError(f"cannot read {path}: {str(error).splitlines()[0]}. {_REMEDY}") from error
 
 
 def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:
@@ -250,12 +322,12 @@ def _read_csv(path: Path) -> list[FilePoint]:
                 columns = [names.index(name) for name in pair]
                 name_column = names.index("name") if "name" in names else None
                 filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
-                where = [f"{path}, line {number}: '{separator.join(line)}'" for number, line in filled]
+                where = [f"{path}, line {number}: {short_repr(separator.join(line))}" for number, line in filled]
                 return [
                     _point(at, number, line, columns, name_column, system)
                     for at, (number, line) in zip(where, filled, strict=True)
                 ]
-    raise BadInputError(f"{path} has the columns {', '.join(names) or '(none)'}; it needs {_ALLOWED}")
+    raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
 
 
 def _point(

@@ -14,8 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
-from bumpymap.readers.decoder import DecoderError, decoder
+from bumpymap.core import BadInputError, DecoderError
+from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader
 from bumpymap.readers.point_stats import OUTSIDE
 from bumpymap.readers.source import Location, decoding, refuse_count

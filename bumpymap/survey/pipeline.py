@@ -3,7 +3,6 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -111,7 +110,6 @@ def map_surveys(
     progress: Progress | None = None,
     *,
     crs_must_agree: bool = True,
-    recorded_memory: str | None = None,
 ) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.
 
@@ -121,8 +119,6 @@ def map_surveys(
     progress : Progress, optional
     crs_must_agree : bool
         Whether a survey that states another CRS than ``config.crs`` is refused; else its own is used, with a warning.
-    recorded_memory : str, optional
-        What run.json says of ``memory``: that of a batch, of which ``config`` has a share.
 
     Raises
     ------
@@ -131,13 +127,12 @@ def map_surveys(
     """
     try:
         with remove_empty_on_error(config.out), locked(config.out):
-            recorded = config if recorded_memory is None else replace(config, memory=recorded_memory)
-            return _map(with_memory(config), recorded, progress or SilentProgress(), crs_must_agree=crs_must_agree)
+            return _map(with_memory(config), progress or SilentProgress(), crs_must_agree=crs_must_agree)
     finally:
         close_filter()
 
 
-def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapResult:
+def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapResult:
     clock = Stopwatch()
     budget = Budget(memory_bytes(config.memory), config.threads)
     with clock.stage("prepare"), collected_warnings() as warnings:
@@ -163,7 +158,7 @@ def _map(config: MapConfig, recorded: MapConfig, progress: Progress, *, crs_must
             tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, SilentProgress(), "split")
         table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
-        manifest = run_manifest(recorded, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
+        manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):
             files, summary, sheets = write_layers(table, config, inputs, run_spec, manifest, progress)
     points, only = measured.points, measured.ground_only

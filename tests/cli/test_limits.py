@@ -115,8 +115,12 @@ def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys
 
 
 @linux
-def test_a_limit_on_the_size_of_files_is_no_damage_of_what_is_read(tmp_path):
-    done = shell("ulimit -f 20", "info", QUARRY)
+@pytest.mark.parametrize("command", ["info", "map", "scan", "batch"])
+def test_a_limit_on_the_size_of_files_is_no_damage_and_no_full_disk(tmp_path, command):
+    words = {**commands(tmp_path), "batch": ["batch", QUARRY.parent, "--out", tmp_path / "night"]}[command]
+    done = shell("ulimit -f 1", *words)
     assert done.returncode == 3
-    assert "ulimit -f" in done.stderr
-    assert "damaged" not in done.stdout + done.stderr
+    first = done.stderr.splitlines()[0]
+    assert "ulimit -f" in first
+    assert "damaged" not in first
+    assert "Free some space" not in first

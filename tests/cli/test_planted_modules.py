@@ -11,6 +11,8 @@ import pytest
 from packaging.requirements import Requirement
 from small_surveys import write_survey
 
+from bumpymap.cli import main
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -28,14 +30,13 @@ COMMANDS = {
     "check": ["check", "layers", "--drive", "surveys/drive.csv", "--out", "new"],
     "scan": ["scan", "surveys/frame.bin", "--out", "new"],
     "vehicle": ["vehicle", "list"],
+    "compile": ["compile"],
     "calibrate": ["calibrate", "--out", "layers"],
     "evaluate": ["evaluate", "--scans", "surveys/frame.bin", "--out", "new"],
     "train": ["train", "--scans", "surveys", "--out", "n.onnx"],
 }
 FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3}
 """Commands that have no fit input here, and end once they have imported what they need."""
-SCRIPT = "from bumpymap.__main__ import run\nif __name__ == '__main__':\n    run()\n"
-"""As installers write it."""
 PROGRAM = """
 import operator
 import bumpymap
@@ -55,7 +56,7 @@ def place_fixture(tmp_path_factory):
     (place / "surveys" / "drive.csv").write_text("time\n")
     (place / "surveys" / "frame.bin").write_bytes(b"")
     (place.parent / "bin").mkdir()
-    (place.parent / "bin" / "bumpymap").write_text(SCRIPT)
+    shutil.copy(ROOT / "bin" / "bumpymap", place.parent / "bin")
     (place.parent / "bin" / "program").write_text(PROGRAM)
     assert ended(place, [str(place.parent / "bin" / "bumpymap"), *COMMANDS["map"][:2], "--out", "layers"]) == 0
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -78,6 +79,10 @@ def ended(place, arguments):
     assert not (place.parent / "ran").exists(), (place.parent / "ran").read_text()
     assert "Traceback" not in done.stderr, done.stderr
     return done.returncode
+
+
+def test_all_commands_are_tried():
+    assert set(main.list_commands(None)) == {words[0] for words in COMMANDS.values()}
 
 
 @pytest.mark.parametrize("command", COMMANDS)

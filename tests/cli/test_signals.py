@@ -12,7 +12,8 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
+ROOT = Path(__file__).resolve().parents[2]
+QUARRY = ROOT / "sample_data" / "quarry.laz"
 
 
 @pytest.fixture(autouse=True)
@@ -72,17 +73,17 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     assert not (out / ".bumpymap-run").exists()
 
 
-def test_no_traceback_before_anything_is_imported():
-    """The first module that the command looks for, after its own, brings Ctrl-C."""
+@pytest.mark.parametrize("module", ["bumpymap", "click"])
+def test_no_traceback_before_anything_is_imported(module):
+    """The first module that the command looks for, or one that its parts look for, brings Ctrl-C."""
     code = (
-        "import os, signal, sys\n"
+        "import os, runpy, signal, sys\n"
         "class Finder:\n"
         "    def find_spec(self, name, *_):\n"
-        "        if name not in ('bumpymap', 'bumpymap.__main__'):\n"
+        f"        if name == {module!r}:\n"
         "            os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Finder())\n"
-        "from bumpymap.__main__ import run\n"
-        "run()\n"
+        f"runpy.run_path({str(ROOT / 'bin' / 'bumpymap')!r}, run_name='__main__')\n"
     )
     done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")

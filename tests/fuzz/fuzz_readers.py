@@ -30,7 +30,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 import numpy as np
 from files import make_cases, plant_traps
 from mutate import Start, applied, mutated, starts
-from trial import Verdict, judged, read_whole, watched
+from trial import Verdict, judged, openings, read_whole, watched
 
 SEEDS = Path(__file__).parent / "seeds"
 BATCH = 100
@@ -185,8 +185,19 @@ def of_files(seed: int, folder: Path, seeds: Path) -> Iterator[Fuzzer]:
     with server(folder / "traps") as (url, log):
         cases = {case.start.name: case for case in make_cases(folder / "valid")}
         traps = plant_traps(folder / "traps", url)
-        judge = watched({name.replace("/", "_"): case for name, case in cases.items()}, log)
+        opened = openings(folder / "traps" / "secret.tif")
+        judge = watched({name.replace("/", "_"): case for name, case in cases.items()}, log, opened)
+        _require_valid(cases, folder / "inputs", judge)
         yield Fuzzer(seed, folder / "inputs", seeds, [case.start for case in cases.values()], judge, traps)
+
+
+def _require_valid(cases, folder, judge):
+    """Raise RuntimeError if a file that is as it was made is not read: damaging it would show nothing."""
+    names = list(cases)
+    verdicts = judged([cases[name].start.data for name in names], folder, names, set(), judge)
+    found = list(zip(names, verdicts, strict=True))
+    if bad := [f"{name} is {one.kind}: {one.where} {one.detail}" for name, one in found if one.kind != "read"]:
+        raise RuntimeError("\n".join(["valid files are not read:", *bad]))
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """One input, one verdict: in a forked child, under limits of memory and time."""
 
 import contextlib
+import ctypes
 import logging
 import os
 import pickle
@@ -16,11 +17,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from files import UnreadError
+
 import bumpymap.readers
 from bumpymap.core.errors import BumpymapError
 from bumpymap.readers import PointStats, open_survey
 
-__all__ = ["Verdict", "judged", "read_whole", "watched"]
+__all__ = ["Verdict", "judged", "openings", "read_whole", "watched"]
 
 MEMORY = 1_500_000_000
 SECONDS = 15
@@ -73,15 +76,17 @@ def read_whole(path: Path) -> Verdict:
     return Verdict("read") if again == points else Verdict("short", "pieces", f"chunks give {points}, pieces {again}")
 
 
-def watched(cases: Mapping[str, Any], log: Path) -> Callable[[Path], Verdict]:
+def watched(cases: Mapping[str, Any], log: Path, opened: Callable[[], bool]) -> Callable[[Path], Verdict]:
     """Return a judge that runs the case an input is named after, and looks at what it fetched and wrote.
 
     Parameters
     ----------
     cases : mapping
-        Name of an input -> what is called with its bytes and a scratch folder.
+        Name of an input -> its `Case`.
     log : Path
         Grows with each request of the network.
+    opened : callable
+        Returns whether a file that nobody may open was opened since the last call.
     """
     outside: list[str] = []
     home: list[str] = []
@@ -99,21 +104,56 @@ def watched(cases: Mapping[str, Any], log: Path) -> Callable[[Path], Verdict]:
             sys.addaudithook(hear)
         before, place = log.stat().st_size, Path(tempfile.mkdtemp(dir=path.parent))
         home[:], outside[:] = [str(path.parent)], []
-        try:
-            cases[path.name].run(path.read_bytes(), place)
-            verdict = Verdict("read")
-        except (BumpymapError, OSError):
-            verdict = Verdict("refused")
-        except MemoryError:
-            verdict = Verdict("memory", _place(), traceback.format_exc())
-        except BaseException as error:  # noqa: BLE001 (a Rust panic is no Exception)
-            verdict = Verdict("escaped", f"{type(error).__name__} {_place()}", traceback.format_exc())
+        case = cases[path.name]
+        given = case.place(path.read_bytes(), place)
+        listed = _listed(given)
+        verdict = _outcome(lambda: case.run(place))
+        changed = set() if case.writes else {name for name, *_ in listed ^ _listed(given)}
         shutil.rmtree(place)
         if log.stat().st_size != before:
             return Verdict("fetched", path.name, "a request of the network was made")
-        return Verdict("outside", path.name, f"{outside[0]} was written") if outside else verdict
+        strays = [*sorted(changed), *outside, *["the file that leads outside"] * opened()]
+        return Verdict("outside", path.name, f"{strays[0]} was opened or changed") if strays else verdict
 
     return judge
+
+
+def _outcome(run: Callable[[], None]) -> Verdict:
+    try:
+        run()
+    except (BumpymapError, UnreadError) as error:
+        return Verdict("refused", detail=str(error))
+    except MemoryError:
+        return Verdict("memory", _place(), traceback.format_exc())
+    except BaseException as error:  # noqa: BLE001 (a Rust panic is no Exception)
+        return Verdict("escaped", f"{type(error).__name__} {_place()}", traceback.format_exc())
+    return Verdict("read")
+
+
+def _listed(folder: Path) -> set[tuple[str, int, int]]:
+    """Return the files in a folder: path, size and time of the last change, ns."""
+    found = ((path, path.lstat()) for path in folder.rglob("*") if not path.is_dir())
+    return {(str(path), status.st_size, status.st_mtime_ns) for path, status in found}
+
+
+_IN_OPEN, _IN_NONBLOCK = 0x20, 0o4000
+
+
+def openings(path: Path) -> Callable[[], bool]:
+    """Return what tells whether any process has opened a file since it was last asked; on Linux, else never."""
+    libc = ctypes.CDLL(None)
+    if not hasattr(libc, "inotify_init1"):
+        return lambda: False
+    watch = libc.inotify_init1(_IN_NONBLOCK)
+    libc.inotify_add_watch(watch, os.fsencode(path), _IN_OPEN)
+
+    def opened() -> bool:
+        try:
+            return bool(os.read(watch, 65_536))
+        except BlockingIOError:
+            return False
+
+    return opened
 
 
 def _in_pieces(reader) -> tuple[int, str]:

@@ -119,6 +119,26 @@ def transforms(stamp_ns, *links):
     )
 
 
+def vector(values):
+    x, y, z = map(float, values)
+    return message("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+
+def imu(stamp_ns, rate, *, has_rate=True, turn=(0.0, 0.0, 0.0, 0.0)):
+    x, y, z, w = map(float, turn)
+    unknown = np.r_[-1.0, np.zeros(8)]
+    return message(
+        "sensor_msgs/msg/Imu",
+        header=header(stamp_ns, "imu"),
+        orientation=message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
+        orientation_covariance=np.zeros(9) if any(turn) else unknown,
+        angular_velocity=vector(rate),
+        angular_velocity_covariance=np.zeros(9) if has_rate else unknown,
+        linear_acceleration=vector((0.1, 0.2, 9.8)),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
 def write_bag(folder, messages, storage="mcap", compression=None):
     """Write (topic, time_ns, message) to a new bag in a folder, in the given order; return the folder."""
     plugin = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}[storage]
@@ -134,6 +154,31 @@ def write_bag(folder, messages, storage="mcap", compression=None):
                 topics[topic] = writer.add_connection(topic, each.__msgtype__, typestore=STORE)
             writer.write(topics[topic], time_ns, STORE.serialize_cdr(each, each.__msgtype__))
     return folder
+
+
+def write_ros1(path, readings):
+    """Write readings of an IMU, (stored_ns, stamp_ns, rate), to a bag of ROS 1; return the file."""
+    from rosbags.rosbag1 import Writer as Ros1Writer
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    vector, nothing = types["geometry_msgs/msg/Vector3"], np.zeros(9)
+    with Ros1Writer(path) as writer:
+        topic = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=store)
+        for number, (stored_ns, stamp_ns, rate) in enumerate(readings):
+            sec, nanosec = divmod(stamp_ns, 1_000_000_000)
+            stamp = types["builtin_interfaces/msg/Time"](sec=sec, nanosec=nanosec)
+            made = types["sensor_msgs/msg/Imu"](
+                header=types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="imu"),
+                orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
+                orientation_covariance=nothing,
+                angular_velocity=vector(*map(float, rate)),
+                angular_velocity_covariance=nothing,
+                linear_acceleration=vector(0.0, 0.0, 9.8),
+                linear_acceleration_covariance=nothing,
+            )
+            writer.write(topic, stored_ns, store.serialize_ros1(made, made.__msgtype__))
+    return path
 
 
 def as_rclpy(each):

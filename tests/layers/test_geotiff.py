@@ -109,11 +109,12 @@ def test_roughness_at_a_tile_centre_is_the_tiles_value(rasters, cost_map):
 
 def test_statistics_are_those_of_the_tiles(rasters, cost_map):
     with rasterio.open(rasters["roughness"]) as file:
-        tags = [file.tags(number) for number in file.indexes]
+        tags, pixels = [file.tags(number) for number in file.indexes], file.width * file.height
     for band, found in zip(BANDS, tags, strict=True):
         values = cost_map.lone_columns()[band.name].astype(np.float64)
         values = values[np.isfinite(values)]
         assert found["long_name"] == band.description
+        assert float(found["STATISTICS_VALID_PERCENT"]) == pytest.approx(100 * len(values) / pixels, rel=1e-3)
         if not len(values):  # nothing was separated from the ground
             assert band.name in {"obstacle", "obstacle_height", "clearance", "canopy", "edge_step", "inner_step"}
             continue

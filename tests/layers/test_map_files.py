@@ -3,16 +3,20 @@
 import hashlib
 import json
 import os
+import sqlite3
 import threading
-from contextlib import nullcontext
+from contextlib import closing, nullcontext
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from shutil import copytree
 
+import geopandas
 import numpy as np
 import pytest
 import rasterio
 import shapely
 from cost_maps import make_field
+from geopandas.testing import assert_geodataframe_equal
 from made_drives import MadeDrive, log_of, write_table
 from pyogrio.raw import write
 from pyproj import CRS
@@ -22,7 +26,16 @@ from sheet_maps import SMALL, write_in_sheets
 from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
-from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, read_areas, read_points, write_reports
+from bumpymap.layers import (
+    ExportSettings,
+    export_map,
+    map_files,
+    open_layers,
+    open_map,
+    read_areas,
+    read_points,
+    write_reports,
+)
 
 VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
 <VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>
@@ -145,6 +158,17 @@ def test_the_dataset_is_read_from_its_files_alone(one, server, tmp_path):
     assert not server[1]
 
 
+@pytest.mark.parametrize("in_memory", [1 << 30, 0])
+def test_a_raster_is_written_without_the_files_of_the_current_folder(server, tmp_path, monkeypatch, in_memory):
+    """GDAL takes these names for the overviews and the mask of a raster without a name."""
+    monkeypatch.setattr("bumpymap.layers._cog.SMALL", in_memory)
+    for suffix in (".ovr", ".OVR", ".msk", ".MSK"):
+        (tmp_path / suffix).write_text(VRT.format(f"/vsicurl/{server[0]}/{tmp_path.name}/{suffix[1:]}"))
+    monkeypatch.chdir(tmp_path)
+    write_folder(tmp_path / "map", make_field(12, 10, grid=SMALL, easy=True))
+    assert not server[1]
+
+
 @pytest.mark.parametrize("read", [relief, report, lambda folder, _: read_areas(folder / "a.json", bare_map())])
 def test_a_crs_that_leads_elsewhere_is_refused(one, tmp_path, read):
     folder = copytree(one, tmp_path / "map")
@@ -188,15 +212,7 @@ def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
 
 
 def test_areas_whose_crs_is_no_text_are_refused(tmp_path):
-    wkb = shapely.to_wkb(np.array([shapely.box(0, 0, 9, 9)], object))
-    write(
-        tmp_path / "a.shp",
-        wkb,
-        [np.array(["x"], object)],
-        np.array(["name"]),
-        geometry_type="Polygon",
-        crs="EPSG:32614",
-    )
+    write_areas(tmp_path / "a.shp")
     path = tmp_path / "a.prj"
     path.write_bytes(path.read_bytes().replace(b"WGS", b"\xf4GS"))
     with pytest.raises(BadInputError, match="it is damaged"):
@@ -266,6 +282,75 @@ def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):
         with pytest.raises(BadInputError):
             read(path)
     assert not asked
+
+
+@pytest.mark.parametrize("start", [b"fgb\3", b"fgb\3fgb\1", b"fgb\3fgb\1\0\1\0\0"])
+@pytest.mark.parametrize("text", [OGR_VRT, "<OGRWFSDataSource><URL>http://{0}/wfs</URL></OGRWFSDataSource>"])
+def test_a_vector_file_that_is_another_format_too_is_read_as_its_own(one, server, tmp_path, start, text):
+    """GDAL would take what follows the first bytes for instructions."""
+    folder = copytree(one, tmp_path / "map")
+    (folder / "cost.fgb").write_bytes(start + text.format(f"{server[0]}/{tmp_path.name}").encode())
+    list_anew(folder)
+    for read in (open_layers(folder).regions, lambda: read_areas(folder / "cost.fgb", bare_map())):
+        with pytest.raises(BadInputError, match=r"cost\.fgb"):
+            read()
+    assert not server[1]
+
+
+def bare_corners():
+    site = bare_map()
+    bounds = site.grid.window_bounds(site.window)
+    return bounds.west, bounds.south, bounds.east, bounds.north
+
+
+def write_areas(path, corners=(0, 0, 9, 9)):
+    wkb = shapely.to_wkb(np.array([shapely.box(*corners)], object))
+    write(path, wkb, [np.array(["x"], object)], np.array(["name"]), geometry_type="Polygon", crs="EPSG:32614")
+    return path
+
+
+@pytest.mark.parametrize(
+    "computed",
+    [
+        "VIEW v AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x AS fid, geom FROM c, a",
+        "VIRTUAL TABLE v USING VirtualText('{}', 'UTF-8', 1, POINT, DOUBLEQUOTE, ',')",
+        "/* */ VIRTUAL TABLE v USING rtree(id, a, b)",
+    ],
+)
+def test_a_geopackage_that_computes_what_it_holds_is_refused(tmp_path, computed):
+    """It may do so without end, or from other files."""
+    path = write_areas(tmp_path / "a.gpkg")
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("PRAGMA writable_schema = ON")
+        text = f"CREATE {computed.format(tmp_path / 'secret.csv')}"
+        kind = "view" if computed.startswith("VIEW") else "table"
+        database.execute("INSERT INTO sqlite_master VALUES (?, 'v', 'v', 0, ?)", [kind, text])
+        database.execute("INSERT INTO gpkg_contents(table_name, data_type) VALUES ('v', 'features')")
+        database.execute("INSERT INTO gpkg_geometry_columns VALUES ('v', 'geom', 'POLYGON', 32614, 0, 0)")
+    with pytest.raises(BadInputError, match=r"a\.gpkg: its part 'v' is computed when it is read"):
+        read_areas(path, bare_map())
+
+
+def test_a_vector_file_is_read_in_limited_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(map_files, "SECONDS", 0.01)
+    monkeypatch.setattr(map_files, "SECONDS_PER_BYTE", 0.0)
+    with pytest.raises(BadInputError, match=r"a\.gpkg: the decoder did not finish"):
+        read_areas(write_areas(tmp_path / "a.gpkg"), bare_map())
+
+
+@pytest.mark.parametrize("pipe", ["proj.ini", "proj.db", "a.dbf"])
+def test_pipes_around_a_vector_file_are_not_waited_for(tmp_path, monkeypatch, pipe):
+    monkeypatch.chdir(tmp_path)
+    path = write_areas(Path("a.shp") if pipe == "a.dbf" else Path("a.gpkg"), corners=bare_corners())
+    Path(pipe).unlink(missing_ok=True)
+    os.mkfifo(pipe)
+    with pytest.raises(BadInputError, match=r"a\.dbf is a pipe") if pipe == "a.dbf" else nullcontext():
+        assert len(read_areas(path, bare_map()))
+
+
+def test_regions_are_what_geopandas_reads(one):
+    found, expected = open_layers(one).regions(), geopandas.read_file(one / "cost.fgb")
+    assert_geodataframe_equal(found, expected)
 
 
 def test_heights_of_a_map_in_sheets_are_those_of_its_sheets(sheets):

@@ -113,8 +113,17 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.csv", b"\xff\xfe\x00", "cannot read"),
         ("a.txt", "1,2", r"Give \.geojson, \.gpx or \.csv"),
         ("a.geojson", "{", r"cannot read .*a\.geojson: .*\. Give"),
+        ("a.geojson", "[1, 2]", "it is no GeoJSON: it is .*; it must be an object with type"),
+        ("a.geojson", '{"type": "FeatureCollection", "features": [5]}', "features.0 is '5'; it must be an object"),
+        ("a.geojson", '{"type": "Feature", "geometry": 5}', "geometry is '5'; it must be an object with type"),
+        ("a.geojson", '{"type": "Feature", "properties": [1]}', r"properties is '\[1\]'; it must be an object"),
+        ("a.geojson", '{"type": "Feature", "crs": 5}', "crs is '5'; it must be an object with type, properties"),
+        ("a.geojson", '{"type": "Point", "coordinates": ["a", 1]}', "feature 1 has a position that is no two numbers"),
+        ("a.geojson", '{"type": "Point", "coordinates": [1e999, 1]}', "feature 1 has a position that is no two numb"),
+        ("a.geojson", '{"type": "Polygon", "coordinates": [[[1, 2]]]}', "a Polygon of it is damaged"),
+        ("a.gpx", '<gpx><wpt lat="1"/></gpx>', "a point of it is not a place: lat='1'"),
         ("a.geojson", '{"type": "Point", "coordinates": [NaN, 1]}', "cannot read"),
-        ("a.geojson", '{"type": "FeatureCollection", "features": 5}', "cannot read"),
+        ("a.geojson", '{"type": "FeatureCollection", "features": 5}', "features is '5'; it must be an array"),
         ("a.geojson", '{"type": "Point", "coordinates": {"a": 1}}', "cannot read"),
         ("a.gpx", "<gpx", "cannot read"),
         ("a.gpx", "<kml><wpt lat='1' lon='2'/></kml>", "it is no GPX"),
@@ -126,6 +135,14 @@ def test_files_that_are_no_points_are_refused(tmp_path, name, text, words):
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(BadInputError, match=words):
         read_points(path)
+
+
+@pytest.mark.parametrize("text", ["," * 100_000, f"lon,lat\n{'9' * 100_000},a\n", f"lon,lat\n{',' * 100_000}9\n"])
+def test_a_message_stays_short_whatever_the_file_holds(tmp_path, text):
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(BadInputError, match=r"a\.csv") as refusal:
+        read_points(tmp_path / "a.csv")
+    assert len(str(refusal.value)) < 600
 
 
 def test_other_geometries_and_missing_files_are_refused(tmp_path):

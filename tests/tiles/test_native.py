@@ -71,10 +71,11 @@ def place(tmp_path):
 ALONE = "from bumpytiles import native; native._kernels.clear()\n"  # the package's own kernels stay out of it
 
 
-def ran(place, code=RUN, cache="cache"):
+def ran(place, code=RUN, cache="cache", here=None):
     paths = os.pathsep.join([str(place), *(str(Path(p)) for p in sys.path if p)])
     env = {**os.environ, "PYTHONPATH": paths, "NUMBA_CACHE_DIR": str(place / cache)}
-    done = subprocess.run([sys.executable, "-c", ALONE + code], env=env, capture_output=True, text=True, check=False)
+    command = [sys.executable, "-c", ALONE + code]
+    done = subprocess.run(command, env=env, cwd=here, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done
 
@@ -102,6 +103,15 @@ def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
     assert first.startswith(NUMBERS)
     assert first.endswith("True")
     assert run(place) == first.replace("True", "False")
+
+
+def test_settings_of_the_current_folder_do_not_count(place):
+    """numba reads a file of them, and would compile for another processor or none."""
+    (place / "surveys").mkdir()
+    (place / "surveys" / ".numba_config.yaml").write_text("disable_jit: [")
+    first = run(place, here=place / "surveys")
+    assert first.startswith(NUMBERS)
+    assert first.endswith("False")
 
 
 def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):

@@ -608,9 +608,11 @@ def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
         return None
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
-    env = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), "NUMBA_OPT": "0"}
+    env = {"PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path), "NUMBA_OPT": "0"}
+    output: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     with suppress(OSError):
-        return start_python(["-c", code, *modules], environment=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        # Not in the current folder, where numba would read settings.
+        return start_python(["-c", code, *modules], environment=env, cwd=Path(__file__).parent, **output)
     return None
 
 

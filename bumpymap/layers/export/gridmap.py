@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path
+from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path, write_remedy
 from bumpymap.layers.export.area import FRAME, ExportArea
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.route_sheet import common_window
@@ -162,7 +162,9 @@ def write_gridmap(folder: Path, area: ExportArea, layers: GridLayers) -> dict[st
                 (bag / name).rename(temporary)
         remove_path(bag)
     except OSError as error:
-        raise OutputError(f"cannot write the bag to {folder.parent}: {error}. Choose another `out`") from error
+        raise OutputError(
+            f"cannot write the bag to {folder.parent}: {error}. {write_remedy(error, 'Choose another `out`')}"
+        ) from error
     return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers.values)}
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, parse_json, read_regular
+from bumpymap.core import BadInputError, Number, shape_fault
 from bumpymap.layers.export.area import (
     DATUM_NAME,
     EXPORT_FILES,
@@ -26,6 +26,7 @@ from bumpymap.layers.export.gridmap import make_layers, require_rosbags, write_g
 from bumpymap.layers.export.nav2 import make_grids, write_nav2
 from bumpymap.layers.export.settings import ExportSettings
 from bumpymap.layers.placement import check_extent
+from bumpymap.layers.route_inputs import geojson_features, line_parts
 from bumpymap.layers.route_map import RouteMap
 from bumpytiles import TileWindow
 
@@ -78,11 +79,8 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDA
         The file cannot be read, or holds no such line, or one that touches obstacles.
     """
     try:
-        record = parse_json(read_regular(path).decode())
-        line, about = _first_line(record)
-        corners = np.array(line, np.float64)[:, :2]
-        touched = float((about or {}).get("obstacle_m") or 0.0)
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        corners, touched = _first_line(path)
+    except (OSError, ValueError) as error:
         raise BadInputError(
             f"cannot read a route from {path}: {error}. Give a GeoJSON file with a line, such as the route.geojson "
             "that `bumpymap route` writes"
@@ -98,19 +96,15 @@ def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDA
     return corners, touched
 
 
-def _first_line(record: Any) -> tuple[list[Any], Any]:
-    """Return the positions of the first line of a GeoJSON object, parts one after the other, and its properties."""
-    if not isinstance(record, dict) or "type" not in record:
-        raise LookupError("it is no GeoJSON")
-    features = record["features"] if record["type"] == "FeatureCollection" else [record]
-    for feature in features:
-        geometry = feature["geometry"] if feature["type"] == "Feature" else feature
-        if geometry is not None and geometry["type"] == "LineString":
-            return [position[:2] for position in geometry["coordinates"]], feature.get("properties")
-        if geometry is not None and geometry["type"] == "MultiLineString":
-            line = [position[:2] for part in geometry["coordinates"] for position in part]
-            return line, feature.get("properties")
-    raise LookupError("it holds no line")
+def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
+    """Return the first line of a GeoJSON, its parts one after the other, and its length on obstacles, m."""
+    for geometry, about in geojson_features(path)[0]:
+        if geometry["type"] in {"LineString", "MultiLineString"}:
+            touched = about.get("obstacle_m") or 0.0
+            if fault := shape_fault(touched, Number(0.0), "obstacle_m"):
+                raise ValueError(fault)
+            return np.concatenate(line_parts(geometry)), float(touched)
+    raise ValueError("it holds no line")
 
 
 def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:

@@ -29,7 +29,7 @@ from bumpymap.layers.products import REPORT_NAME, SHEET_TABLE_NAME
 from bumpymap.layers.report.change_page import is_comparison, read_comparison, write_change_report
 from bumpymap.layers.report.drives import DrawnCheck, read_drawn_check
 from bumpymap.layers.report.page import write_page
-from bumpymap.layers.report.site import DrawnWay, Site, read_ways
+from bumpymap.layers.report.site import WAY_FIGURES, DrawnWay, Site, read_ways
 from bumpymap.layers.report.tiles import UNKNOWN_FROM
 from bumpymap.layers.report.words import (
     DASH,
@@ -432,25 +432,9 @@ def _compared_rows(names: Sequence[str], counts: list[list[int]], sites: Sequenc
     return rows
 
 
-_FIGURES = (
-    # key, label, decimals, unit
-    ("length_m", "length", 0, " m"),
-    ("detour", "length over the straight line", 2, ""),
-    ("seconds", "time at the vehicle's speed", 0, " s"),
-    ("c_r_mean", "mean C_r", 3, " rad/m"),
-    ("c_r_max", "largest C_r", 3, " rad/m"),
-    ("p_arrives", "chance to arrive", 2, ""),
-    ("unknown_m", "on ground that is not known", 0, " m"),
-    ("obstacle_m", "touching obstacles", 1, " m"),
-    ("tight_turns_deg", "turns close to what stops the vehicle", 0, "°"),
-    ("climb_m", "climb", 1, " m"),
-    ("descent_m", "descent", 1, " m"),
-)
-
-
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:
     rows: list[Row] = []
-    for key, label, decimals, unit in _FIGURES:
+    for key, label, decimals, unit in WAY_FIGURES:
         values = [way.figures.get(key) for way in ways]
         if any(value is not None for value in values):
             shown = [number(value, decimals, unit) for value in values]

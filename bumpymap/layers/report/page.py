@@ -130,11 +130,13 @@ def _engine() -> "jinja2.Environment":
 
 
 def _printable(value: Any) -> Any:
-    """Replace what UTF-8 cannot hold: bytes of a file name that are not text."""
-    if not isinstance(value, str) or value.isascii():
+    """Show as escapes what UTF-8 cannot hold, and control characters and marks of text direction but line breaks."""
+    if not isinstance(value, str) or value.isprintable():
         return value
-    text = value.encode("utf-8", "backslashreplace").decode()
-    return value if text == value else text
+    if hasattr(value, "__html__"):  # of a template
+        text = value.encode("utf-8", "backslashreplace").decode()
+        return value if text == value else text
+    return "\n".join(map(escape_controls, value.split("\n")))
 
 
 _FILTERS: dict[str, Callable[..., str]] = {

@@ -18,17 +18,30 @@ from rasterio.enums import Resampling
 from rasterio.errors import RasterioError
 from rasterio.windows import Window
 
-from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, parse_json, read_regular, stated_crs
+from bumpymap.core import (
+    CANOPY,
+    FREE,
+    NO_CLASS,
+    OBSTACLE,
+    BadInputError,
+    Barred,
+    Nullable,
+    Number,
+    shape_fault,
+    stated_crs,
+)
 from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT, class_limits, class_ranges
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.report.charts import Chart, c_r_chart, slope_chart
 from bumpymap.layers.report.drives import DrawnCheck
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
 from bumpymap.layers.report.words import survey_name
+from bumpymap.layers.route_inputs import geojson_features, line_parts
 from bumpymap.layers.sheets.folders import raster_in, sheets_of
 from bumpymap.layers.summary import MapSummary
 
 __all__ = [
+    "WAY_FIGURES",
     "DrawnWay",
     "Site",
     "jpeg",
@@ -227,6 +240,23 @@ class DrawnWay:
     """The properties of its line in route.geojson."""
 
 
+WAY_FIGURES = (
+    ("length_m", "length", 0, " m"),
+    ("detour", "length over the straight line", 2, ""),
+    ("seconds", "time at the vehicle's speed", 0, " s"),
+    ("c_r_mean", "mean C_r", 3, " rad/m"),
+    ("c_r_max", "largest C_r", 3, " rad/m"),
+    ("p_arrives", "chance to arrive", 2, ""),
+    ("unknown_m", "on ground that is not known", 0, " m"),
+    ("obstacle_m", "touching obstacles", 1, " m"),
+    ("tight_turns_deg", "turns close to what stops the vehicle", 0, "°"),
+    ("climb_m", "climb", 1, " m"),
+    ("descent_m", "descent", 1, " m"),
+)
+"""Figures of a way on a page: property of its line, label, decimals, unit."""
+_WAY_SHAPE = {"name?": Nullable(str)} | {f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES}
+
+
 def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     """Read the ways of a folder, or of a file, that `bumpymap route` wrote.
 
@@ -247,29 +277,31 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
     if not path.is_file():
         raise BadInputError(f"there is no file {path}. {remedy}")
     try:
-        features = parse_json(read_regular(path).decode())["features"]
-        metres, ways = _placer(record), []
-        for one in features:
-            kind, positions, about = one["geometry"]["type"], one["geometry"]["coordinates"], one["properties"]
-            if kind in {"LineString", "MultiLineString"}:
-                parts = positions if kind == "MultiLineString" else [positions]
-                ways.append(DrawnWay(str(about.get("name") or "way"), tuple(map(metres, parts)), about))
-        if not ways:
-            raise BadInputError(f"{path} holds no way. {remedy}")
-        return tuple(ways)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, ProjError) as error:
+        ways = tuple(_ways(path, record))
+    except (OSError, ValueError, ProjError) as error:
         raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
+    if not ways:
+        raise BadInputError(f"{path} holds no way. {remedy}")
+    return ways
 
 
-def _placer(record: Mapping[str, Any]) -> Callable[[Any], NDArray[np.float64]]:
+def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
+    metres = _placer(record)
+    for geometry, about in geojson_features(path)[0]:
+        if geometry["type"] in {"LineString", "MultiLineString"}:
+            if fault := shape_fault(about, _WAY_SHAPE):
+                raise ValueError(fault)
+            yield DrawnWay(about.get("name") or "way", tuple(map(metres, line_parts(geometry))), about)
+
+
+def _placer(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
     """Return how positions of route.geojson become metres of the map's grid, (n, 2)."""
     crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
     forward = None
     if crs is not None:
         forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
 
-    def metres(positions: Any) -> NDArray[np.float64]:
-        part = np.array([position[:2] for position in positions], dtype=np.float64).reshape(-1, 2)
+    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
         if forward is not None:
             part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
         if not np.isfinite(part).all():

@@ -31,6 +31,7 @@ from bumpymap.core import (
     parse_json,
     point_classes,
     remove_path,
+    write_remedy,
 )
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.manifest import describe_file, describe_input, software_versions, write_manifest
@@ -464,8 +465,8 @@ def output_errors(folder: Path) -> Iterator[None]:
         yield
     except (OSError, lazrs.LazrsError, pa.ArrowException, RasterioError) as error:
         raise OutputError(
-            f"cannot write to {folder}: {error}. Free some space, or choose another `out`; nothing half-written was "
-            "left there"
+            f"cannot write to {folder}: {error}. {write_remedy(error, 'Free some space, or choose another `out`')}; "
+            "nothing half-written was left there"
         ) from error
 
 

@@ -17,14 +17,15 @@ from bumpymap.core import (
     BadInputError,
     BumpymapError,
     Child,
+    DecoderError,
     DriveLog,
+    Guard,
     PlaceTrack,
     UsageError,
     can_start_children,
     free_memory,
     missing_resource,
 )
-from bumpymap.readers.decoder import DecoderError, Guard
 from bumpymap.readers.drives.bag_signals import bag_signals, is_ros1
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import TOPICS, check_lonlat, unknown_quantities

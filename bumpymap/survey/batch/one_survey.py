@@ -35,6 +35,7 @@ from bumpymap.core import (
     locked,
     missing_resource,
     read_record,
+    refused_write,
     remove_path,
 )
 from bumpymap.layers import (
@@ -73,8 +74,6 @@ class MapTask:
     """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
     """Largest picture of the map to make."""
-    memory: str | None = None
-    """The setting of the batch, of which ``config`` has a share."""
     started_by: Holder | None = None
     """The batch, for whoever finds the folder locked."""
 
@@ -199,7 +198,7 @@ def _run(task: MapTask) -> MapResult:
     An interrupted run of other inputs or settings has left no layers, so it is always replaced.
     """
     out, progress = task.config.out, _Begun()
-    run = partial(map_surveys, progress=progress, crs_must_agree=False, recorded_memory=task.memory)
+    run = partial(map_surveys, progress=progress, crs_must_agree=False)
     resume = is_interrupted(out)
     try:
         return run(replace(task.config, resume=resume))
@@ -233,8 +232,10 @@ class _Begun(SilentProgress):
 
 
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
-    what = missing_resource(error)
+    what, full = missing_resource(error), refused_write(error)
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
+    if full and not isinstance(error, BumpymapError):
+        message = f"{message} ({full})"
     message = message.replace(_NOT_RESUME, "")
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"

@@ -304,7 +304,6 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
             config.overwrite,
             None if config.remote is None else config.remote.below(survey.name),
             min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
-            config.of_survey(survey.settings).memory,
             holder,
         )
         for survey in surveys

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Ground, OutputError, UsageError
+from bumpymap.core import Ground, OutputError, UsageError, write_remedy
 from bumpymap.readers import LineSums
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpytiles import (
@@ -246,10 +246,8 @@ def engine_errors(budget: Budget) -> Iterator[None]:
             f"{error}: it is too dense for `memory='{budget.memory >> 20}MB'`. Raise `memory`, or thin the survey"
         ) from error
     except OSError as error:
-        raise OutputError(
-            f"cannot write temporary points to disk: {error}. Free some space, choose a larger disk with `scratch`, "
-            "or raise `memory`"
-        ) from error
+        more = write_remedy(error, "Free some space, choose a larger disk with `scratch`, or raise `memory`")
+        raise OutputError(f"cannot write temporary points to disk: {error}. {more}") from error
     except PackError as error:
         raise OutputError(
             f"temporary files of the run are missing or damaged: {error}. Run it again, with `overwrite=True`"

@@ -154,7 +154,7 @@ def test_the_manifest_of_a_route_is_no_route(make_field, write_map, tmp_path):
     path = tmp_path / "route.json"
     path.write_text('{"format": "bumpymap-route", "routes": []}')
     route_map = open_map([write_map(make_field(6, 5, easy=True), tmp_path / "layers")])
-    with pytest.raises(BadInputError, match=r"from .*route\.json: it is no GeoJSON\. Give"):
+    with pytest.raises(BadInputError, match=r"route\.json: it is no GeoJSON: .* must be an object with type\. Give"):
         export_map(route_map, tmp_path / "out", ExportSettings(to="plan", route=path))
 
 

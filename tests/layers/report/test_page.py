@@ -7,7 +7,7 @@ import pytest
 from bumpymap.layers import SurveyRow, index_page
 from bumpymap.layers.report import page
 
-HOSTILE = "<b>'&\udce9"
+HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
 
 
 @pytest.fixture
@@ -23,7 +23,8 @@ def kept(tmp_path, monkeypatch):
 def test_compiled_templates_are_kept_and_give_the_same_page(kept):
     rows = [SurveyRow(HOSTILE, "failed", HOSTILE)]
     first = index_page(rows, {}, [HOSTILE], HOSTILE, HOSTILE)
-    assert "<b>" not in first
+    assert not [sign for sign in ("<b>", "\x1b", "\u202e") if sign in first]
+    assert first.count(r"\x1b[31m\u202e") >= 4
     found = sorted(kept.rglob("*.cache"))
     assert len(found) == 2  # the page and its frame
     times = [file.stat().st_mtime_ns for file in found]

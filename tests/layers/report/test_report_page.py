@@ -159,7 +159,7 @@ def test_names_of_files_and_places_are_text(tmp_path, read_page):
     outline = Outline(page.text)
     assert page.text.count("<script") == 2
     assert page.data["maps"][0]["name"] == plain
-    assert outline.tables["Files of the survey"][1][0] == file.replace("\udce9", "\\udce9")
+    assert outline.tables["Files of the survey"][1][0] == file.replace("\udce9", "\\xe9")
     assert "onerror" not in outline.attributes
     assert "/home/me" not in page.text
 
@@ -376,7 +376,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     lonlat = [Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True).transform(*corner) for corner in corners]
     line = {"type": "LineString", "coordinates": [list(place) for place in lonlat]}
     about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
-    collection = {"features": [{"type": "Feature", "properties": about, "geometry": line}]}
+    collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
     page = read_page(write_reports([site], tmp_path / "a.html", route=tmp_path))
     (way,) = page.data["maps"][0]["ways"]

@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("rosbags")
 
-from bags import STORE, header, message, odometry, write_bag
-from rosbags.typesys import Stores, get_typestore
+from bags import header, imu, message, odometry, write_bag, write_ros1
 
 from bumpymap.core import BadInputError, missing_resource
 from bumpymap.readers import read_drive
@@ -20,26 +19,6 @@ T0 = 1_700_000_000_000_000_000
 COUNT = 200
 RATES = np.random.default_rng(5).normal(0.0, 0.2, (COUNT, 3))
 TIMES = np.arange(COUNT) * 0.01
-
-
-def vector(values, store=STORE):
-    x, y, z = map(float, values)
-    return store.types["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
-
-
-def imu(stamp_ns, rate, *, has_rate=True, turn=(0.0, 0.0, 0.0, 0.0)):
-    x, y, z, w = map(float, turn)
-    unknown = np.r_[-1.0, np.zeros(8)]
-    return message(
-        "sensor_msgs/msg/Imu",
-        header=header(stamp_ns, "imu"),
-        orientation=message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w),
-        orientation_covariance=np.zeros(9) if any(turn) else unknown,
-        angular_velocity=vector(rate),
-        angular_velocity_covariance=np.zeros(9) if has_rate else unknown,
-        linear_acceleration=vector((0.1, 0.2, 9.8)),
-        linear_acceleration_covariance=np.zeros(9),
-    )
 
 
 def fix(stamp_ns, lon, lat, *, status=0, sd=0.02):
@@ -183,24 +162,9 @@ def test_a_wrong_length_in_a_bag_is_no_lack_of_memory(tmp_path, read):
 
 
 def test_a_bag_of_ros_1(tmp_path):
-    from rosbags.rosbag1 import Writer
-
-    store = get_typestore(Stores.ROS1_NOETIC)
-    types = store.types
-    with Writer(tmp_path / "drive.bag") as writer:
-        topic = writer.add_connection("/imu/data", "sensor_msgs/msg/Imu", typestore=store)
-        for number, (_, stored, each) in enumerate(imus()):
-            stamp = types["builtin_interfaces/msg/Time"](sec=each.header.stamp.sec, nanosec=each.header.stamp.nanosec)
-            made = types["sensor_msgs/msg/Imu"](
-                header=types["std_msgs/msg/Header"](seq=number, stamp=stamp, frame_id="imu"),
-                orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
-                orientation_covariance=np.zeros(9),
-                angular_velocity=vector(RATES[number], store),
-                angular_velocity_covariance=np.zeros(9),
-                linear_acceleration=vector((0.0, 0.0, 9.8), store),
-                linear_acceleration_covariance=np.zeros(9),
-            )
-            writer.write(topic, stored, store.serialize_ros1(made, made.__msgtype__))
+    stamps = [10**9 * each.header.stamp.sec + each.header.stamp.nanosec for _, _, each in imus()]
+    stored = [time_ns for _, time_ns, _ in imus()]
+    write_ros1(tmp_path / "drive.bag", zip(stored, stamps, RATES, strict=True))
     log = read_drive(str(tmp_path / "drive.bag"))
     np.testing.assert_array_equal(log.imu.rate, RATES)
     np.testing.assert_allclose(log.imu.time - T0 * 1e-9, TIMES, atol=1e-6)

@@ -240,17 +240,16 @@ def test_a_lock_of_a_worker_names_the_command(tmp_path):
 
 
 def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
-    """Other free memory, other threads, a share of a batch: the same run.json, but for its times."""
+    """Other memory, free and given, other threads, a share of a batch: the same run.json, but for its times."""
     survey, made = write_survey(tmp_path / "in" / "a.laz"), []
     for cores, jobs in ((1, 1), (2, 2)):
         monkeypatch.setattr("os.cpu_count", lambda cores=cores: cores)
         monkeypatch.setattr("bumpymap.core.memory.free_memory", lambda cores=cores: cores * 3 << 30)
-        map_surveys(MapConfig((survey,), tmp_path / f"{cores}", threads=cores + 1))
+        map_surveys(MapConfig((survey,), tmp_path / f"{cores}", threads=cores + 1, memory=f"{cores}GB"))
         run_batch(BatchConfig(survey.parent, tmp_path / f"night {cores}", jobs=jobs))
         made += [tmp_path / f"{cores}", tmp_path / f"night {cores}" / "a"]
     runs = [json.loads((folder / "run.json").read_text(encoding="utf-8")) for folder in made]
     assert all(run.pop("seconds") for run in runs)
-    assert runs[0]["settings"]["memory"] == "auto"
     assert runs == [runs[0]] * 4
 
 
