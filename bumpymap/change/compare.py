@@ -48,12 +48,8 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-
 _FREEDOM = 30.0
 """Degrees of freedom of the tails."""
-
-
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
@@ -92,16 +88,7 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
     first k are found, k the last whose probability is at most share k / n. It holds for tests that are independent, and
     for neighbouring tiles, whose errors go together (Benjamini and Yekutieli 2001, Ann. Stat. 29).
 
-    Parameters
-    ----------
-    probability : array
-        Of each test, if nothing has changed; NaN: not tested.
-    share : float
-        0..1.
-
-    Returns
-    -------
-    bool array of the same shape
+    ``probability``: of each test, if nothing has changed; NaN: not tested; ``share``: 0..1.
     """
     tested = np.isfinite(probability)
     rising = np.sort(probability[tested])
@@ -112,12 +99,8 @@ def hold_false_discoveries(probability: Floats, share: float) -> NDArray[np.bool
 
 _STRIP_PIXELS = 1 << 20
 """Most pixels that are compared at once."""
-
-
 _SEEN = 0.5
 """Share of the cells of a tile that both surveys should have seen."""
-
-
 _LEAST_SIDE = 5
 """Fewest cells along a tile."""
 
@@ -128,13 +111,8 @@ def cell_pixels(pair: SurveyPair, shared: NDArray[np.bool_], coverage: NDArray[n
     One, unless the surveys are so thin that few pixels hold points of both: then pixels are taken together, so that
     most cells do.
 
-    Parameters
-    ----------
-    pair : SurveyPair
-    shared : bool array (rows, cols)
-        Tiles that both surveys have.
-    coverage : array (rows, cols)
-        Share of the pixels that hold points of both, if they fell at random: the product of both coverages.
+    ``shared`` (rows, cols): tiles that both surveys have; ``coverage`` (rows, cols): share of the pixels that hold
+    points of both, if they fell at random: the product of both coverages.
     """
     pixels = pair.before.grid.pixels
     factors = [factor for factor in range(1, pixels // _LEAST_SIDE + 1) if pixels % factor == 0]
@@ -192,8 +170,6 @@ def _differences(pair: SurveyPair, cell: int) -> Iterator[tuple[slice, NDArray[n
 
 _TAIL = float(ndtri(0.9))
 """Half the width of an 80 % interval, in standard deviations."""
-
-
 _LEAST_OWN = 0.5
 """Least share of a spread that is the survey's own."""
 
@@ -226,17 +202,8 @@ class CommonError:
 def ride_z(before: Bands, after: Bands, common: CommonError | None = None) -> Floats:
     """Return the difference of ln c_r over its combined spread; the spreads are those of the 80 % intervals of ln c_r.
 
-    Parameters
-    ----------
-    before, after : three arrays each, of one shape
-        ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m.
-    common : CommonError, optional
-        Taken off both spreads.
-
-    Returns
-    -------
-    float64 array of that shape
-        NaN where one of the two is unknown or not positive.
+    ``before``, ``after``: ``c_r``, ``c_r_low`` and ``c_r_high``, rad/m; ``common``: taken off both spreads. Returns NaN
+    where one of the two is unknown or not positive.
     """
     shared = common or CommonError()
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -261,20 +228,12 @@ def _number(value: object) -> float:
 
 LEAST_CELLS = 16
 """Fewest pixels that both surveys have seen, for a tile to be compared."""
-
-
 _CUT = 1.5
 """Where differences are cut off, in standard deviations."""
-
-
 _FLOOR_M = 1e-3
 """Least standard deviation of the differences, m: heights are stored to a millimetre."""
-
-
 _EXACT, _MOST_T = 1e-9, 100.0
 """Differences that are all alike leave no error: their t is limited."""
-
-
 _LAGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
 """Pairs of pixels of z_shape: rows and columns between them."""
 
@@ -294,10 +253,8 @@ def coarsen(heights: NDArray[np.floating], factor: int) -> Floats:
 def compare_heights(difference: Floats) -> GroundChange:
     """Compare the heightmaps of tiles.
 
-    Parameters
-    ----------
-    difference : array (n, p, p)
-        Later minus earlier height of each pixel, m, the common offset taken off; NaN where one has none.
+    ``difference`` (n, p, p): later minus earlier height of each pixel, m, the common offset taken off; NaN where one
+    has none.
     """
     count = np.isfinite(difference).sum(axis=(1, 2))
     enough = count >= LEAST_CELLS
@@ -364,19 +321,14 @@ class Decision:
 def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
     """Find the tiles that have changed.
 
-    Parameters
-    ----------
-    ground : GroundChange
-        Of all tiles, (rows, cols).
-    z_c_r : array (rows, cols)
-        From `ride_z`; NaN where a ride is unknown.
-    fdr : float
-        Share of false discoveries, for the ground and again for the ride.
+    ``ground``: of all tiles, (rows, cols); ``z_c_r`` (rows, cols): from `ride_z`; NaN where a ride is unknown; ``fdr``:
+    share of false discoveries, for the ground and again for the ride.
     """
     widened = {"height": widening(ground.z_height), "shape": widening(ground.z_shape), "c_r": widening(z_c_r)}
     height = ground.z_height / widened["height"]
     # What all tiles have in common is no change of any: a shift of one survey makes every shape differ a little.
-    common = max(0.0, _median(ground.z_shape))
+    known = ground.z_shape[np.isfinite(ground.z_shape)]
+    common = max(0.0, float(np.median(known))) if len(known) else 0.0
     shape = (ground.z_shape - common) / widened["shape"]
     ride = z_c_r / widened["c_r"]
     of_ground = np.minimum(1.0, 2.0 * np.fmin(two_sided(height), upper_sided(shape)))
@@ -388,8 +340,3 @@ def decide(ground: GroundChange, z_c_r: Floats, fdr: float) -> Decision:
     code[rides] = np.where(ride[rides] > 0.0, _ROUGHER, _SMOOTHER)
     code[np.isnan(of_ground)] = np.nan
     return Decision(height, shape, ride, code, widened)
-
-
-def _median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else 0.0

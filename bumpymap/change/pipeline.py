@@ -4,6 +4,7 @@ Open both, find which tiles both have, compare heights and ride costs, decide, c
 """
 
 import os
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,11 +23,11 @@ from bumpymap.change.compare import (
     height_offset,
     ride_z,
 )
-from bumpymap.change.regions import connect, describe_regions, region_names
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
     CLASS_NAMES,
+    NO_CLASS,
     NO_TILE,
     BadInputError,
     Barred,
@@ -40,12 +41,12 @@ from bumpymap.core import (
 from bumpymap.layers import (
     ChangeField,
     Layers,
-    RouteMap,
     SurveyPair,
     SurveyTiles,
     change_regions,
     check_change_out,
     folder_of,
+    label,
     open_pair,
     write_change,
 )
@@ -53,31 +54,20 @@ from bumpymap.layers import (
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["ChangeResult", "diff_surveys", "find_changes", "remarks"]
-
+__all__ = ["ChangeResult", "connect", "diff_surveys", "find_changes", "remarks"]
 
 _DENSITY = 2.0
 """Ratio of the densities from which surveys are unlike."""
-
-
 _WIDE = 1.5
 """Widening from which the surveys do not fit each other."""
-
-
 _MOST_CHANGED = 0.3
 """Share of changed tiles from which the rest may be no measure of what has not changed."""
-
-
 _RIDE = 0.05
 """Median change of the ride cost, as a share, that is told."""
 
 
-def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> tuple[str, ...]:
-    """Return remarks and warnings, a sentence each."""
-    return tuple(_remarks(fit, counts))
-
-
-def _remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
+def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
+    """Yield remarks and warnings, a sentence each."""
     if fit["offset_m"] is not None:
         taken = fit["offset_taken_off_m"]
         level = abs(fit["offset_m"]) < 0.0005
@@ -241,7 +231,11 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     offset = height_offset(pair, cell)
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
-    decision = decide(ground, _ride(pair, *surveys), config.fdr)
+    # Both have one calibration, or they could not be compared; one may be of an earlier version, and say nothing of it.
+    first, second = (CommonError.of(site.manifests[0]) for site in (pair.before, pair.after))
+    before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
+    ride = ride_z(before, after, first if first == second else CommonError())
+    decision = decide(ground, ride, config.fdr)
     field, dropped = _field(pair, surveys, ground, decision, config.min_tiles)
     fit = _fit(pair, surveys, shared, decision) | {
         "offset_m": None if np.isnan(offset) else round(offset, 4),
@@ -250,28 +244,13 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     }
     counts = _counts(surveys, field, shared) | {"dropped_as_too_small": dropped}
     transitions = _transitions(*surveys, shared)
-    notes = remarks(fit, counts)
+    notes = tuple(remarks(fit, counts))
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing layers", None)
         own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
         files = write_change(field, config.out, manifest=own, overwrite=config.overwrite)
     return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
-
-
-def _ride(pair: SurveyPair, before: SurveyTiles, after: SurveyTiles) -> NDArray[np.float64]:
-    # Both have one calibration, or they could not be compared.
-    return ride_z(
-        (before.c_r, before.c_r_low, before.c_r_high),
-        (after.c_r, after.c_r_low, after.c_r_high),
-        _common(pair),
-    )
-
-
-def _common(pair: SurveyPair) -> CommonError:
-    """Return what both maps have in common; one may be of an earlier version, and say nothing of it."""
-    found = [CommonError.of(site.manifests[0]) for site in (pair.before, pair.after)]
-    return found[0] if found[0] == found[1] else CommonError()
 
 
 def _field(
@@ -304,18 +283,13 @@ def _fit(
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = after.c_r[shared] / before.c_r[shared]
     known = ratio[np.isfinite(ratio)]
-    versions = [_version(site) for site in (pair.before, pair.after)]
+    versions = [site.manifests[0].get("versions", {}).get("bumpymap") for site in (pair.before, pair.after)]
     return {
         "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
         "median_density_m2": [round(float(np.nanmedian(side.density[shared])), 2) for side in surveys],
-        "versions": versions,
+        "versions": [None if version is None else str(version) for version in versions],
     }
-
-
-def _version(site: RouteMap) -> str | None:
-    found = site.manifests[0].get("versions", {}).get("bumpymap")
-    return None if found is None else str(found)
 
 
 def _counts(surveys: tuple[SurveyTiles, SurveyTiles], field: ChangeField, shared: NDArray[np.bool_]) -> dict[str, Any]:
@@ -346,8 +320,12 @@ def _manifest(
     counts: Mapping[str, Any],
     transitions: NDArray[np.int64],
 ) -> dict[str, Any]:
+    kept = "survey", "inputs", "files"  # what identifies the layers of a run
     sources = {
-        name: {"folders": list(site.folders), "runs": [_run(manifest) for manifest in site.manifests]}
+        name: {
+            "folders": list(site.folders),
+            "runs": [{key: manifest.get(key) for key in kept} for manifest in site.manifests],
+        }
         for name, site in (("before", pair.before), ("after", pair.after))
     }
     return {
@@ -361,6 +339,99 @@ def _manifest(
     }
 
 
-def _run(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what identifies the layers of a run: its survey and inputs, and the checksums of its files."""
-    return {name: manifest.get(name) for name in ("survey", "inputs", "files")}
+_DECIMALS = 4
+
+
+def connect(code: NDArray[np.float64], least: int) -> tuple[NDArray[np.float64], NDArray[np.int32], int]:
+    """Find connected changes, of tiles that share a side, and drop those of fewer than ``least`` tiles.
+
+    ``code`` (rows, cols): a position in ``CHANGE_KINDS``; NaN where not compared. Returns ``code`` (rows, cols): 0
+    where a change was dropped; ``area`` (rows, cols): number of the change, from 1, in the order of their first tiles;
+    0: none; ``dropped``: tiles of the changes that were dropped.
+    """
+    found = np.nan_to_num(code) > 0.0
+    labels, first, _ = label(found.astype(np.uint8))
+    size = np.bincount(labels.ravel(), minlength=len(first) + 1)
+    kept = size >= least
+    kept[0] = False
+    number = np.where(kept, np.cumsum(kept), 0).astype(np.int32)
+    area = number[labels]
+    small = found & (area == 0)
+    return np.where(small, 0.0, code), area, int(small.sum())
+
+
+def describe_regions(
+    area: NDArray[np.int32],
+    code: NDArray[np.float64],
+    values: Mapping[str, NDArray[np.floating]],
+    surveys: tuple[SurveyTiles, SurveyTiles],
+    tile_size: float,
+) -> tuple[dict[str, Any], ...]:
+    """Return the properties of each connected change, as they stand in change.geojson.
+
+    ``area``, ``code`` (rows, cols): from `connect`; ``values``: ``d_height``, ``d_c_r``, ``z_height``, ``z_shape``,
+    ``z_c_r``, each (rows, cols); ``surveys``: before and after; ``tile_size``: m.
+    """
+    before, after = surveys
+    place = np.flatnonzero(area)
+    order = place[np.argsort(area.ravel()[place], kind="stable")]
+    cuts = np.flatnonzero(np.diff(area.ravel()[order])) + 1
+    flat: dict[str, NDArray[Any]] = {name: array.ravel() for name, array in values.items()}
+    flat |= {"c_r_before": before.c_r.ravel(), "c_r_after": after.c_r.ravel(), "kind": code.ravel()}
+    flat |= {"class_before": before.class_id.ravel(), "class_after": after.class_id.ravel()}
+    free = before.barred == Barred.NO, after.barred == Barred.NO
+    flat |= {"passable_lost": (free[0] & ~free[1]).ravel(), "passable_won": (~free[0] & free[1]).ravel()}
+    parts = np.split(order, cuts) if len(order) else []
+    return tuple(_describe({name: array[tiles] for name, array in flat.items()}, tile_size**2) for tiles in parts)
+
+
+def region_names() -> tuple[str, ...]:
+    """Return the names of the properties that `describe_regions` gives, also where nothing has changed."""
+    return tuple(_describe(defaultdict(lambda: np.zeros(1, np.uint8)), 1.0))
+
+
+def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, Any]:
+    """Return the properties of one change from the values of its tiles, (n,) each."""
+    heights, kinds = tiles["d_height"], tiles["kind"]
+    # The class of most tiles, the lower of two.
+    classes = {name: int(np.argmax(np.bincount(tiles[name]))) for name in ("class_before", "class_after")}
+    return {
+        "tiles": len(kinds),
+        "area_m2": round(len(kinds) * area_m2, 3),
+        "kind": _kind(kinds),
+        **{CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
+        "d_height": _number(heights.mean()),
+        "d_height_lowest": _number(heights.min()),
+        "d_height_highest": _number(heights.max()),
+        "volume_m3": _number(heights.sum() * area_m2),
+        **{name: _mean(tiles[name]) for name in ("d_c_r", "c_r_before", "c_r_after")},
+        **{name: _farthest(tiles[name]) for name in ("z_height", "z_shape", "z_c_r")},
+        **{name: None if commonest == NO_CLASS else commonest for name, commonest in classes.items()},
+        **{name: int(tiles[name].sum()) for name in ("passable_lost", "passable_won")},
+    }
+
+
+_KINDS = range(1, len(CHANGE_KINDS))
+_FIRST = (2, 4, 3, 1)
+"""Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
+
+
+def _kind(kinds: NDArray[np.floating]) -> str:
+    """Return the kind of most tiles."""
+    count = np.bincount(kinds.astype(np.int64), minlength=len(CHANGE_KINDS))
+    return CHANGE_KINDS[max(_FIRST, key=lambda kind: int(count[kind]))]
+
+
+def _number(value: float) -> float | None:
+    return round(float(value), _DECIMALS) if np.isfinite(value) else None
+
+
+def _mean(values: NDArray[np.floating]) -> float | None:
+    known = values[np.isfinite(values)]
+    return _number(known.mean()) if len(known) else None
+
+
+def _farthest(values: NDArray[np.floating]) -> float | None:
+    """Return the value farthest from 0."""
+    known = values[np.isfinite(values)]
+    return _number(known[np.argmax(np.abs(known))]) if len(known) else None

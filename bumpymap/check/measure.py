@@ -18,7 +18,6 @@ from bumpymap.check.mounting import (
     refuse_wrong_unit,
 )
 from bumpymap.check.places import MetrePlaces, near_place, smooth_velocity
-from bumpymap.check.settings import ReadingSettings
 from bumpymap.check.signals import (
     EvenImu,
     even_imu,
@@ -175,16 +174,7 @@ def rough_speed(imu: EvenImu, places: MetrePlaces | None, wheels: WheelTrack | N
 def find_standing(imu: EvenImu, speed: RoughSpeed, band_hz: float) -> Mask:
     """Return when the vehicle stood still.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    speed : RoughSpeed
-        From positions or wheels.
-    band_hz : float
-
-    Returns
-    -------
-    bool array (n,)
+    ``speed``: from positions or wheels.
     """
     rate = low_pass(imu.rate, imu.known, imu.hertz, band_hz)
     samples = round(_WINDOW_S * imu.hertz)
@@ -212,17 +202,7 @@ def rate_bias(imu: EvenImu, standing: Mask, upward: Floats) -> Floats:
     Without a stop it is the mean of the whole record about level axes, since no vehicle keeps rolling over; about the
     upward axis it is then 0.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    standing : bool array (n,)
-    upward : float64 array (3,)
-        Unit vector in the axes of the sensor.
-
-    Returns
-    -------
-    float64 array (n, 3)
-        rad/s.
+    ``upward`` (3,): unit vector in the axes of the sensor. Returns (n, 3): rad/s.
     """
     stops = pieces(standing)
     if not stops:
@@ -245,6 +225,8 @@ _UNSURE_DRIFT = 5e-5
 _BESIDE_GAP_S, _LEAST_FAR = 5.0, 0.2
 """The mounting of the sensor rests on what is so far from gaps, unless that is less than this share of the drive."""
 _LEAST_WAY_M, _PARKED_MPS = 5.0, 0.1
+_LEAST_SPEED_MPS, _TURN_RADIUS_M = 0.1, 4.0
+"""Slower parts do not count, nor those that turn more sharply."""
 _TURN_S = 1.0
 """Yaw rates are averaged over this: bumps turn a vehicle to and fro."""
 
@@ -265,44 +247,38 @@ class _Rates:
 def measure_drive(
     log: DriveLog,
     places: MetrePlaces | None,
-    settings: ReadingSettings,
+    band_hz: float,
     slope_at: SlopeAt | None = None,
 ) -> DriveMeasure:
     """Measure the pitch rate about the vehicle's own axis, the speed and the way of a drive.
 
-    Parameters
-    ----------
-    log : DriveLog
-    places : MetrePlaces or None
-        Positions of the log in metres.
-    settings : ReadingSettings
-    slope_at : function, optional
-        Slopes of the ground, for the mounting of the sensor.
-
-    Raises
-    ------
-    BadInputError
-        The log cannot be used: too slow, too short, without way, or in another unit.
+    ``places``: positions of the log in metres; ``slope_at``: slopes of the ground, for the mounting of the sensor.
+    Raises BadInputError: the log cannot be used: too slow, too short, without way, or in another unit.
     """
     if places is None and log.wheels is None:
         raise BadInputError(
             f"{log.name} has neither positions nor wheel speeds, so C_r, which is per metre, cannot be measured. "
             "Give a log with one of them, or name their columns with `columns`"
         )
-    imu = even_imu(log.imu, log.name, settings.band_hz)
+    imu = even_imu(log.imu, log.name, band_hz)
     notes: list[str] = []
     imu = _usable_force(imu, notes)
-    rates = _rates(log, imu, places, settings.band_hz)
+    rates = _rates(log, imu, places, band_hz)
     start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
-    _refuse_parked(log, track)
-    mounting = _mounting(imu, rates, track, slope_at, settings)
+    speed, step = np.abs(track.speed), track.time[1] - track.time[0]
+    if float(speed[speed > _PARKED_MPS].sum() * step) < _LEAST_WAY_M:
+        raise BadInputError(
+            f"{log.name}: the vehicle moves {speed.sum() * step:.1f} m in {len(speed) * step:.0f} s and never drives. "
+            "Give a log of a drive"
+        )
+    mounting = _mounting(imu, rates, track, slope_at)
     if mounting is not None:  # again, with gravity and driving separated
         force = level_force(imu, mounting.rotation, mounting.upward)
         begun = track.offset_s if places is not None else start.offset_s
         start = replace(start, offset_s=begun, force=force, rough=False, spread_s=track.offset_spread_s)
         track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
-        mounting = _mounting(imu, rates, track, slope_at, settings)
+        mounting = _mounting(imu, rates, track, slope_at)
     if mounting is None:
         notes.append("there is no accelerometer, so how the sensor is mounted cannot be determined: no tilt is assumed")
     elif np.isnan(mounting.degrees[2]):
@@ -310,7 +286,7 @@ def measure_drive(
             "the drive hardly turns or changes its speed, so how far the sensor is turned to the side is not known"
         )
     rotation = Rotation.identity() if mounting is None else mounting.rotation
-    vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, settings.band_hz)
+    vehicle = low_pass(rotation.apply(rates.rate), imu.known, imu.hertz, band_hz)
     sure = rates.clock.sure or track.offset_sd_s < _SURE_OFFSET_S
     driven_m = float(np.abs(track.speed).sum()) * (track.time[1] - track.time[0])
     told = places is not None and sure and track.offset_sd_s < _UNSURE_OFFSET_S and driven_m > _LEAST_CLOCK_M
@@ -321,15 +297,15 @@ def measure_drive(
         speed=np.interp(imu.time, track.time, track.speed),
         easting=np.interp(imu.time, track.time, track.easting),
         northing=np.interp(imu.time, track.time, track.northing),
-        reason=_reasons(imu, vehicle, track, places, settings),
+        reason=_reasons(imu, vehicle, track, places),
         track=track,
         hertz=imu.hertz,
-        band_hz=settings.band_hz,
+        band_hz=band_hz,
         clock_offset_s=track.offset_s if told else float("nan"),
         clock_offset_sd_s=track.offset_sd_s if told else float("nan"),
         clock_drift_ppm=1e6 * track.drift if told and track.drift_sd < _UNSURE_DRIFT else float("nan"),
         mount_deg=(float("nan"),) * 3 if mounting is None else mounting.degrees,
-        floor_radps=_floor(vehicle[:, 1], rates.standing),
+        floor_radps=float(np.abs(vehicle[rates.standing, 1]).mean()) if rates.standing.any() else float("nan"),
         notes=tuple(notes),
     )
 
@@ -362,18 +338,7 @@ def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: flo
     return _Rates(standing, rate, attitude, heading, clock, force)
 
 
-def _refuse_parked(log: DriveLog, track: DrivenTrack) -> None:
-    speed, step = np.abs(track.speed), track.time[1] - track.time[0]
-    if float(speed[speed > _PARKED_MPS].sum() * step) < _LEAST_WAY_M:
-        raise BadInputError(
-            f"{log.name}: the vehicle moves {speed.sum() * step:.1f} m in {len(speed) * step:.0f} s and never drives. "
-            "Give a log of a drive"
-        )
-
-
-def _mounting(
-    imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None, settings: ReadingSettings
-) -> Mounting | None:
+def _mounting(imu: EvenImu, rates: _Rates, track: DrivenTrack, slope_at: SlopeAt | None) -> Mounting | None:
     if not imu.has_force:
         return None
     easting, northing, speed, course = (
@@ -383,34 +348,23 @@ def _mounting(
     if slope_at is not None:
         along, left = slope_at(easting, northing, course)
     yaw_rate = np.gradient(rates.heading) * imu.hertz
-    moving = _far_from_gaps(imu) & (np.abs(speed) > settings.least_speed_mps)
+    # How the sensor turned in a gap is not known, and spoils what is upward for a while.
+    share = rolling_mean(imu.known.astype(np.float64), round(2.0 * _BESIDE_GAP_S * imu.hertz))
+    far = imu.known & (share > 1.0 - 1e-9)
+    moving = (far if far.mean() > _LEAST_FAR else imu.known) & (np.abs(speed) > _LEAST_SPEED_MPS)
     motion = DrivenMotion(speed, yaw_rate, along, left)
     return find_mounting(imu, rates.rate, rates.attitude, motion, moving)
 
 
-def _far_from_gaps(imu: EvenImu) -> Mask:
-    """Return when the sensor has been known for a while: how it turned in a gap is not, and spoils what is upward."""
-    share = rolling_mean(imu.known.astype(np.float64), round(2.0 * _BESIDE_GAP_S * imu.hertz))
-    far = np.asarray(imu.known & (share > 1.0 - 1e-9), np.bool_)
-    return far if far.mean() > _LEAST_FAR else imu.known
-
-
-def _reasons(
-    imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None, settings: ReadingSettings
-) -> NDArray[np.uint8]:
+def _reasons(imu: EvenImu, vehicle: Floats, track: DrivenTrack, places: MetrePlaces | None) -> NDArray[np.uint8]:
     """Return for each sample why it does not count, as a number in ``LEFT_OUT``."""
     speed = np.interp(imu.time, track.time, track.speed)
     turning = np.abs(rolling_mean(vehicle[:, 2], round(_TURN_S * imu.hertz)))
     reason = np.full(len(imu.time), COUNTS, np.uint8)
-    reason[turning * settings.turn_radius_m > np.abs(speed)] = LEFT_OUT.index("turning")
-    reason[np.abs(speed) < settings.least_speed_mps] = LEFT_OUT.index("too slow")
+    reason[turning * _TURN_RADIUS_M > np.abs(speed)] = LEFT_OUT.index("turning")
+    reason[np.abs(speed) < _LEAST_SPEED_MPS] = LEFT_OUT.index("too slow")
     if places is not None:
         at = imu.time - track.offset_s
         reason[~near_place(at, places)] = LEFT_OUT.index("no position")
     reason[~imu.known] = LEFT_OUT.index("gap in the record of the IMU")
     return reason
-
-
-def _floor(pitch_rate: Floats, standing: Mask) -> float:
-    """Return the mean absolute pitch rate at standstill, rad/s; NaN without one."""
-    return float(np.abs(pitch_rate[standing]).mean()) if standing.any() else float("nan")

@@ -64,18 +64,8 @@ class ClockFit:
 def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> ClockFit:
     """Estimate the offset by the heading.
 
-    Parameters
-    ----------
-    places : MetrePlaces
-    time, heading : float64 arrays (n,)
-        Of the gyroscope, s and rad.
-    name : str
-        Of the drive, for messages.
-
-    Raises
-    ------
-    BadInputError
-        Positions and sensor have no time in common.
+    ``time``, ``heading`` (n,): of the gyroscope, s and rad; ``name``: of the drive, for messages. Raises BadInputError:
+    positions and sensor have no time in common.
     """
     first, last = max(time[0], places.time[0]), min(time[-1], places.time[-1])
     if last - first < _LEAST_SECONDS:
@@ -105,8 +95,7 @@ def fit_clock(places: MetrePlaces, time: Floats, heading: Floats, name: str) -> 
 def _steps(even: Floats, offset: float, time: Floats, heading: Floats, speed: Floats) -> Complexes:
     """Return the velocity that heading and rough speed give, smoothed as that of the positions is."""
     raw = speed * np.exp(1j * np.interp(even + offset, time, heading))
-    sigma = _SMOOTH_S / _STEP_S
-    return np.asarray(gaussian_filter1d(raw.real, sigma) + 1j * gaussian_filter1d(raw.imag, sigma))
+    return np.asarray(gaussian_filter1d(raw, _SMOOTH_S / _STEP_S))
 
 
 def _explained(velocity: Complexes, steps: Complexes, group: NDArray[np.int64]) -> float:
@@ -135,10 +124,7 @@ def _peak(offsets: Floats, explained: Floats, best: int) -> float:
 def refuse_wrong_unit(places: MetrePlaces, clock: ClockFit, time: Floats, heading: Floats, name: str) -> None:
     """Refuse a drive whose gyroscope turns in another unit than its course does.
 
-    Raises
-    ------
-    BadInputError
-        The turning of both differs by a factor that only a wrong unit explains.
+    Raises BadInputError: the turning of both differs by a factor that only a wrong unit explains.
     """
     even = np.arange(max(time[0], places.time[0]), min(time[-1], places.time[-1]), _STEP_S)
     velocity, known = smooth_velocity(places, even, 2.0)
@@ -203,15 +189,7 @@ class Mounting:
 def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: DrivenMotion, moving: Mask) -> Mounting:
     """Find how the sensor sits in the vehicle.
 
-    Parameters
-    ----------
-    imu : EvenImu
-        With an accelerometer.
-    rate : float64 array (n, 3)
-        Angular rates without bias, in the sensor's axes, rad/s.
-    attitude : Rotation of n
-    motion : DrivenMotion
-    moving : bool array (n,)
+    ``imu``: with an accelerometer; ``rate`` (n, 3): angular rates without bias, in the sensor's axes, rad/s.
     """
     upward = upward_in_sensor(imu, attitude, np.zeros_like(rate))
     rotation = levelling(upward[moving].mean(axis=0))
@@ -221,7 +199,9 @@ def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: Driven
         if not yaw_sd <= _MOST_YAW_SD:
             yaw = 0.0
         aligned = Rotation.from_euler("z", yaw) * rotation
-        upward = upward_in_sensor(imu, attitude, _motion_in_sensor(motion, aligned, imu.hertz))
+        ahead = np.gradient(motion.speed) * imu.hertz
+        driven = np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)
+        upward = upward_in_sensor(imu, attitude, aligned.inv().apply(driven))
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
     yaw_found = yaw_sd <= _MOST_YAW_SD
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
@@ -231,23 +211,11 @@ def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: Driven
 def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:
     """Return the acceleration along the sensor's levelled axes, x + i y, (n,) m/s2; 0 in gaps.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    rotation : Rotation
-        Levels the sensor.
-    upward : float64 array (n, 3)
-        Unit vectors in the sensor's axes.
+    ``rotation``: levels the sensor; ``upward`` (n, 3): unit vectors in the sensor's axes.
     """
     level, up = rotation.apply(imu.force), rotation.apply(upward)
     level -= up * (level * up).sum(axis=1, keepdims=True)
     return np.asarray((level[:, 0] + 1j * level[:, 1]) * imu.known)
-
-
-def _motion_in_sensor(motion: DrivenMotion, rotation: Rotation, hertz: float) -> Floats:
-    """Return the acceleration of the vehicle in the sensor's axes, (n, 3) m/s2."""
-    ahead = np.gradient(motion.speed) * hertz
-    return np.asarray(rotation.inv().apply(np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)))
 
 
 def _yaw(imu: EvenImu, rotation: Rotation, upward: Floats, motion: DrivenMotion, moving: Mask) -> tuple[float, float]:

@@ -18,11 +18,10 @@ from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
 from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
-from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig, ReadingSettings
+from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
     DriveSteps,
     MapReading,
-    TileDrive,
     cut_stretches,
     drive_steps,
     driven_tiles,
@@ -52,8 +51,6 @@ from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_m
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
-    "CheckRun",
-    "agreement_by_class",
     "agreement_of",
     "check_drives",
     "drive_warnings",
@@ -87,11 +84,7 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
     ``inside`` counts a stretch whose measured C_r lies in the map's interval after its ends have been moved outwards,
     in quadrature, by the error of the measurement and by what the error of the positions makes of the map.
 
-    Parameters
-    ----------
-    stretches : DrivenStretches
-    chosen : bool array (n,), optional
-        Stretches to look at; None: all on the map.
+    ``chosen`` (n,): stretches to look at; None: all on the map.
     """
     on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
     on &= np.ones_like(on) if chosen is None else chosen
@@ -115,15 +108,6 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
     )
 
 
-def agreement_by_class(stretches: DrivenStretches) -> dict[int, MapAgreement]:
-    """Return the agreement over the stretches of each class of the map that was driven."""
-    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
-    return {
-        int(number): agreement_of(stretches, stretches.class_id == number)
-        for number in np.unique(stretches.class_id[on])
-    }
-
-
 _OTHER_SPEED = 0.2
 _OTHER_VEHICLE = 1.5
 """A map that is off by more than this factor in the median was made for another vehicle, or of other ground."""
@@ -143,10 +127,7 @@ def left_out(drive: DriveMeasure, cut: WayStretch) -> dict[str, float]:
 def refuse_without_stretches(drive: DriveMeasure, cut: WayStretch) -> None:
     """Refuse a drive that leaves no stretch.
 
-    Raises
-    ------
-    BadInputError
-        The message says where the way went.
+    Raises BadInputError: the message says where the way went.
     """
     if len(cut.start_s):
         return
@@ -161,12 +142,14 @@ def refuse_without_stretches(drive: DriveMeasure, cut: WayStretch) -> None:
 def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool) -> list[str]:
     """Return what makes the readings of a drive less sure."""
     found = []
+    floor = drive.floor / np.maximum(cut.speed_mps, 1e-9)
+    share = float(np.median(floor / np.maximum(np.hypot(cut.measured, floor), 1e-9)))
     if np.isnan(drive.floor_radps):
         found.append(
             f"{drive.name}: the vehicle never stands still, so what sensor and engine alone read is not known and not "
             "taken off; C_r of smooth ground may read high. Let it stand for 10 s with its engine on before the drive"
         )
-    elif (share := _median_share(drive, cut)) > 0.5:
+    elif share > 0.5:
         found.append(
             f"{drive.name}: sensor and engine alone read {share:.0%} of what was recorded on the way, so C_r is unsure"
         )
@@ -185,21 +168,10 @@ def drive_warnings(drive: DriveMeasure, cut: WayStretch, *, has_positions: bool)
     return found
 
 
-def _median_share(drive: DriveMeasure, cut: WayStretch) -> float:
-    """Return the median share of the floor in what was read."""
-    floor: NDArray[np.float64] = drive.floor / np.maximum(cut.speed_mps, 1e-9)
-    return float(np.median(floor / np.maximum(np.hypot(cut.measured, floor), 1e-9)))
-
-
 def map_warnings(ground: CheckedMap, speeds: list[tuple[str, float]], agreement: MapAgreement) -> list[str]:
     """Return where drives and the vehicle profile of a map do not fit.
 
-    Parameters
-    ----------
-    ground : CheckedMap
-    speeds : list of (str, float)
-        Name and median speed of each drive, m/s.
-    agreement : MapAgreement
+    ``speeds`` (str, float): name and median speed of each drive, m/s.
     """
     found = [
         f"{name} was driven at {speed:.2f} m/s and the map is made for {ground.speed_mps:g} m/s; C_r "
@@ -289,7 +261,7 @@ def check_drives(
     named = tuple(path_of_call("drives", drive) for drive in each)
     site = None if layers is None else folder_of("layers", layers)
     target = None if out is None else Path(path_of_call("out", out))
-    return run_check(CheckConfig(named, site, target, columns, **own)).result
+    return run_check(CheckConfig(named, site, target, columns, **own))[0]
 
 
 Found = TypeVar("Found")
@@ -298,14 +270,6 @@ _log = logging.getLogger(__name__)
 
 _MARGIN_M = 12.0
 """Of the map that is read around a drive: errors of positions reach so far."""
-
-
-@dataclass(frozen=True, slots=True)
-class CheckRun:
-    """Result of a check, and the files that it wrote."""
-
-    result: CheckResult
-    files: tuple[Path, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -319,8 +283,8 @@ class _Done:
     reading: MapReading | None = None
 
 
-def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun:
-    """Compare a map with drives as the settings ask, and write what was found.
+def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[CheckResult, tuple[Path, ...]]:
+    """Compare a map with drives as the settings ask, and write what was found; return it, and the files.
 
     Drives that cannot be used are left out; ``skipped`` of the result names them, and each is logged as a warning.
 
@@ -348,8 +312,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
     field = None if site is None else _field(site, [places for _, places in logs.values()])
     progress.start("measuring drives", len(logs))
     left = counted(list(logs.items()), progress)
-    settings = config.measuring
-    done = _usable(((place, partial(_measured, *log, settings, site, field)) for place, log in left), skipped)
+    done = _usable(((place, partial(_measured, *log, config, site, field)) for place, log in left), skipped)
     for place, why in skipped.items():
         _log.warning("%s is left out: %s", place, why)
     result = replace(_compared(list(done.values()), site, field), skipped=skipped)
@@ -358,16 +321,13 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> CheckRun
         progress.start("writing the check", None)
         manifest = {"settings": asdict(config)}
         files = write_check(result, config.out, ground=site, manifest=manifest, overwrite=config.overwrite)
-    return CheckRun(result, tuple(files))
+    return result, tuple(files)
 
 
 def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str, str]) -> dict[str, Found]:
     """Return what a step found for each drive, by the drive as it was given; add those that it refuses to ``skipped``.
 
-    Raises
-    ------
-    BadInputError
-        No drive is left.
+    Raises BadInputError: no drive is left.
     """
     found: dict[str, Found] = {}
     error: BadInputError | None = None
@@ -397,20 +357,21 @@ def _field(site: RouteMap, placed: list[MetrePlaces | None]) -> TileField:
 def _measured(
     log: DriveLog,
     places: MetrePlaces | None,
-    settings: ReadingSettings,
+    config: CheckConfig,
     site: RouteMap | None,
     field: TileField | None,
 ) -> _Done:
     """Measure one drive, cut it, and read the map along it."""
-    if site is None or field is None or places is None:
-        drive = measure_drive(log, places, settings)
-        cut = cut_stretches(drive, settings.window_m)
-        refuse_without_stretches(drive, cut)
-        return _Done(log, drive, cut)
-    slopes = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M))
-    drive = with_ground(measure_drive(log, places, settings, slopes.slope_at), field)
-    cut = cut_stretches(drive, settings.window_m)
+    slope_at = None
+    if site is not None and places is not None:
+        slope_at = SlopeMap.of(site, window_around(site, *_on_map(places, site), _MARGIN_M)).slope_at
+    drive = measure_drive(log, places, config.band_hz, slope_at)
+    if field is not None:
+        drive = with_ground(drive, field)
+    cut = cut_stretches(drive, config.window_m)
     refuse_without_stretches(drive, cut)
+    if field is None:
+        return _Done(log, drive, cut)
     steps = drive_steps(drive, cut, field)
     return _Done(log, drive, cut, steps, read_along(steps, len(cut.start_s), field))
 
@@ -436,14 +397,22 @@ def _compared(done: list[_Done], site: RouteMap | None, field: TileField | None)
         raise BadInputError(
             f"no stretch of the drives lies on ground that {ground.folder} knows. Give the layers of the driven ground"
         )
+    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
+    classes = map(int, np.unique(stretches.class_id[on]))
+    by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
+    on_tiles = [
+        (one.drive, one.steps, float(np.median(one.drive.track.way_sd(one.cut.start_s, one.cut.end_s) / one.cut.way_m)))
+        for one in done
+        if one.steps is not None
+    ]
     return CheckResult(
         ground=ground,
         drives=drives,
         stretches=stretches,
-        tiles=driven_tiles(_on_tiles(done), field, limits),
+        tiles=driven_tiles(on_tiles, field, limits),
         agreement=agreement,
-        by_class=agreement_by_class(stretches),
+        by_class=by_class,
         warnings=tuple(map_warnings(ground, speeds, agreement)),
     )
 
@@ -495,17 +464,6 @@ def _stretches(done: list[_Done], limits: Iterable[float]) -> DrivenStretches:
 
 def _classes(values: Floats, edges: list[float]) -> NDArray[np.uint8]:
     return np.where(np.isfinite(values), np.digitize(values, edges), NO_CLASS).astype(np.uint8)
-
-
-def _on_tiles(done: list[_Done]) -> list[TileDrive]:
-    """Return each drive with its steps and the relative error of its lengths."""
-    found = []
-    for one in done:
-        if one.steps is not None:
-            cut = one.cut
-            relative = float(np.median(one.drive.track.way_sd(cut.start_s, cut.end_s) / cut.way_m))
-            found.append(TileDrive(one.drive, one.steps, relative))
-    return found
 
 
 def _checked(one: _Done) -> CheckedDrive:

@@ -70,10 +70,7 @@ class Scatter:
 def metre_places(track: PlaceTrack, easting: Floats, northing: Floats, name: str) -> MetrePlaces:
     """Sort positions by time and leave out what is not a number.
 
-    Raises
-    ------
-    BadInputError
-        There are too few.
+    Raises BadInputError: there are too few.
     """
     place = easting + 1j * northing
     order = np.argsort(track.time, kind="stable")
@@ -93,10 +90,7 @@ def metre_places(track: PlaceTrack, easting: Floats, northing: Floats, name: str
 def local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats]:
     """Return metres east and north of the middle of all positions, right to 1e-4 within 10 km of it.
 
-    Parameters
-    ----------
-    longitude, latitude : float64 arrays (m,)
-        WGS 84, degrees.
+    ``longitude``, ``latitude`` (m,): WGS 84, degrees.
     """
     lon, lat = np.radians(longitude), np.radians(latitude)
     lon_0, lat_0 = np.nanmedian(lon), np.nanmedian(lat)
@@ -108,10 +102,7 @@ def local_metres(longitude: Floats, latitude: Floats) -> tuple[Floats, Floats]:
 def near_place(time: Floats, places: MetrePlaces) -> NDArray[np.bool_]:
     """Return which times have positions on both sides that are not too far apart.
 
-    Parameters
-    ----------
-    time : float64 array (n,)
-        On the clock of the positions, s.
+    ``time`` (n,): on the clock of the positions, s.
     """
     after = np.searchsorted(places.time, time, side="right")
     inside = (after > 0) & (after < len(places.time))
@@ -122,25 +113,12 @@ def near_place(time: Floats, places: MetrePlaces) -> NDArray[np.bool_]:
 def smooth_velocity(places: MetrePlaces, time: Floats, sigma_s: float) -> tuple[Complexes, NDArray[np.bool_]]:
     """Return the velocity by smoothed positions, and where it is known.
 
-    Parameters
-    ----------
-    time : float64 array (n,)
-        Even, on the clock of the positions, s.
-    sigma_s : float
-        Standard deviation of the Gaussian that smooths, s.
-
-    Returns
-    -------
-    complex128 array (n,)
-        m/s.
-    bool array (n,)
+    ``time`` (n,): even, on the clock of the positions, s; ``sigma_s``: standard deviation of the Gaussian that smooths,
+    s. Returns (n,): m/s.
     """
     step = float(time[1] - time[0])
-    even = np.interp(time, places.time, places.place.real) + 1j * np.interp(time, places.time, places.place.imag)
-    rate = np.gradient(even, step)
-    sigma = sigma_s / step
-    smooth = gaussian_filter1d(rate.real, sigma) + 1j * gaussian_filter1d(rate.imag, sigma)
-    return smooth, near_place(time, places)
+    rate = np.gradient(np.interp(time, places.time, places.place), step)
+    return gaussian_filter1d(rate, sigma_s / step), near_place(time, places)
 
 
 def scatter_of(places: MetrePlaces, time: Floats, heading: Floats, clock_offset_s: float) -> Scatter:
@@ -150,18 +128,14 @@ def scatter_of(places: MetrePlaces, time: Floats, heading: Floats, clock_offset_
     way that the gyroscope tells, hold what wanders. The rate of wandering is measured so; how far it goes is what the
     receiver states, or what 60 s make of that rate.
 
-    Parameters
-    ----------
-    places : MetrePlaces
-    time, heading : float64 arrays (n,)
-        Heading by the gyroscope on its clock, s, rad; any zero.
-    clock_offset_s : float
-        What to add to the times of the positions, s.
+    ``time``, ``heading`` (n,): heading by the gyroscope on its clock, s, rad; any zero; ``clock_offset_s``: what to add
+    to the times of the positions, s.
     """
     near = np.diff(places.place, 2)
     step = float(np.median(np.diff(places.time)))
     even = np.diff(places.time[:-1]) + np.diff(places.time[1:]) < 3.0 * step
-    near_var = _variance(near[even])
+    both = np.concatenate([near[even].real, near[even].imag])
+    near_var = float((_NORMAL_MAD * np.median(np.abs(both))) ** 2) if len(both) else 0.0
     lag = max(_LAG_S, 2.0 * step)
     far_var = _far_variance(places, time, heading, clock_offset_s, lag)
     # near = 6 white^2 + 2 rate step; far = 6 white^2 + 2 rate lag
@@ -174,21 +148,15 @@ def scatter_of(places: MetrePlaces, time: Floats, heading: Floats, clock_offset_
     return Scatter(float(white), float(wander), float(2.0 * wander**2 / max(rate, least_rate)))
 
 
-def _variance(values: Complexes) -> float:
-    """Return the variance along one axis, outliers left out."""
-    both = np.concatenate([values.real, values.imag])
-    return float((_NORMAL_MAD * np.median(np.abs(both))) ** 2) if len(both) else 0.0
-
-
 def _far_variance(places: MetrePlaces, time: Floats, heading: Floats, offset: float, lag: float) -> float:
     middle = places.time[(places.time > places.time[0] + lag) & (places.time < places.time[-1] - lag)]
     middle = middle[near_place(middle - lag, places) & near_place(middle + lag, places)]
     if len(middle) < 3:
         return 0.0
     at = np.stack([middle - lag, middle, middle + lag])
-    place = np.interp(at, places.time, places.place.real) + 1j * np.interp(at, places.time, places.place.imag)
+    place = np.interp(at, places.time, places.place)
     unit = np.cumsum(np.exp(1j * heading)) * (time[1] - time[0])
-    way = np.interp(at + offset, time, unit.real) + 1j * np.interp(at + offset, time, unit.imag)
+    way = np.interp(at + offset, time, unit)
     moved, driven = np.diff(place, axis=0), np.diff(way, axis=0)
     turn = (moved[0] + moved[1]) / (driven[0] + driven[1] + 1e-9)
     left = (moved[1] - moved[0]) - turn * (driven[1] - driven[0])
@@ -212,10 +180,7 @@ def places_alone(log: DriveLog) -> MetrePlaces | None:
 def places_on_map(log: DriveLog, site: RouteMap) -> MetrePlaces:
     """Return the positions of a drive on the grid of a map, m.
 
-    Raises
-    ------
-    BadInputError
-        There are none, they do not say where on Earth they are, or they lie off the map.
+    Raises BadInputError: there are none, they do not say where on Earth they are, or they lie off the map.
     """
     track = log.places
     if track is None:
@@ -248,23 +213,19 @@ def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: Rou
     inside &= (places.place.imag > south) & (places.place.imag < north)
     if inside.mean() > _LEAST_INSIDE:
         return
+    x, y = np.nanmedian(track.x), np.nanmedian(track.y)
     if track.kind == "lonlat":
-        where = f"around longitude {_middle(track.x, 5)}, latitude {_middle(track.y, 5)}"
+        where = f"around longitude {x:.5f}, latitude {y:.5f}"
         lon, lat = site.to_lonlat(np.array([west, east]), np.array([south, north]))
         there = f"longitude {lon[0]:.5f} to {lon[1]:.5f}, latitude {lat[0]:.5f} to {lat[1]:.5f}"
         remedy = "Check that longitude and latitude are not exchanged, and that it is the drive of this site"
     else:
-        where = f"around {_middle(track.x, 1)}, {_middle(track.y, 1)}"
-        ends = site.to_crs(np.array([west, east]), np.array([south, north]))
-        (x0, x1), (y0, y1) = ends
+        where = f"around {x:.1f}, {y:.1f}"
+        (x0, x1), (y0, y1) = site.to_crs(np.array([west, east]), np.array([south, north]))
         crs = site.georeference.crs
         there = f"{x0:.1f} to {x1:.1f}, {y0:.1f} to {y1:.1f}" + (f" in {describe_crs(crs)}" if crs is not None else "")
         remedy = "Give positions in the CRS of the map, or longitude and latitude"
     raise BadInputError(f"{name} is off the map: the drive lies {where}; the map covers {there}. {remedy}")
-
-
-def _middle(values: Floats, digits: int) -> str:
-    return f"{float(np.nanmedian(values)):.{digits}f}"
 
 
 _PIXELS = 5
@@ -306,12 +267,7 @@ class SlopeMap:
     def slope_at(self, easting: Floats, northing: Floats, course: Floats) -> tuple[Floats, Floats]:
         """Return the rise ahead and to the left over a metre, (n,) each; NaN where it is not known.
 
-        Parameters
-        ----------
-        easting, northing : float64 arrays (n,)
-            m, on the grid.
-        course : float64 array (n,)
-            Heading, rad, east 0.
+        ``easting``, ``northing`` (n,): m, on the grid; ``course`` (n,): heading, rad, east 0.
         """
         at = np.stack([(self.north - northing) / self.pixel_m - 0.5, (easting - self.west) / self.pixel_m - 0.5])
         east, north = (map_coordinates(slopes, at, order=1, cval=np.nan) for slopes in (self.eastward, self.northward))

@@ -7,40 +7,10 @@ from typing import Annotated
 
 from bumpymap.core import Setting, UsageError, check_settings
 
-__all__ = ["LEAST_WINDOW_M", "CheckConfig", "ReadingSettings"]
+__all__ = ["LEAST_WINDOW_M", "CheckConfig"]
 
 LEAST_WINDOW_M = 5.0
 """Shortest stretch that gets a C_r of its own, m."""
-
-BandHz = Annotated[float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band")]
-WindowM = Annotated[
-    float,
-    Setting(
-        "Length of a stretch, at least 5",
-        "M",
-        LEAST_WINDOW_M,
-        unit="m",
-        why=", so that the C_r of a stretch is more than chance",
-        option="window",
-    ),
-]
-
-
-@dataclass(frozen=True, slots=True)
-class ReadingSettings:
-    """Settings by which the C_r of a drive is measured."""
-
-    band_hz: BandHz = 10.0
-    """Rates are low-passed at this frequency, Hz."""
-    window_m: WindowM = 10.0
-    """Length of a stretch, m."""
-    least_speed_mps: float = 0.1
-    """Slower parts do not count, m/s."""
-    turn_radius_m: float = 4.0
-    """Parts that turn more sharply do not count, m."""
-
-    def __post_init__(self) -> None:
-        check_settings(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +32,21 @@ class CheckConfig:
     """Folder for the files; None: only the summary."""
     columns: Mapping[str, str] | None = None
     """Quantity -> column or topic that holds it; None: guessed."""
-    band_hz: BandHz = 10.0
+    band_hz: Annotated[
+        float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band")
+    ] = 10.0
     """Rates are low-passed at this frequency, Hz."""
-    window_m: WindowM = 10.0
+    window_m: Annotated[
+        float,
+        Setting(
+            "Length of a stretch, at least 5",
+            "M",
+            LEAST_WINDOW_M,
+            unit="m",
+            why=", so that the C_r of a stretch is more than chance",
+            option="window",
+        ),
+    ] = 10.0
     """Length of a stretch, m."""
     overwrite: Annotated[bool, Setting("Replace the files of an earlier check")] = False
 
@@ -75,8 +57,3 @@ class CheckConfig:
         twice = [drive for number, drive in enumerate(self.drives) if drive in self.drives[:number]]
         if twice:
             raise UsageError(f"the drive {twice[0]} is given twice, and would count twice. Give each once")
-
-    @property
-    def measuring(self) -> ReadingSettings:
-        """The settings of the measurement alone."""
-        return ReadingSettings(band_hz=self.band_hz, window_m=self.window_m)

@@ -64,10 +64,7 @@ class EvenImu:
 def even_imu(imu: ImuTrack, name: str, band_hz: float) -> EvenImu:
     """Bring the record of a sensor to an even rate, its own median one.
 
-    Raises
-    ------
-    BadInputError
-        The sensor is too slow for the band, the record too short, or the rates cannot be in rad/s.
+    Raises BadInputError: the sensor is too slow for the band, the record too short, or the rates cannot be in rad/s.
     """
     order = np.argsort(imu.time, kind="stable")
     order = order[np.isfinite(imu.time[order]) & np.isfinite(imu.rate[order]).all(axis=1)]
@@ -130,16 +127,7 @@ def pieces(known: Mask) -> list[slice]:
 def low_pass(values: Floats, known: Mask, hertz: float, cutoff_hz: float) -> Floats:
     """Low-pass piece by piece without delay: a Butterworth filter of order 4, run forwards and backwards.
 
-    Parameters
-    ----------
-    values : float64 array (n,) or (n, k)
-    known : bool array (n,)
-    hertz, cutoff_hz : float
-
-    Returns
-    -------
-    float64 array like ``values``
-        0 where not known. At the cutoff the amplitude is one half.
+    Returns 0 where not known. At the cutoff the amplitude is one half.
     """
     out = np.zeros_like(values)
     sos = butter(_ORDER, min(cutoff_hz / (0.5 * hertz), 0.99), output="sos")
@@ -150,13 +138,7 @@ def low_pass(values: Floats, known: Mask, hertz: float, cutoff_hz: float) -> Flo
 
 
 def rolling_mean(values: Floats, samples: int) -> Floats:
-    """Return the mean over ``samples`` samples around each, fewer at the ends.
-
-    Parameters
-    ----------
-    values : float64 array (n,) or (n, k)
-    samples : int
-    """
+    """Return the mean over ``samples`` samples around each, fewer at the ends."""
     half = max(samples // 2, 0)
     total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
     index = np.arange(len(values))
@@ -172,16 +154,8 @@ _UP_HZ = 0.02
 def turned(rate: Floats, hertz: float) -> Rotation:
     """Return the attitude of the sensor at each sample, relative to the first, from its rates.
 
-    Parameters
-    ----------
-    rate : float64 array (n, 3)
-        In the sensor's own axes, rad/s, without bias.
-    hertz : float
-
-    Returns
-    -------
-    Rotation of n
-        Turns vectors of the sensor's axes into those that it had at the first sample.
+    ``rate`` (n, 3): in the sensor's own axes, rad/s, without bias. The result turns vectors of the sensor's axes into
+    those that it had at the first sample.
     """
     step = 0.5 * (rate[1:] + rate[:-1]) / hertz
     total = Rotation.from_rotvec(np.concatenate([np.zeros((1, 3)), step]))
@@ -197,18 +171,8 @@ def turned(rate: Floats, hertz: float) -> Rotation:
 def upward_in_sensor(imu: EvenImu, attitude: Rotation, motion: Floats) -> Floats:
     """Return the upward direction in the sensor's axes: by rates in the short run, by gravity in the long run.
 
-    Parameters
-    ----------
-    imu : EvenImu
-    attitude : Rotation of n
-        From `turned`.
-    motion : float64 array (n, 3)
-        Acceleration of the vehicle in the sensor's axes as far as known, taken off, m/s2.
-
-    Returns
-    -------
-    float64 array (n, 3)
-        Unit vectors.
+    ``attitude``: from `turned`; ``motion`` (n, 3): acceleration of the vehicle in the sensor's axes as far as known,
+    taken off, m/s2. Returns (n, 3): unit vectors.
     """
     fixed = attitude.apply(imu.force - motion)
     everywhere = np.ones_like(imu.known)
@@ -219,12 +183,7 @@ def upward_in_sensor(imu: EvenImu, attitude: Rotation, motion: Floats) -> Floats
 
 
 def levelling(upward: Floats) -> Rotation:
-    """Return the smallest rotation that turns a direction of the sensor's axes into z.
-
-    Parameters
-    ----------
-    upward : float64 array (3,)
-    """
+    """Return the smallest rotation that turns a direction of the sensor's axes into z."""
     unit = upward / np.linalg.norm(upward)
     axis = np.cross(unit, [0.0, 0.0, 1.0])
     sine, cosine = float(np.linalg.norm(axis)), float(unit[2])
@@ -239,12 +198,7 @@ def heading_of(attitude: Rotation, upward: Floats) -> Floats:
     It is the direction of that axis seen from above, not the sum of rates about the vertical: a vehicle that rolls
     while it is pitched sums to a turn that it does not make.
 
-    Parameters
-    ----------
-    attitude : Rotation of n
-        From `turned`.
-    upward : float64 array (n, 3)
-        Unit vectors in the sensor's axes.
+    ``attitude``: from `turned`; ``upward`` (n, 3): unit vectors in the sensor's axes.
     """
     ahead = levelling(upward.mean(axis=0)).inv().apply([1.0, 0.0, 0.0])
     fixed = levelling(attitude.apply(upward).mean(axis=0)).apply(attitude.apply(ahead))

@@ -24,7 +24,6 @@ from bumpymap.core import NO_TILE, Barred, DrivenTiles, TileField
 __all__ = [
     "DriveSteps",
     "MapReading",
-    "TileDrive",
     "cut_stretches",
     "drive_steps",
     "driven_tiles",
@@ -51,11 +50,7 @@ _UNKNOWN_FLOOR_RADPS = 0.01
 def cut_stretches(drive: DriveMeasure, window_m: float) -> WayStretch:
     """Cut the parts that count into stretches of about ``window_m``, and measure each.
 
-    Parameters
-    ----------
-    drive : DriveMeasure
-    window_m : float
-        A part is cut evenly into the whole number of stretches whose length comes nearest to this.
+    ``window_m``: a part is cut evenly into the whole number of stretches whose length comes nearest to this.
     """
     step = 1.0 / drive.hertz
     counts = drive.reason == COUNTS
@@ -99,13 +94,8 @@ def less_floor(raw: Floats, floor: Floats) -> Floats:
 def reading_sd(drive: DriveMeasure, raw: Floats, measured: Floats, seconds: Floats, way_m: Floats) -> Floats:
     """Return the standard error of C_r that the sensor leaves: its noise, its floor, its scale; rad/m.
 
-    Parameters
-    ----------
-    drive : DriveMeasure
-    raw, measured : float64 arrays (n,)
-        Before and after the floor was taken off, rad/m.
-    seconds, way_m : float64 arrays (n,)
-        Time and length that they rest on.
+    ``raw``, ``measured`` (n,): before and after the floor was taken off, rad/m; ``seconds``, ``way_m`` (n,): time and
+    length that they rest on.
     """
     per_metre = drive.floor * seconds / way_m
     # noise of a normal distribution: its standard deviation is 1.25 times its mean absolute value
@@ -266,18 +256,12 @@ def read_along(steps: DriveSteps, stretches: int, field: TileField) -> MapReadin
     line = (
         _LINE_SD * np.sqrt(field.rule.drive_m * np.bincount(stretch, ridden * c_r[tile], minlength=stretches)) / level
     )
+    mean_c_r = level / np.maximum(np.bincount(stretch, weight, minlength=stretches), 1e-12)
     below, above = (
-        np.hypot(
-            line, _joint(stretch, tile, weight, part[tile] * c_r[tile], stretches) / _share(level, stretch, weight)
-        )
+        np.hypot(line, _joint(stretch, tile, weight, part[tile] * c_r[tile], stretches) / mean_c_r)
         for part in (down, up)
     )
     return MapReading(mean, mean * np.exp(-_END_80 * below), mean * np.exp(_END_80 * above), spread)
-
-
-def _share(level: Floats, stretch: Integers, weight: Floats) -> Floats:
-    """Return the mean c_r of stretches from its weighted sums."""
-    return np.asarray(level / np.maximum(np.bincount(stretch, weight, minlength=len(level)), 1e-12))
 
 
 def _spreads(field: TileField) -> tuple[Floats, Floats, Floats]:
@@ -306,35 +290,29 @@ _NEAR_STEPS = 12
 """Steps that make up the way over a tile: the scale on which its neighbours differ."""
 
 
-@dataclass(frozen=True, slots=True)
-class TileDrive:
-    """A drive over tiles."""
+def driven_tiles(
+    drives: Sequence[tuple[DriveMeasure, DriveSteps, float]], field: TileField, limits: tuple[float, ...]
+) -> DrivenTiles:
+    """Return C_r of each tile of all drives together; of each drive, also the error of its lengths as a share.
 
-    drive: DriveMeasure
-    steps: DriveSteps
-    length_share: float
-    """Error of the length of its stretches, as a share."""
-
-
-def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[float, ...]) -> DrivenTiles:
-    """Return C_r of each tile of all drives together.
-
-    Parameters
-    ----------
-    drives : sequence of TileDrive
-    field : TileField
-    limits : tuple of float
-        Of the classes, rad/m.
+    ``limits``: of the classes, rad/m.
     """
     count = field.barred.size
     sums, moments = np.zeros((4, count)), np.zeros((3, count))
-    for one in drives:
-        steps = one.steps
-        likely = _chance(steps, field)
+    for drive, steps, length_share in drives:
+        # Not on barred ground, unless all of it is.
+        is_open = (steps.tile >= 0) & (field.barred.ravel()[steps.tile] == Barred.NO)
+        likely = np.where(is_open.any(axis=1, keepdims=True), is_open, True) * steps.chance
+        likely /= likely.sum(axis=1, keepdims=True)
         weight = likely * (steps.tile >= 0)
-        near = _near(steps)
-        variance = _reading_variance(one, near)
-        whole = (steps.turned, steps.way_m, variance * steps.way_m, one.drive.floor * steps.seconds)
+        turned, near_m, seconds = (
+            uniform_filter1d(part, _NEAR_STEPS, mode="nearest") for part in (steps.turned, steps.way_m, steps.seconds)
+        )
+        near_m = np.maximum(near_m, 1e-9)
+        near, pace = turned / near_m, seconds / near_m  # C_r over about the length of a tile, and seconds per metre
+        sd = reading_sd(drive, near, less_floor(near, drive.floor * pace), pace, np.ones_like(near))
+        variance = sd**2 + (length_share * near) ** 2
+        whole = (steps.turned, steps.way_m, variance * steps.way_m, drive.floor * steps.seconds)
         sums += [_over_tiles(steps, values[:, None] * weight, count) for values in whole]
         way = steps.way_m[:, None] * weight
         parts = (near[:, None] * way, near[:, None] ** 2 * way, _certain(steps, likely) * way)
@@ -359,19 +337,6 @@ def driven_tiles(drives: Sequence[TileDrive], field: TileField, limits: tuple[fl
     )
 
 
-def _chance(steps: DriveSteps, field: TileField) -> Floats:
-    """Return the probability of each place of each step, (s, 25): not on barred ground, unless all of it is."""
-    open_ = (steps.tile >= 0) & (field.barred.ravel()[steps.tile] == Barred.NO)
-    chance = np.where(open_.any(axis=1, keepdims=True), open_, True) * steps.chance
-    return np.asarray(chance / chance.sum(axis=1, keepdims=True))
-
-
-def _near(steps: DriveSteps) -> Floats:
-    """Return C_r around each step, over about the length of a tile, rad/m."""
-    turned, way = (uniform_filter1d(part, _NEAR_STEPS, mode="nearest") for part in (steps.turned, steps.way_m))
-    return np.asarray(turned / np.maximum(way, 1e-9))
-
-
 def _certain(steps: DriveSteps, likely: Floats) -> Floats:
     """Return the probability that a step lies on the tile of each of its places, (s, 25)."""
     order = np.argsort(steps.tile, axis=1, kind="stable")
@@ -388,12 +353,3 @@ def _certain(steps: DriveSteps, likely: Floats) -> Floats:
 def _over_tiles(steps: DriveSteps, values: Floats, count: int) -> Floats:
     """Sum values (s, 25) by tile."""
     return np.asarray(np.bincount(np.maximum(steps.tile, 0).ravel(), values.ravel(), minlength=count), np.float64)
-
-
-def _reading_variance(one: TileDrive, near: Floats) -> Floats:
-    """Return the variance of C_r of one metre around each step that sensor and length leave, (rad/m)^2."""
-    drive, steps = one.drive, one.steps
-    seconds, way = (uniform_filter1d(part, _NEAR_STEPS, mode="nearest") for part in (steps.seconds, steps.way_m))
-    pace = seconds / np.maximum(way, 1e-9)
-    sd = reading_sd(drive, near, less_floor(near, drive.floor * pace), pace, np.ones_like(near))
-    return np.asarray(sd**2 + (one.length_share * near) ** 2)

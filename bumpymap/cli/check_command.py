@@ -1,7 +1,7 @@
 """``bumpymap check``: a map against real drives over it."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,6 @@ from bumpymap.core import (
 )
 
 if TYPE_CHECKING:
-    from bumpymap.check import CheckRun
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
     from bumpymap.layers import RouteMap
     from bumpymap.rating import Calibration, DriveUpdate
@@ -32,14 +31,20 @@ if TYPE_CHECKING:
 __all__ = ["Refit", "command", "prepare_refit", "show"]
 
 
-def show(run: "CheckRun", config: CheckConfig, refit: Mapping[str, Any] | None = None, *, as_json: bool) -> None:
+def show(
+    result: "CheckResult",
+    files: Sequence[Path],
+    config: CheckConfig,
+    refit: Mapping[str, Any] | None = None,
+    *,
+    as_json: bool,
+) -> None:
     """Print what was found, or one JSON object, with what was done to the calibration."""
     if as_json:
-        print_json(_record(run, config) | ({} if refit is None else {"refit": refit}))
+        print_json(_record(result, files, config) | ({} if refit is None else {"refit": refit}))
         return
     from bumpymap.layers import check_headline, warnings_of
 
-    result = run.result
     for drive in result.drives:
         for line in _drive_lines(drive):
             print_line(line)
@@ -49,7 +54,7 @@ def show(run: "CheckRun", config: CheckConfig, refit: Mapping[str, Any] | None =
     for warning in warnings_of(result):
         print_line(f"Warning: {warning}", "yellow")
     if config.out is not None:
-        print_line(f"Files in {config.out}: {', '.join(path.name for path in run.files)}")
+        print_line(f"Files in {config.out}: {', '.join(path.name for path in files)}")
 
 
 def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
@@ -102,13 +107,12 @@ def _percent(value: float) -> str:
     return f"{value:.0%}" if math.isfinite(value) else "-"
 
 
-def _record(run: "CheckRun", config: CheckConfig) -> dict[str, Any]:
+def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
     from bumpymap.layers import check_headline
 
-    result = run.result
     return {
         "out": None if config.out is None else str(config.out),
-        "files": [path.name for path in run.files],
+        "files": [path.name for path in files],
         "headline": check_headline(result),
         "drives": [_drive_record(drive) for drive in result.drives],
         "agreement": None if result.agreement is None else _agreement_record(result.agreement),
@@ -351,15 +355,16 @@ def command(
     named = None if columns is None else parse_columns(columns)
     config = CheckConfig(layers=layers, columns=named, **given_options(given))
     with show_progress(quiet=quiet, as_json=log_json) as progress:
-        run = run_check(config, progress)
-    update, refused = _moved(refit, run.result)
+        result, files = run_check(config, progress)
+    update, refused = _moved(refit, result)
     if not quiet:
-        show(run, config, None if refit is None or update is None else refit.record(update), as_json=log_json)
+        refitted = None if refit is None or update is None else refit.record(update)
+        show(result, files, config, refitted, as_json=log_json)
         if refit is not None and update is not None and not log_json:
             refit.show(update)
     if refused is not None:
         raise refused
-    if run.result.skipped:
+    if result.skipped:
         ctx.exit(_PARTLY_DONE)
 
 

@@ -9,6 +9,7 @@
 
 from collections.abc import Callable
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 
@@ -34,20 +35,9 @@ _DEAREST = 3.0
 def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[PlannedWay, float]]:
     """Find up to ``count`` ways, the best first, the others by cost.
 
-    Parameters
-    ----------
-    plan : callable
-        Plans a way.
-    count : int
-        Number of ways wanted.
-    risk : float
-        Weight of the hazard [m] by which the best one is the cheapest.
-
-    Returns
-    -------
-    list of (PlannedWay, float)
-        Ways, and the weight of the hazard that each was planned with. Fewer than ``count`` if there are no more; none
-        if there is no way.
+    ``plan``: plans a way; ``count``: number of ways wanted; ``risk``: weight of the hazard [m] by which the best one is
+    the cheapest. Returns (PlannedWay, float): ways, and the weight of the hazard that each was planned with. Fewer than
+    ``count`` if there are no more; none if there is no way.
     """
     best = plan(risk, None)
     if best is None:
@@ -69,7 +59,7 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Planned
 def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, float]]:
     """Return the ways on the hull, the least ride cost first."""
     ends = [(plan(0.0, None), 0.0), (best, risk), (plan(_SAFEST_RISK, None), _SAFEST_RISK)]
-    known = sorted(((way, at) for way, at in ends if way is not None), key=_weight)
+    known = sorted(((way, at) for way, at in ends if way is not None), key=itemgetter(1))
     searching = True
     while searching and len(known) < _MOST_ON_HULL:
         searching = False
@@ -77,7 +67,7 @@ def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, f
             between = _between(plan, left, right, risk)
             if between is not None:
                 known.append(between)
-                known.sort(key=_weight)
+                known.sort(key=itemgetter(1))
                 searching = True
     return known
 
@@ -124,10 +114,6 @@ def _elsewhere(plan: Plan, found: list[tuple[PlannedWay, float]], risk: float) -
 
 def _differs(way: PlannedWay, found: list[tuple[PlannedWay, float]], share: float) -> bool:
     return all(way.shared(other) <= share for other, _ in found)
-
-
-def _weight(each: tuple[PlannedWay, float]) -> float:
-    return each[1]
 
 
 def _cost(way: PlannedWay) -> float:

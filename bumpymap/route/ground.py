@@ -4,15 +4,16 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 
-from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, UsageError
-from bumpymap.layers import RouteMap
-from bumpymap.route.search import BYTES_PER_TILE
+from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField
+from bumpymap.layers import RouteMap, tiles_in, tiles_within
+from bumpymap.route.places import in_window, on_grid
+from bumpymap.route.search import BYTES_PER_TILE, find_way
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import is_clear
 from bumpytiles import TileWindow
@@ -20,10 +21,9 @@ from bumpytiles import TileWindow
 __all__ = [
     "PIXEL_MARGIN",
     "CostGround",
-    "CostSource",
-    "TileChoice",
     "WornTiles",
     "cost_of",
+    "points_along",
     "stretches",
     "window_around",
 ]
@@ -32,33 +32,18 @@ _STRIP = 256
 """Rows that are computed at once, so that the float64 arrays in between stay small."""
 
 
-@dataclass(frozen=True, slots=True)
-class TileChoice:
-    """Tiles that the user keeps a route out of or within, for one window."""
-
-    avoid: NDArray[np.bool_] | None = None
-    """(rows, cols) True where no way may lead."""
-    only: NDArray[np.bool_] | None = None
-    """(rows, cols) True where a way may lead, and nowhere else."""
-
-    def closed(self, rows: slice) -> NDArray[np.bool_] | bool:
-        """Return which tiles of some rows are closed."""
-        avoided = False if self.avoid is None else self.avoid[rows]
-        return avoided if self.only is None else avoided | ~self.only[rows]
-
-
 def cost_of(
     field: TileField,
     *,
     risk_m: float | None = None,
     robust: bool = False,
     unknown_cost: float | None = None,
-    choice: TileChoice | None = None,
+    closed: NDArray[np.bool_] | None = None,
     through: bool = False,
 ) -> NDArray[np.float32]:
     """Return the cost of one metre on each tile: ``1 + ride_weight c_r + risk_m hazard``; infinite where closed.
 
-    Closed are tiles that are not passable, and those that ``choice`` excludes. Unknown tiles, which hold points but
+    Closed are tiles that are not passable, and those in ``closed``. Unknown tiles, which hold points but
     have no class, are closed unless ``unknown_cost`` is given; even then, those in which an obstacle was seen. Tiles
     without points are closed in any case: around a survey there are as many of them as its bounding rectangle
     happens to hold, and inside it they are mostly water and shade, of which nothing at all is known.
@@ -75,8 +60,8 @@ def cost_of(
         Plan on ``c_r_high``, the upper end of the interval, in the place of ``c_r``. A tile without one is closed.
     unknown_cost : float, optional
         Cost of a metre on unknown tiles, at least 1.
-    choice : TileChoice, optional
-        Tiles to avoid, or to keep within.
+    closed : bool array (rows, cols), optional
+        Tiles that no way may enter.
     through : bool
         Leave tiles open that obstacles or unseen pixels close: a way leads through them where the vehicle fits.
 
@@ -84,15 +69,9 @@ def cost_of(
     -------
     float32 (rows, cols)
         At least 1.
-
-    Raises
-    ------
-    UsageError
-        ``risk_m`` is negative or not finite, or ``unknown_cost`` is not a finite number of at least 1.
     """
     rule = field.rule
     risk = rule.fail_weight if risk_m is None else risk_m
-    _check(risk, unknown_cost)
     weighed = type(rule)(rule.ride_weight, risk, rule.drive_m, rule.slope_limit_deg)
     shaking = field.c_r_high if robust else field.c_r
     cost = np.empty(field.barred.shape, np.float32)
@@ -104,27 +83,21 @@ def cost_of(
         cost[rows] = np.where(is_closed, np.inf, factor)
         if unknown_cost is not None:
             cost[rows][(barred == Barred.UNKNOWN) & ~(field.obstacle[rows] > 0.0)] = unknown_cost
-        if choice is not None:
-            cost[rows] = np.where(choice.closed(rows), np.float32(np.inf), cost[rows])
+    if closed is not None:
+        cost[closed] = np.inf
     return cost
-
-
-def _check(risk_m: float, unknown_cost: float | None) -> None:
-    if not (math.isfinite(risk_m) and risk_m >= 0.0):
-        raise UsageError(
-            f"`risk={risk_m:g}` is not allowed: it is the detour in metres that one certain failure is worth, from 0 up"
-        )
-    if unknown_cost is not None and not (math.isfinite(unknown_cost) and unknown_cost >= 1.0):
-        raise UsageError(
-            f"`unknown={unknown_cost:g}` is not allowed: it is the cost of a metre on unknown ground, at least 1 (that "
-            "of smooth ground), such as `unknown=10`"
-        )
 
 
 Floats = NDArray[np.float64]
 
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
+LEAST_SAVING_M = 0.003
+"""What a corner of a line on pixels saves at least, m of level ground."""
+_BESIDE_M = 0.1
+"""Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
+_MOST_MARGIN = 0.45
+"""Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 _ROOM_M, _NARROW = 0.6, 0.5
 """Distance from closed pixels, m, in which a metre is dearer, and by what share beside them: a vehicle swings out by
 some decimetres at the corners of a way, so the way keeps off where that costs little."""
@@ -148,91 +121,91 @@ class WornTiles:
 
     def factors(self, window: TileWindow) -> NDArray[np.float32]:
         """Return the factor on the cost of each tile of a window."""
-        worn = _mask(self.tiles, TileWindow(window.col - 1, window.row - 1, window.cols + 2, window.rows + 2))
+        worn = np.zeros((window.rows + 2, window.cols + 2), np.bool_)  # with a ring, for those beside
+        row, col = window.row + window.rows - self.tiles[:, 1], self.tiles[:, 0] - window.col + 1
+        inside = (row >= 0) & (row < len(worn)) & (col >= 0) & (col < window.cols + 2)
+        worn[row[inside], col[inside]] = True
         for axis in (0, 1):
             worn |= np.roll(worn, 1, axis) | np.roll(worn, -1, axis)
         return np.where(worn[1:-1, 1:-1], np.float32(self.factor), np.float32(1.0))
 
 
-class CostSource(Protocol):
-    """A map and the settings by which its ground costs: a `bumpymap.route.planner.Planner`."""
+@dataclass(frozen=True, slots=True)
+class CostGround:
+    """A map, what its ground costs one search, and where the vehicle fits."""
+
+    site: RouteMap
+    settings: CostSettings
+    """What makes ground dear."""
+    memory_tiles: int
+    """Most tiles of a window that a search may hold."""
+    avoid: Any = None
+    """Polygons from `bumpymap.layers.read_areas`, as ``only``; None: none."""
+    only: Any = None
+    risk: float | None = None
+    """Weight of the hazard, m; None: that of the settings."""
+    worn: WornTiles | None = None
+    """Tiles that are dearer."""
+    touching: bool = False
+    """Whether obstacles may be touched, at a hundred times the cost."""
 
     @property
-    def site(self) -> RouteMap:
-        """The map."""
-
-    @property
-    def settings(self) -> CostSettings:
-        """Costs and what may be crossed."""
-
-    @property
-    def memory_tiles(self) -> int:
-        """Most tiles of a window that a search may hold."""
-
-    @property
-    def bands(self) -> tuple[str, ...]:
-        """Bands that the cost depends on."""
+    def risk_m(self) -> float:
+        """Weight of the hazard by the settings, m."""
+        return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
 
     @property
     def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m."""
+        """Distance that the middle of the vehicle keeps from obstacles, m: half its width and 0.1 m."""
+        return 0.5 * self.site.vehicle.width_m + _BESIDE_M
 
     @property
     def margin(self) -> float:
-        """The same from closed tiles, tiles."""
+        """Distance that it keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
+        return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
+
+    @property
+    def bands(self) -> tuple[str, ...]:
+        """What of the map the cost depends on, besides what bars tiles."""
+        obstacle = () if self.settings.unknown is None else ("obstacle",)
+        return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
     @property
     def has_areas(self) -> bool:
         """Whether there are areas to avoid, or to stay in."""
-
-    def cost(self, tiles: TileField, risk: float | None = None, *, through: bool = False) -> NDArray[np.float32]:
-        """Return the cost per metre of each tile of a window, inf where closed."""
-
-
-@dataclass(frozen=True, slots=True)
-class CostGround:
-    """Costs of a map for one search.
-
-    Parameters
-    ----------
-    planner : CostSource
-    risk : float, optional
-        Weight of the hazard, m; None: that of the settings.
-    worn : WornTiles, optional
-        Tiles that are dearer.
-    touching : bool
-        Whether obstacles may be touched, at a hundred times the cost.
-    """
-
-    planner: CostSource
-    risk: float | None = None
-    worn: WornTiles | None = None
-    touching: bool = False
-
-    @property
-    def site(self) -> RouteMap:
-        """The map."""
-        return self.planner.site
+        return self.avoid is not None or self.only is not None
 
     @property
     def memory_bytes(self) -> int:
         """Memory that a search may use."""
-        return self.planner.memory_tiles * BYTES_PER_TILE
+        return self.memory_tiles * BYTES_PER_TILE
 
     def on_tiles(self, window: TileWindow, *, through: bool = True) -> NDArray[np.float32]:
         """Return the cost per metre of each tile, (rows, cols), infinite where closed.
 
         Unless ``through``, tiles are closed that obstacles close for what reads tiles alone.
         """
-        return self.of_field(self.site.read(window, self.planner.bands), through=through)
+        return self.of_field(self.site.read(window, self.bands), through=through)
 
     def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
         """Return the same for tiles that have been read."""
-        cost = self.planner.cost(tiles, self.risk, through=through or self.touching)
+        window, grid = tiles.window, self.site.grid
+        closed = None if self.avoid is None else tiles_in(self.avoid, window, grid)
+        if self.only is not None:
+            outside = ~tiles_within(self.only, window, grid)
+            closed = outside if closed is None else closed | outside
+        cost = cost_of(
+            tiles,
+            risk_m=self.risk_m if self.risk is None else self.risk,
+            robust=self.settings.robust,
+            unknown_cost=self.settings.unknown,
+            closed=closed,
+            through=through or self.touching,
+        )
         if self.touching and not through:
             cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= _TOUCHING
         if self.worn is not None:
-            cost *= self.worn.factors(tiles.window)
+            cost *= self.worn.factors(window)
         return cost
 
     def on_pixels(self, window: TileWindow) -> NDArray[np.float32]:
@@ -262,30 +235,33 @@ class CostGround:
 
         passage.tif knows neither areas to avoid nor that unknown ground may be crossed: then distances are measured.
         """
-        planner, pixel = self.planner, self.site.grid.pixel_size
-        crosses_unknown = planner.settings.unknown is not None
+        crosses_unknown = self.settings.unknown is not None
         free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
-        reach = planner.reach_m / pixel
+        reach = self.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
             free &= _apart(self.site.objects(window) == OBSTACLE, reach)
-        if crosses_unknown or planner.has_areas:
-            free &= _apart(closed, min(reach, planner.margin * self.site.grid.pixels) + 0.5)
+        if crosses_unknown or self.has_areas:
+            free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free
 
     def in_window(self, points: Floats, window: TileWindow) -> Floats:
         """Convert easting and northing [m], (n, 2), to rows and columns of pixels from the corner of a window."""
-        pixel = points / self.site.grid.tile_size
-        return (
-            np.column_stack([window.row + window.rows - pixel[:, 1], pixel[:, 0] - window.col]) * self.site.grid.pixels
-        )
+        return in_window(points, self.site.grid, window) * self.site.grid.pixels
 
-    def on_grid(self, places: Floats, window: TileWindow) -> Floats:
-        """Convert rows and columns of pixels from the corner of a window to easting and northing, m, (n, 2)."""
-        tiles = places / self.site.grid.pixels
-        return (
-            np.column_stack([window.col + tiles[:, 1], window.row + window.rows - tiles[:, 0]])
-            * self.site.grid.tile_size
-        )
+    def way_on_pixels(self, cost: NDArray[np.float32], ends: Floats, window: TileWindow) -> Floats | None:
+        """Find the cheapest line between two points, (2, 2) easting and northing [m], over the pixels of a window.
+
+        ``cost`` is theirs, per metre. Returns the corners, (m, 2) m; None if there is no way.
+        """
+        grid = self.site.grid
+        start, goal = ((float(row), float(col)) for row, col in self.in_window(ends, window))
+        saving = LEAST_SAVING_M / grid.pixel_size
+        found = find_way(cost, start, goal, margin=PIXEL_MARGIN, least_saving=saving)
+        if found is None:
+            return None
+        line = on_grid(found.line / grid.pixels, grid, window)
+        line[0], line[-1] = ends
+        return line
 
     def is_clear(self, line: Floats, *, with_room: bool = False) -> bool:
         """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m], or has room to spare."""
@@ -369,10 +345,9 @@ def stretches(line: Floats, longest: float) -> Iterator[Floats]:
             first = last
 
 
-def _mask(tiles: NDArray[np.int64], window: TileWindow) -> NDArray[np.bool_]:
-    """Return where some tiles lie in a window, (rows, cols)."""
-    mask = np.zeros((window.rows, window.cols), np.bool_)
-    row, col = window.row + window.rows - 1 - tiles[:, 1], tiles[:, 0] - window.col
-    inside = (row >= 0) & (row < window.rows) & (col >= 0) & (col < window.cols)
-    mask[row[inside], col[inside]] = True
-    return mask
+def points_along(line: Floats, distance: Floats) -> Floats:
+    """Return the points of a line, (n, 2), at distances from its start, (m, 2)."""
+    step = np.hypot(*np.diff(line, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(step)])
+    moving = np.concatenate([[True], step > 0])  # np.interp wants distances that increase
+    return np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
 from bumpymap.layers import RouteMap
-from bumpymap.route.ground import stretches, window_around
+from bumpymap.route.ground import points_along, stretches, window_around
+from bumpymap.route.places import in_window
 from bumpymap.route.straighten import trace
-from bumpytiles import TileWindow
 
 __all__ = ["MeasuredWay", "measure_way", "way_cost"]
 
@@ -88,10 +88,7 @@ def measure_way(
 
 def way_cost(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> float:
     """Return the cost of a way alone, m: ``figures.cost_m`` of `measure_way`."""
-    return _cost_m(_all_pieces(site, line, cost_of))
-
-
-def _cost_m(pieces: _Pieces) -> float:
+    pieces = _all_pieces(site, line, cost_of)
     return float((pieces.length * pieces.cost).sum())
 
 
@@ -101,17 +98,11 @@ def _all_pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDA
     return _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
 
 
-def _in_window(site: RouteMap, line: Floats, window: TileWindow) -> Floats:
-    """Convert easting and northing to rows from the north edge and columns from the west edge of a window, tiles."""
-    tiles = line / site.grid.tile_size
-    return np.column_stack([window.row + window.rows - tiles[:, 1], tiles[:, 0] - window.col])
-
-
 def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
     window = window_around(site, line, 1)
     tiles = site.read(window)
     cost = cost_of(tiles)
-    place = _in_window(site, line, window)
+    place = in_window(line, site.grid, window)
     found = trace(cost, place)
     if not len(found.length):  # a way of no length lies in one tile
         row, col = np.floor(place[:1]).astype(np.int64).T
@@ -150,7 +141,7 @@ def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteM
     return RouteFigures(
         length_m=length,
         straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
-        cost_m=_cost_m(pieces),
+        cost_m=float((pieces.length * pieces.cost).sum()),
         c_r_mean=mean(pieces.c_r),
         c_r_mean_low=mean(pieces.c_r_low),
         c_r_mean_high=mean(pieces.c_r_high),
@@ -181,13 +172,10 @@ def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
 
 def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
     """Return points at even distances along a way."""
-    step = np.hypot(*np.diff(line, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(step)])
-    size = site.grid.tile_size
-    count = max(2, math.ceil(along[-1] / size * _SAMPLES_A_TILE) + 1)
-    distance = np.linspace(0.0, along[-1], count)
-    moving = np.concatenate([[True], step > 0])  # np.interp wants distances that increase
-    points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
+    length, size = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1], site.grid.tile_size
+    count = max(2, math.ceil(length / size * _SAMPLES_A_TILE) + 1)
+    distance = np.linspace(0.0, length, count)
+    points = points_along(line, distance)
     ends = np.cumsum(pieces.length)
     piece = np.minimum(np.searchsorted(ends, distance, side="left"), len(ends) - 1)
     spent = np.concatenate([[0.0], np.cumsum(pieces.length * pieces.cost)])
@@ -210,13 +198,13 @@ def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
 def _heights(site: RouteMap, points: Floats) -> Floats:
     """Return the mean height of the pixels within half a metre of each point, or of its pixel alone; NaN if unknown."""
     out = np.full(len(points), np.nan)
-    _size, pixels = site.grid.tile_size, site.grid.pixels
+    pixels = site.grid.pixels
     reach = pixels // (2 * _SAMPLES_A_TILE)
     around = np.arange(-reach, reach + 1)
     for some in np.array_split(np.arange(len(points)), max(1, len(points) // (_STRETCH_TILES * _SAMPLES_A_TILE))):
         window = window_around(site, points[some], 1)
         heights = site.heights(window)
-        place = np.floor(_in_window(site, points[some], window) * pixels).astype(np.int64)
+        place = np.floor(in_window(points[some], site.grid, window) * pixels).astype(np.int64)
         rows = place[:, 0, None, None] + around[:, None]
         cols = place[:, 1, None, None] + around
         z = heights[rows, cols].reshape(len(some), -1).astype(np.float64)

@@ -9,26 +9,21 @@ costs little more than the cheapest. What can be reached is the cost of the path
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.route.ground import PIXEL_MARGIN
-from bumpymap.route.search import find_way
+from bumpymap.route.ground import CostGround, points_along, window_around
+from bumpymap.route.places import on_grid, overlap
 from bumpytiles import TileWindow
 
-if TYPE_CHECKING:
-    from bumpymap.route.ground import CostGround
-
-__all__ = ["BYTES_PER_TILE", "LEAST_SAVING_M", "reach_over_areas", "way_over_areas"]
+__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas"]
 
 Floats = NDArray[np.float64]
 
-LEAST_SAVING_M = 0.003
-"""What a corner of a line on pixels saves at least, m of level ground."""
 _PAD_TILES, _PAD_SHARE = 24, 0.25
 """Tiles around start and goal that are looked at first: at least, and as a share of their distance."""
 _DEARER = 1.06
@@ -69,31 +64,22 @@ class AreaReach(NamedTuple):
     """Tiles in which the vehicle fits somewhere."""
 
 
-def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats | None:
+def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
     """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    start, goal : array (2,)
-        Easting and northing, m.
-
-    Returns
-    -------
-    array (m, 2) or None
-        Easting and northing of the corners, m.
+    ``ground``: the map, with costs; ``start``, ``goal`` (2,): easting and northing, m. Returns (m, 2): easting and
+    northing of the corners, m.
     """
     ends = np.array([start, goal])
     pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
     while True:
-        window = _window(ground, ends, pad)
+        window = overlap(window_around(ground.site, ends, pad), ground.site.window)
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             return None
         graph = _graph(ground, window)
         found = _search(graph, *(_node_at(ground, graph, window, end) for end in ends))
         is_all = window == ground.site.window
-        if is_all or (found is not None and not _reaches_edge(graph, found[1])):
+        if is_all or (found is not None and not _at_edge(graph, found[1])):
             break
         pad *= 2
     if found is None:
@@ -108,25 +94,16 @@ def way_over_areas(ground: "CostGround", start: Floats, goal: Floats) -> Floats 
     if line is None or len(points) == 2:
         return line
     # The points between sections lie anywhere in their tiles: a way between the middles of sections is free of them.
-    again = _on_pixels(ground, [start, *(_middle(part) for part in _parts(line, points)), goal], window, corridor)
+    again = _on_pixels(ground, [start, *_middles(line, points), goal], window, corridor)
     return again if again is not None else line
 
 
-def reach_over_areas(
-    ground: "CostGround", window: TileWindow, start: Floats, cost: Floats, length: Floats
-) -> AreaReach:
+def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats) -> AreaReach:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    window : TileWindow
-        It takes ``BYTES_PER_TILE`` of memory for each tile.
-    start : array (2,)
-        Easting and northing, m.
-    cost, length : array (rows, cols)
-        Of the cheapest way over whole tiles to each tile, in tiles; the cost is infinite where none leads.
+    ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
+    easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
+    tiles; the cost is infinite where none leads.
     """
     graph = _graph(ground, window)
     count, cost_of_tile, length_of_tile = len(graph.tile), cost.ravel().copy(), length.ravel().copy()
@@ -188,17 +165,7 @@ def _sum_along(before: NDArray[np.integer], value: Floats) -> Floats:
     return total[:-1]
 
 
-def _window(ground: "CostGround", points: Floats, pad: int) -> TileWindow:
-    """Return the tiles around some points, within the map."""
-    grid, whole = ground.site.grid, ground.site.window
-    inner = TileWindow.around(grid.index(points[:, 0]), grid.index(points[:, 1]))
-    west, south = max(inner.col - pad, whole.col), max(inner.row - pad, whole.row)
-    east = min(inner.col + inner.cols + pad, whole.col + whole.cols)
-    north = min(inner.row + inner.rows + pad, whole.row + whole.rows)
-    return TileWindow(west, south, east - west, north - south)
-
-
-def _graph(ground: "CostGround", window: TileWindow) -> AreaGraph:
+def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     pixels, (rows, cols) = ground.site.grid.pixels, (window.rows, window.cols)
     apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
     apart[:, :-1, :, :-1] = np.isfinite(ground.on_pixels(window)).reshape(rows, pixels, cols, pixels)
@@ -235,7 +202,7 @@ def _contacts(first: NDArray[np.int32], other: NDArray[np.int32], count: int) ->
     return sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (count, count))
 
 
-def _node_at(ground: "CostGround", graph: AreaGraph, window: TileWindow, point: Floats) -> int:
+def _node_at(ground: CostGround, graph: AreaGraph, window: TileWindow, point: Floats) -> int:
     """Return the node in which a point lies; -1 in closed pixels."""
     rows, pixels, cols, _ = graph.node.shape
     row, col = (math.floor(x) for x in ground.in_window(point[None], window)[0])
@@ -259,23 +226,24 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
     return path[::-1], np.union1d(near, path)
 
 
-def _reaches_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
+def _at_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
     rows, _, cols, _ = graph.node.shape
     row, col = graph.tile[nodes] // cols, graph.tile[nodes] % cols
     return bool(((row == 0) | (col == 0) | (row == rows - 1) | (col == cols - 1)).any())
 
 
-def _point_in(ground: "CostGround", graph: AreaGraph, window: TileWindow, node: int) -> Floats:
+def _point_in(ground: CostGround, graph: AreaGraph, window: TileWindow, node: int) -> Floats:
     """Return the middle of the pixel of a node that is nearest to the middle of the node, easting and northing, m."""
     _, pixels, cols, _ = graph.node.shape
     row, col = divmod(int(graph.tile[node]), cols)
     places = np.argwhere(graph.node[row, :, col, :] == node)
     nearest = places[np.square(places - places.mean(axis=0)).sum(axis=1).argmin()]
-    return np.asarray(ground.on_grid((nearest + 0.5 + np.array([row, col]) * pixels)[None], window)[0])
+    places = (nearest + 0.5 + np.array([row, col]) * pixels)[None] / pixels
+    return np.asarray(on_grid(places, ground.site.grid, window)[0])
 
 
 def _on_pixels(
-    ground: "CostGround", points: list[Floats], window: TileWindow, corridor: NDArray[np.bool_]
+    ground: CostGround, points: list[Floats], window: TileWindow, corridor: NDArray[np.bool_]
 ) -> Floats | None:  # fmt: skip
     """Return the cheapest line through points on the pixels of a corridor of tiles, piece by piece."""
     parts = [np.array([points[0]])]
@@ -291,37 +259,21 @@ def _on_pixels(
                 int(rows.max()) - top + 1,
             )
         else:
-            part = _within(_window(ground, np.array(ends), _AROUND_TILES), window)
+            part = overlap(window_around(ground.site, np.array(ends), _AROUND_TILES), window)
         cost = ground.with_room(ground.on_pixels(part))
         top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
         kept = corridor[top : top + part.rows, left : left + part.cols]
         pixels = ground.site.grid.pixels
         cost[~np.repeat(np.repeat(kept, pixels, 0), pixels, 1)] = np.inf
-        start, goal = ((float(r), float(c)) for r, c in ground.in_window(np.array(ends), part))
-        saving = LEAST_SAVING_M / ground.site.grid.pixel_size
-        found = find_way(cost, start, goal, margin=PIXEL_MARGIN, least_saving=saving)
-        if found is None:
+        line = ground.way_on_pixels(cost, np.array(ends), part)
+        if line is None:
             return None
-        line = ground.on_grid(found.line, part)
-        line[0], line[-1] = ends
         parts.append(line[1:])
     return np.concatenate(parts)
 
 
-def _within(part: TileWindow, window: TileWindow) -> TileWindow:
-    west, south = max(part.col, window.col), max(part.row, window.row)
-    east = min(part.col + part.cols, window.col + window.cols)
-    north = min(part.row + part.rows, window.row + window.rows)
-    return TileWindow(west, south, east - west, north - south)
-
-
-def _parts(line: Floats, points: list[Floats]) -> list[Floats]:
-    """Cut a line at the points that it was searched between."""
+def _middles(line: Floats, points: list[Floats]) -> list[Floats]:
+    """Return the points half way along the parts of a line between the points that it was searched between."""
     at = [int(np.flatnonzero((line == point).all(axis=1))[0]) for point in points]
-    return [line[first : last + 1] for first, last in pairwise(at)]
-
-
-def _middle(line: Floats) -> Floats:
-    """Return the point half way along a line."""
-    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
-    return np.array([np.interp(0.5 * along[-1], along, line[:, axis]) for axis in (0, 1)])
+    parts = [line[first : last + 1] for first, last in pairwise(at)]
+    return [points_along(part, 0.5 * np.hypot(*np.diff(part, axis=0).T).cumsum()[-1:])[0] for part in parts]

@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
@@ -48,8 +49,9 @@ from bumpymap.layers import (
     write_routes,
 )
 from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.ground import WornTiles
-from bumpymap.route.planner import PlannedWay, Planner
+from bumpymap.route.ground import CostGround
+from bumpymap.route.places import on_grid, place_in_window
+from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES, spread
 from bumpymap.route.settings import CostSettings, RouteConfig
@@ -77,21 +79,9 @@ MOST_VISITS = 12
 def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
     """Return the order in which a tour visits points.
 
-    Parameters
-    ----------
-    costs : array (n, n)
-        Cost of the way from point i to point j; inf if there is none.
-    fixed_end : bool
-        The last point is the end of the tour; otherwise it ends where that is cheapest.
-
-    Returns
-    -------
-    list of int
-        All n points, 0 first. Of equally good orders, the first in the order of numbers.
-
-    Notes
-    -----
-    If no order is possible, the result is the given one.
+    ``costs`` (n, n): cost of the way from point i to point j; inf if there is none; ``fixed_end``: the last point is
+    the end of the tour; otherwise it ends where that is cheapest. Returns all n points, 0 first. Of equally good
+    orders, the first in the order of numbers. If no order is possible, the result is the given one.
     """
     n = len(costs)
     between = range(1, n - 1) if fixed_end else range(1, n)
@@ -121,76 +111,65 @@ def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
 def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
     """Return the message for the first two points without a way between them.
 
-    Parameters
-    ----------
-    planner : Planner
-    points : array (k, 2)
-        Easting and northing of the stops, m.
-    names : sequence of str
-        How the message calls each of them.
+    ``points`` (k, 2): easting and northing of the stops, m; ``names``: how the message calls each of them.
     """
     for number, (start, goal) in enumerate(pairwise(points)):
         if np.isfinite(planner.leg_cost(start, goal)):
             continue
-        window, size = planner.site.window, planner.site.grid.tile_size
+        ground = planner.ground
+        window, grid = ground.site.window, ground.site.grid
         between = f"there is no way from {names[number]} to {names[number + 1]}"
-        if window.cols * window.rows > planner.memory_tiles:
+        if window.cols * window.rows > ground.memory_tiles:
             return f"{between} over passable ground"
-        cost = planner.load(window)
-        barred = planner.site.read(window, ()).barred
-        reached = [
-            np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
+        cost = ground.on_tiles(window, through=False)
+        barred = ground.site.read(window, ()).barred
+        places = (place_in_window(end, grid, window) for end in (start, goal))
+        reached = [np.isfinite(spread(cost, place, margin=ground.margin)[0]) for place in places]
+        counts = [int(part.sum()) for part in reached]
+        areas = [
+            f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * grid.tile_size**2 / 1e4:,.2f} ha)" for tiles in counts
         ]
-        areas = [_area(int(part.sum()), size) for part in reached]
-        closest = _closest(planner, *reached)
+        closest = _closest(ground.site, *reached)
         beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
         unknown = ""
-        if planner.settings.unknown is None and Barred.UNKNOWN in beside:
+        if ground.settings.unknown is None and Barred.UNKNOWN in beside:
             unknown = "cross unknown ground with `unknown=COST`, "
         return (
             f"{between}: {areas[0]} can be reached from the first, {areas[1]} from the second, and no tile from both. "
-            f"Beside the smaller area lie: {_described(beside, planner)}. {closest}Choose other points, {unknown}"
-            "map the survey for another vehicle, or drive through what the map takes for an obstacle with "
-            "`through_obstacles`"
+            f"Beside the smaller area lie: {_described(beside, has_areas=ground.has_areas)}. {closest}"
+            f"Choose other points, {unknown}map the survey for another vehicle, or drive through what the map takes "
+            "for an obstacle with `through_obstacles`"
         )
     return "there is no way through all points"
 
 
-def _closest(planner: Planner, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
+def _closest(site: RouteMap, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
     """Say where the two areas come closest, and what lies between them."""
     if not (first.any() and second.any()):
         return ""
     apart, (rows, cols) = distance_transform_edt(~second, return_indices=True)
     row, col = np.unravel_index(np.where(first, apart, np.inf).argmin(), first.shape)
     ends = np.array([[row, col], [rows[row, col], cols[row, col]]]) + 0.5
-    window, size = planner.site.window, planner.site.grid.tile_size
-    middle = planner.at(ends.mean(axis=0), window)
-    between = planner.site.read(TileWindow.around(*planner.site.grid.index(middle)[:, None]), ()).barred
-    code = int(between[0, 0])
+    middle = on_grid(ends.mean(axis=0)[None], site.grid, site.window)[0]
+    code = int(site.read(TileWindow.around(*site.grid.index(middle)[:, None]), ()).barred[0, 0])
     why = BARRED_TEXT[Barred(code)] if code in BARRED_TEXT and code != Barred.NO else "no passable ground"
     return (
-        f"They come closest at {place_text(planner.site, middle)}, {math.dist(*ends) * size:.0f} m from tile to tile, "
-        f"where there is: {why}. "
+        f"They come closest at {place_text(site, middle)}, {math.dist(*ends) * site.grid.tile_size:.0f} m from "
+        f"tile to tile, where there is: {why}. "
     )
-
-
-def _area(tiles: int, size: float) -> str:
-    return f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * size**2 / 1e4:,.2f} ha)"
 
 
 def _beside(area: NDArray[np.bool_], barred: NDArray[np.uint8]) -> list[int]:
     """Return what the tiles around an area are, codes of `Barred` or NO_TILE, the most frequent first."""
-    beside = np.zeros_like(area)
     padded = np.pad(area, 1)
-    beside |= padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
+    beside = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
     codes, counts = np.unique(barred[beside & ~area], return_counts=True)
     return [int(codes[at]) for at in np.argsort(-counts, kind="stable")]
 
 
-def _described(codes: Sequence[int], planner: Planner) -> str:
+def _described(codes: Sequence[int], *, has_areas: bool) -> str:
     """Say what bars the tiles around an area: the reasons of those that are not passable together, then the rest."""
     narrow = "passages too narrow for the vehicle"
-    has_areas = planner.avoid is not None or planner.only is not None
     texts = {
         int(Barred.NO): f"tiles that `avoid` or `only` closes, or {narrow}" if has_areas else narrow,
         int(Barred.UNKNOWN): BARRED_TEXT[Barred.UNKNOWN],
@@ -380,20 +359,20 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         A file cannot be written.
     """
     progress = progress or SilentProgress()
-    planner = _planner(open_map(config.layers), config)
-    stops = find_stops(planner, config)
+    ground = _ground(open_map(config.layers), config)
+    stops = find_stops(ground, config)
     if config.out is not None:
         check = check_reach_out if config.is_reach else check_route_out
         check(config.out, overwrite=config.overwrite)
     if config.is_reach:
         if config.out is None:
             raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
-        return _write_reach(planner, stops, config, config.out)
+        return _write_reach(ground, stops, config, config.out)
     progress.start("routes", None)
-    routes, order = _routes(planner, stops, config)
+    routes, order = _routes(ground, stops, config)
     notes = [*stops.notes, *order]
     for folder in config.compare:
-        other = _planner(open_map([folder]), config)
+        other = _ground(open_map([folder]), config)
         vehicle = other.site.vehicle.name
         others = find_stops(other, config, folder)
         (route, *_), order = _routes(other, others, replace(config, alternatives=1))
@@ -402,52 +381,48 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     files: list[Path] = []
     if config.out is not None:
         manifest = {"settings": asdict(config), "remarks": notes}
-        files = write_routes(routes, planner.site, config.out, manifest=manifest, overwrite=config.overwrite)
+        files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
     return RouteResult(tuple(routes), None, tuple(files), tuple(notes))
 
 
-def _planner(site: RouteMap, config: RouteConfig) -> Planner:
+def _ground(site: RouteMap, config: RouteConfig) -> CostGround:
     avoid, only = (
         None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
         for path in (config.cost.avoid, config.cost.only)
     )
     tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
-    return Planner(site, config.cost, tiles, avoid, only)
+    return CostGround(site, config.cost, tiles, avoid, only)
 
 
-def _routes(planner: Planner, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
+def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
     """Plan the best way through the stops, and alternatives; return them and a remark on the order that was found."""
+    planner = Planner(ground)
     if config.visit:
         stops = _in_best_order(planner, stops, config)
     if config.round_trip:
         stops = stops.in_order([*range(len(stops.names)), 0])
     points = stops.points
-
-    def plan(risk: float, worn: WornTiles | None) -> PlannedWay | None:
-        return planner.way(points, risk, worn)
-
-    ways = find_alternatives(plan, config.alternatives, planner.risk)
+    ways = find_alternatives(partial(planner.way, points), config.alternatives, ground.risk_m)
     if not ways:
         raise BadInputError(explain_no_way(planner, points, stops.names))
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
-    routes = [_route(planner, name, way, points, risk) for name, (way, risk) in zip(names, ways, strict=True)]
+    site = ground.site
+    routes = [
+        PlannedRoute(
+            name=name,
+            georeference=site.georeference,
+            grid=site.grid,
+            line=way.line,
+            stops=points,
+            profile=way.measured.profile,
+            figures=way.measured.figures,
+            vehicle=site.vehicle,
+            risk_m=risk,
+        )
+        for name, (way, risk) in zip(names, ways, strict=True)
+    ]
     return routes, order
-
-
-def _route(planner: Planner, name: str, way: PlannedWay, stops: Floats, risk: float) -> PlannedRoute:
-    site = planner.site
-    return PlannedRoute(
-        name=name,
-        georeference=site.georeference,
-        grid=site.grid,
-        line=way.line,
-        stops=stops,
-        profile=way.measured.profile,
-        figures=way.measured.figures,
-        vehicle=site.vehicle,
-        risk_m=risk,
-    )
 
 
 def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops:
@@ -465,37 +440,34 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
 
 def reach_from(config: RouteConfig) -> ReachField:
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
-    planner = _planner(open_map(config.layers), config)
-    found = _find_reach(planner, find_stops(planner, config), config)
+    ground = _ground(open_map(config.layers), config)
+    _, found, field = _reach(ground, find_stops(ground, config), config)
     for note in found.notes:
         _log.warning(note)
-    return _reach_field(planner, found)
+    return field
 
 
-def _find_reach(planner: Planner, stops: Stops, config: RouteConfig) -> Reach:
-    limits = [*(minutes * 60.0 * planner.site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
-    return find_reach(planner, stops.points[0], max(limits, default=math.inf))
+def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArray[np.float64], Reach, ReachField]:
+    """Return the start, and what can be reached from it, also as it is written."""
+    site, start = ground.site, stops.points[0]
+    limits = [*(minutes * 60.0 * site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
+    found = find_reach(ground, start, max(limits, default=math.inf))
+    fields = found.window, found.cost, found.minutes, found.back
+    return start, found, ReachField(site.georeference, site.grid, *fields, -MOVES)
 
 
-def _reach_field(planner: Planner, found: Reach) -> ReachField:
-    site = planner.site
-    return ReachField(site.georeference, site.grid, found.window, found.cost, found.minutes, found.back, -MOVES)
-
-
-def _write_reach(planner: Planner, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
-    found = _find_reach(planner, stops, config)
+def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
+    start, found, field = _reach(ground, stops, config)
     notes = (*stops.notes, *found.notes)
-    levels = None
-    if config.isochrones:
-        levels = ReachLevels(config.isochrones, "minutes")
-    elif config.isocosts:
+    levels = ReachLevels(config.isochrones, "minutes") if config.isochrones else None
+    if config.isocosts:
         levels = ReachLevels(config.isocosts, "cost")
     files = write_reach_files(
-        _reach_field(planner, found),
-        planner.site,
+        field,
+        ground.site,
         out,
         levels=levels,
-        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
+        manifest={"settings": asdict(config), "start": start, "remarks": notes},
         overwrite=config.overwrite,
     )
     return RouteResult((), found, tuple(files), notes)

@@ -12,7 +12,7 @@ from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import RouteMap
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["GridPoint", "parse_point", "place_in_window", "place_point"]
+__all__ = ["GridPoint", "in_window", "on_grid", "overlap", "parse_point", "place_in_window", "place_point"]
 
 System = Literal["lonlat", "crs"]
 Place: TypeAlias = Sequence[float] | NDArray[np.float64]
@@ -133,6 +133,25 @@ def place_in_window(
     top, left = window.row + window.rows - 1 - row, col - window.col
     r, c = window.row + window.rows - point[1] / grid.tile_size, point[0] / grid.tile_size - window.col
     return _in_tile(float(r), top), _in_tile(float(c), left)
+
+
+def in_window(points: NDArray[np.float64], grid: Grid, window: TileWindow) -> NDArray[np.float64]:
+    """Convert easting and northing [m], (n, 2), to field coordinates of a window, (n, 2) tiles."""
+    tiles = points / grid.tile_size
+    return np.column_stack([window.row + window.rows - tiles[:, 1], tiles[:, 0] - window.col])
+
+
+def on_grid(places: NDArray[np.float64], grid: Grid, window: TileWindow) -> NDArray[np.float64]:
+    """Convert field coordinates of a window, (n, 2) tiles, to easting and northing, (n, 2) m."""
+    return np.column_stack([window.col + places[:, 1], window.row + window.rows - places[:, 0]]) * grid.tile_size
+
+
+def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
+    """Return the tiles that two windows have in common."""
+    west, south = max(one.col, other.col), max(one.row, other.row)
+    east = min(one.col + one.cols, other.col + other.cols)
+    north = min(one.row + one.rows, other.row + other.rows)
+    return TileWindow(west, south, east - west, north - south)
 
 
 def _in_tile(coordinate: float, tile: int) -> float:

@@ -10,25 +10,21 @@ Tiles tell that a vehicle gets through, pixels where. A way is cut into sections
 fits; each section on which it does not fit throughout is searched again on the pixels around it.
 """
 
-import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, TileField, UsageError
-from bumpymap.layers import RouteMap, tiles_in, tiles_within
-from bumpymap.route.ground import PIXEL_MARGIN, CostGround, TileChoice, WornTiles, cost_of, window_around
+from bumpymap.core import Barred, UsageError
+from bumpymap.route.ground import CostGround, WornTiles, points_along, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
-from bumpymap.route.passages import LEAST_SAVING_M, way_over_areas
-from bumpymap.route.places import place_in_window
-from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, find_way, seek, settle_point, tight_way
-from bumpymap.route.settings import CostSettings
+from bumpymap.route.passages import way_over_areas
+from bumpymap.route.places import on_grid, overlap, place_in_window
+from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, seek, settle_point, tight_way
 from bumpymap.route.straighten import as_cost
 from bumpytiles import Grid, TileWindow
 
@@ -40,34 +36,6 @@ _PAD_SHARE = 0.125
 """Tiles around start and goal, as a share of their distance."""
 _GROWTH = 0.25
 """A window grows by this share of its longer side, on each side that needs it."""
-
-
-class _Box(NamedTuple):
-    """A rectangle of tiles of the map, in rows from its north and columns from its west; half-open."""
-
-    top: int
-    left: int
-    bottom: int
-    right: int
-
-    @property
-    def tiles(self) -> int:
-        return (self.bottom - self.top) * (self.right - self.left)
-
-    def grown(self, pads: "tuple[int, int, int, int]", extent: TileWindow) -> "_Box":
-        """Grow by so many tiles at the top, left, bottom and right, within the map."""
-        up, left, down, right = pads
-        return _Box(
-            max(self.top - up, 0),
-            max(self.left - left, 0),
-            min(self.bottom + down, extent.rows),
-            min(self.right + right, extent.cols),
-        )
-
-    def window(self, extent: TileWindow) -> TileWindow:
-        """Return the box as a window of the grid."""
-        row = extent.row + extent.rows - self.bottom
-        return TileWindow(extent.col + self.left, row, self.right - self.left, self.bottom - self.top)
 
 
 def plan_way(
@@ -115,64 +83,58 @@ def plan_way(
     start, goal = settle_point(start), settle_point(goal)
     if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
         return None
-    box = _first_box(start, goal, extent, memory_tiles)
+    ends = np.floor([start, goal]).astype(np.int64)
+    line = TileWindow.around(extent.col + ends[:, 1], extent.row + extent.rows - 1 - ends[:, 0])
+    pad = max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(start, goal)))
+    window = _grown(line, [True] * 4, pad, extent, memory_tiles)
     while True:
-        window = box.window(extent)
         cost = as_cost(load(window))
         if cost.shape != (window.rows, window.cols):
             raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
-        corner = (box.top, box.left)
-        found = seek(cost, _shift(start, corner), _shift(goal, corner), margin, least)
-        sides = _open_sides(found, box, extent)
+        top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
+        here, there = ((row - top, col - left) for row, col in (start, goal))
+        found = seek(cost, here, there, margin, least)
+        sides = _open_sides(found, window, extent)
         if not any(sides):
             break
-        box = _grow(box, sides, extent, memory_tiles)
+        pad = max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
+        window = _grown(window, sides, pad, extent, memory_tiles)
     if found.line is None:
         return None
     way = tight_way(found, margin)
-    return Way(way.line + np.array(corner, np.float64), way.cost, way.graph_cost)
+    return Way(way.line + np.array([top, left], np.float64), way.cost, way.graph_cost)
 
 
-def _shift(point: Point, corner: tuple[int, int]) -> Point:
-    """Turn field coordinates of the map into those of a window."""
-    return point[0] - corner[0], point[1] - corner[1]
-
-
-def _open_sides(found: Found, box: _Box, extent: TileWindow) -> list[bool]:
-    """Say at which sides (top, left, bottom, right) a cheaper way might leave the window."""
+def _open_sides(found: Found, window: TileWindow, extent: TileWindow) -> list[bool]:
+    """Say at which sides (north, west, south, east) a cheaper way might leave the window."""
     settled = found.settled
-    goes_on = box.top > 0, box.left > 0, box.bottom < extent.rows, box.right < extent.cols
+    goes_on = (
+        window.row + window.rows < extent.row + extent.rows,
+        window.col > extent.col,
+        window.row > extent.row,
+        window.col + window.cols < extent.col + extent.cols,
+    )
     edges = settled[:REACH], settled[:, :REACH], settled[-REACH:], settled[:, -REACH:]
     return [beyond and bool(edge.any()) for beyond, edge in zip(goes_on, edges, strict=True)]
 
 
-def _first_box(start: Point, goal: Point, extent: TileWindow, memory_tiles: int) -> _Box:
-    """Return the box of the straight line with as much around it as memory allows."""
-    rows, cols = sorted((int(start[0]), int(goal[0]))), sorted((int(start[1]), int(goal[1])))
-    line = _Box(rows[0], cols[0], rows[1] + 1, cols[1] + 1)
-    pad = max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(start, goal)))
-    return _fitting(line, [True] * 4, pad, extent, memory_tiles)
-
-
-def _grow(box: _Box, sides: list[bool], extent: TileWindow, memory_tiles: int) -> _Box:
-    """Grow a box on some sides."""
-    pad = max(_LEAST_PAD, int(_GROWTH * max(box.bottom - box.top, box.right - box.left)))
-    return _fitting(box, sides, pad, extent, memory_tiles)
-
-
-def _fitting(box: _Box, sides: list[bool], pad: int, extent: TileWindow, memory_tiles: int) -> _Box:
-    """Grow a box by ``pad`` tiles on some sides, by fewer where memory does not allow them."""
+def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, memory_tiles: int) -> TileWindow:
+    """Grow a window by ``pad`` tiles on some sides, within the map, by fewer where memory does not allow them."""
     while True:
-        up, left, down, right = (pad if side else 0 for side in sides)
-        grown = box.grown((up, left, down, right), extent)
-        if grown.tiles <= memory_tiles:
+        north, west, south, east = (pad if side else 0 for side in sides)
+        wider = TileWindow(
+            window.col - west, window.row - south, window.cols + west + east, window.rows + north + south
+        )
+        grown = overlap(wider, extent)
+        tiles = grown.rows * grown.cols
+        if tiles <= memory_tiles:
             return grown
         if pad <= _LEAST_PAD:
             break
         pad = max(pad // 2, _LEAST_PAD)
     raise UsageError(
-        f"the search for this way needs a window of {grown.tiles} tiles or more, "
-        f"{grown.tiles * BYTES_PER_TILE / 1e9:.2f} GB of memory; allowed are {memory_tiles} tiles, "
+        f"the search for this way needs a window of {tiles} tiles or more, "
+        f"{tiles * BYTES_PER_TILE / 1e9:.2f} GB of memory; allowed are {memory_tiles} tiles, "
         f"{memory_tiles * BYTES_PER_TILE / 1e9:.2f} GB. Allow more memory, or set via points that cut the way into "
         "shorter ones"
     )
@@ -193,17 +155,8 @@ _STEP = 0.5
 def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
     """Return a line near a given one on which the vehicle fits throughout; None if there is none.
 
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    line : array (m, 2)
-        Easting and northing of the corners, m.
-
-    Returns
-    -------
-    array (k, 2) or None
-        Between the same ends.
+    ``ground``: the map, with costs; ``line`` (m, 2): easting and northing of the corners, m. Returns (k, 2): between
+    the same ends.
     """
     grid = ground.site.grid
     points, step = sample_line(line, grid)
@@ -215,7 +168,9 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
         part = _between(line, points, first, last, step)
         if not ground.is_clear(part, with_room=True):
             too_long = (last - first) * step > _LONGEST_TILES * grid.tile_size
-            steered = None if too_long else _search(ground, part)
+            window = window_around(ground.site, part, _AROUND_TILES)
+            cost = None if too_long else ground.with_room(ground.on_pixels(window))
+            steered = None if cost is None else ground.way_on_pixels(cost, part[[0, -1]], window)
             if steered is None and not ground.is_clear(part):
                 return None
             part = part if steered is None else steered
@@ -225,13 +180,9 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
 
 def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
     """Return points in the middle of even parts of a line, half a pixel apart, and the length of a part, m."""
-    parts = np.hypot(*np.diff(line, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(parts)])
-    count = max(1, int(np.ceil(along[-1] / (_STEP * grid.pixel_size))))
-    moving = np.concatenate([[True], parts > 0])
-    distance = (np.arange(count) + 0.5) * (along[-1] / count)
-    points = np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
-    return points, float(along[-1] / count)
+    length = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1]
+    count = max(1, int(np.ceil(length / (_STEP * grid.pixel_size))))
+    return points_along(line, (np.arange(count) + 0.5) * (length / count)), float(length / count)
 
 
 def _cuts(is_clear: NDArray[np.bool_], apart: float, count: int) -> list[int]:
@@ -258,25 +209,8 @@ def _between(line: Floats, points: Floats, first: int, last: int, step: float) -
     return np.concatenate([ends[:1], inner, ends[1:]])
 
 
-def _search(ground: CostGround, part: Floats) -> Floats | None:
-    """Search a section on pixels; None if there is no way."""
-    window = window_around(ground.site, part, _AROUND_TILES)
-    start, goal = ((float(row), float(col)) for row, col in ground.in_window(part[[0, -1]], window))
-    saving = LEAST_SAVING_M / ground.site.grid.pixel_size
-    found = find_way(ground.with_room(ground.on_pixels(window)), start, goal, margin=PIXEL_MARGIN, least_saving=saving)
-    if found is None:
-        return None
-    line = ground.on_grid(found.line, window)
-    line[0], line[-1] = part[0], part[-1]
-    return line
-
-
-_ROOM_M = 0.1
-"""Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
 _NEAR_TILES = 8
 """Tiles around a way in which obstacles make it worth while to look for another one between them."""
-_MOST_MARGIN = 0.45
-"""Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -298,101 +232,30 @@ class PlannedWay:
 
 @dataclass(frozen=True, slots=True)
 class Planner:
-    """Plans ways over one map.
+    """Plans ways over one map, and keeps the lines between stops."""
 
-    Parameters
-    ----------
-    site : RouteMap
-        The map.
-    settings : CostSettings
-        What makes ground dear.
-    memory_tiles : int
-        Most tiles of a window that the search may hold.
-    avoid, only : polygons, optional
-        From `bumpymap.layers.read_areas`.
-    """
-
-    site: RouteMap
-    settings: CostSettings
-    memory_tiles: int
-    avoid: Any = None
-    only: Any = None
+    ground: CostGround
     _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def risk(self) -> float:
-        """Weight of the hazard, m."""
-        return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
-
-    @property
-    def reach_m(self) -> float:
-        """Distance that a way keeps from obstacles, m: half the vehicle's width and 0.1 m."""
-        return 0.5 * self.site.vehicle.width_m + _ROOM_M
-
-    @property
-    def margin(self) -> float:
-        """Distance that a way keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
-        return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
-
-    @property
-    def bands(self) -> tuple[str, ...]:
-        """What of the map the cost depends on, besides what bars tiles."""
-        obstacle = () if self.settings.unknown is None else ("obstacle",)
-        return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
-
-    @property
-    def has_areas(self) -> bool:
-        """Whether there are areas to avoid, or to stay in."""
-        return self.avoid is not None or self.only is not None
-
-    def cost(self, tiles: TileField, risk: float | None = None, *, through: bool = False) -> NDArray[np.float32]:
-        """Return the cost per metre of each tile of a window, inf where closed; ``through`` as in `cost_of`."""
-        return cost_of(
-            tiles,
-            risk_m=self.risk if risk is None else risk,
-            robust=self.settings.robust,
-            unknown_cost=self.settings.unknown,
-            choice=self._choice(tiles.window),
-            through=through,
-        )
-
-    def _choice(self, window: TileWindow) -> TileChoice | None:
-        """Return the tiles of a window that the areas of the settings close."""
-        if not self.has_areas:
-            return None
-        grid = self.site.grid
-        return TileChoice(
-            None if self.avoid is None else tiles_in(self.avoid, window, grid),
-            None if self.only is None else tiles_within(self.only, window, grid),
-        )
-
-    def load(self, window: TileWindow) -> NDArray[np.float32]:
-        """Read the cost per metre of each tile of a window, inf where closed for what reads tiles alone."""
-        return CostGround(self).on_tiles(window, through=False)
 
     def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
 
-        Parameters
-        ----------
-        stops : array (k, 2)
-            Easting and northing, m, at least two.
-        risk : float, optional
-            Weight of the hazard for this way, m; what it costs is told with the settings' own.
-        worn : WornTiles, optional
-            Tiles that are dearer for this way.
+        ``stops`` (k, 2): easting and northing, m, at least two; ``risk``: weight of the hazard for this way, m; what it
+        costs is told with the settings' own; ``worn``: tiles that are dearer for this way.
         """
         legs = []
-        for start, goal in itertools.pairwise(stops):
-            leg = self._leg(start, goal, risk, worn)
+        for start, goal in pairwise(stops):
+            leg = self.line(start, goal, risk, worn)
             if leg is None:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        ground = CostGround(self)
-        touched = self._touched_m(line) if self.settings.through_obstacles else 0.0
+        ground, touched = self.ground, 0.0
+        if ground.settings.through_obstacles:
+            points, step = sample_line(line, ground.site.grid)
+            touched = float((~ground.clear_at(points)).sum()) * step
         tight = ground.tight_turns_deg(line)
-        measured = measure_way(self.site, line, stops, ground.of_field, obstacle_m=touched, tight_turns_deg=tight)
+        measured = measure_way(ground.site, line, stops, ground.of_field, obstacle_m=touched, tight_turns_deg=tight)
         if touched > 0.0:
             profile = measured.profile
             clear = ground.clear_at(np.column_stack([profile.easting, profile.northing]))
@@ -401,17 +264,22 @@ class Planner:
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
-        line = self._leg(start, goal, None, None)
-        return np.inf if line is None else way_cost(self.site, line, CostGround(self).of_field)
+        line = self.line(start, goal)
+        return np.inf if line is None else way_cost(self.ground.site, line, self.ground.of_field)
 
-    def _leg(self, start: Floats, goal: Floats, risk: float | None, worn: WornTiles | None) -> Floats | None:
-        """Return the cheapest line between two points; without worn tiles, it is kept for the next question."""
+    def line(
+        self, start: Floats, goal: Floats, risk: float | None = None, worn: WornTiles | None = None
+    ) -> Floats | None:
+        """Return the cheapest line between two points, (m, 2) easting and northing, m; None if there is none.
+
+        ``risk``, ``worn`` as in `way`. Without worn tiles, the line is kept for the next question.
+        """
         if tuple(goal) < tuple(start):  # there and back are the same line
-            back = self._leg(goal, start, risk, worn)
+            back = self.line(goal, start, risk, worn)
             return None if back is None else back[::-1]
         if worn is not None:
             return self._clear_line(start, goal, risk, worn)
-        key = (*start, *goal, self.risk if risk is None else risk)
+        key = (*start, *goal, self.ground.risk_m if risk is None else risk)
         if key not in self._legs:
             self._legs[key] = self._clear_line(start, goal, risk, None)
         return self._legs[key]
@@ -422,49 +290,29 @@ class Planner:
         The cheapest way over whole tiles is steered past obstacles on pixels. Where obstacles close tiles nearby, or
         there is no such way, the areas of tiles are searched as well, and the cheaper of both is returned.
         """
-        ground = CostGround(self, risk, worn)
-        over_tiles = self._tile_line(ground, start, goal)
+        ground = replace(self.ground, risk=risk, worn=worn)
+        over_tiles = _tile_line(ground, start, goal)
         steered = None if over_tiles is None else steer_clear(ground, over_tiles)
-        if steered is not None and not self._may_pass_between(steered):
-            return steered
+        if steered is not None:
+            barred = ground.site.read(window_around(ground.site, steered, _NEAR_TILES), ()).barred
+            if not np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any():
+                return steered
         lines = [line for line in (steered, way_over_areas(ground, start, goal)) if line is not None]
-        if not lines and self.settings.through_obstacles:
+        if not lines and ground.settings.through_obstacles:
             touching = replace(ground, touching=True)
-            over_tiles = self._tile_line(touching, start, goal)
+            over_tiles = _tile_line(touching, start, goal)
             return None if over_tiles is None else steer_clear(touching, over_tiles)
-        return min(lines, key=partial(way_cost, self.site, cost_of=ground.of_field), default=None)
+        return min(lines, key=partial(way_cost, ground.site, cost_of=ground.of_field), default=None)
 
-    def _touched_m(self, line: Floats) -> float:
-        """Return the length of a line on which the vehicle touches obstacles, m."""
-        points, step = sample_line(line, self.site.grid)
-        return float((~CostGround(self).clear_at(points)).sum()) * step
 
-    def _may_pass_between(self, line: Floats) -> bool:
-        """Return whether obstacles close tiles near a line."""
-        barred = self.site.read(window_around(self.site, line, _NEAR_TILES), ()).barred
-        return bool(np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any())
-
-    def _tile_line(self, ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
-        """Return the cheapest line over whole tiles, (m, 2) easting and northing, m."""
-        window = self.site.window
-        ends = (self.place(point, window) for point in (start, goal))
-        load = partial(ground.on_tiles, through=False)
-        found = plan_way(load, window, *ends, margin=self.margin, memory_tiles=self.memory_tiles)
-        if found is None:
-            return None
-        east, north = window.col + found.line[:, 1], window.row + window.rows - found.line[:, 0]
-        line = np.column_stack([east, north]) * self.site.grid.tile_size
-        line[0], line[-1] = start, goal
-        return line
-
-    def line(self, start: Floats, goal: Floats) -> Floats | None:
-        """Plan the cheapest line between two points, (m, 2) easting and northing, m; None if there is none."""
-        return self._leg(start, goal, None, None)
-
-    def at(self, place: Floats, window: TileWindow) -> Floats:
-        """Convert rows from the north edge and columns from the west edge of a window to easting and northing, m."""
-        return np.array([window.col + place[1], window.row + window.rows - place[0]]) * self.site.grid.tile_size
-
-    def place(self, point: Floats, window: TileWindow) -> tuple[float, float]:
-        """Convert easting and northing [m] to rows from the north edge and columns from the west edge of a window."""
-        return place_in_window(point, self.site.grid, window)
+def _tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
+    """Return the cheapest line over whole tiles, (m, 2) easting and northing, m."""
+    grid, window = ground.site.grid, ground.site.window
+    ends = (place_in_window(point, grid, window) for point in (start, goal))
+    load = partial(ground.on_tiles, through=False)
+    found = plan_way(load, window, *ends, margin=ground.margin, memory_tiles=ground.memory_tiles)
+    if found is None:
+        return None
+    line = on_grid(found.line, grid, window)
+    line[0], line[-1] = start, goal
+    return line

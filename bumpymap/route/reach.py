@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround
 from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas
-from bumpymap.route.planner import Planner
+from bumpymap.route.places import place_in_window
 from bumpymap.route.search import BETWEEN_OBSTACLES, MOVES, spread
 from bumpytiles import TileWindow, kernel
 
@@ -73,9 +73,9 @@ class Reach:
     minutes: NDArray[np.float32]
     """Driving time of that way at the profile's speed, min; NaN likewise."""
     back: NDArray[np.uint8]
-    """The move by which that way enters the tile, see `bumpymap.route.MOVES`; `FROM_START` (254) if it leads straight
-    from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where there are
-    no moves, `NOT_REACHED` (255) if there is none."""
+    """The move by which that way enters the tile, see `bumpymap.route.search.MOVES`; `FROM_START` (254) if it leads
+    straight from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where
+    there are no moves, `NOT_REACHED` (255) if there is none."""
     passable: int
     """Tiles of the window that are not closed, or in which the vehicle fits between obstacles."""
     tile_size: float
@@ -105,41 +105,30 @@ class Reach:
         return float(np.nanmax(self.cost)) if self.tiles else 0.0
 
 
-def find_reach(planner: Planner, start: NDArray[np.float64], most_m: float = math.inf) -> Reach:
+def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = math.inf) -> Reach:
     """Find what can be reached from a point: over whole tiles, and between obstacles in tiles that they close in part.
 
     Between obstacles the cost is that of a path from area to area, which is up to 3 % off.
 
-    Parameters
-    ----------
-    planner : Planner
-    start : array (2,)
-        Easting and northing, m.
-    most_m : float
-        Tiles farther away than this are of no interest, m.
-
-    Raises
-    ------
-    UsageError
-        The window does not fit in the memory limit.
+    ``start`` (2,): easting and northing, m; ``most_m``: tiles farther away than this are of no interest, m. Raises
+    UsageError: the window does not fit in the memory limit.
     """
-    site = planner.site
+    site = ground.site
     window = window_within(site.window, start / site.grid.tile_size, most_m / site.grid.tile_size)
-    if window.cols * window.rows > planner.memory_tiles:
+    if window.cols * window.rows > ground.memory_tiles:
         raise UsageError(
-            f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {planner.memory_tiles:,} fit "
+            f"the map of what can be reached spans {window.cols * window.rows:,} tiles; {ground.memory_tiles:,} fit "
             "in the memory limit. Raise `memory`, or limit the map with `isochrones` or `isocosts`"
         )
-    cost = planner.load(window)
-    place = planner.place(start, window)
-    spent, back = spread(cost, place, margin=planner.margin)
+    cost = ground.on_tiles(window, through=False)
+    place = place_in_window(start, site.grid, window)
+    spent, back = spread(cost, place, margin=ground.margin)
     is_passable = np.isfinite(cost)
     del cost  # a map may fill the memory that the search is given: what follows takes no more
     length = np.full(spent.shape, np.nan)
     add_up_lengths(back, MOVES, *place, length)
     notes: tuple[str, ...] = ()
     if np.isin(site.read(window, ()).barred, _IN_PART).any():
-        ground = CostGround(planner)
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:

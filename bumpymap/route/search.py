@@ -100,16 +100,8 @@ def _pieces() -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]], NDArr
 def move_tables(width: int, margin: float) -> MoveTables:
     """Make the tables of the moves for a window.
 
-    Parameters
-    ----------
-    width : int
-        Columns of the window, flattened row by row.
-    margin : float
-        Distance that a way keeps from closed tiles, tiles.
-
-    Returns
-    -------
-    MoveTables
+    ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
+    tiles.
     """
     tiles, lengths, end = _pieces()
     near = np.empty((len(MOVES), 2 * REACH + 1, 2 * REACH + 1), np.bool_)

@@ -40,7 +40,6 @@ from bumpytiles import helper, kernel
 __all__ = [
     "LEAST_SAVING",
     "Corners",
-    "Shortcuts",
     "Tightening",
     "as_cost",
     "as_margin",
@@ -75,15 +74,6 @@ class Tightening(NamedTuple):
     """Corners are moved by steps down to this, tiles."""
 
 
-class Shortcuts(NamedTuple):
-    """What `leave_out` fills for n corners."""
-
-    best: Annotated[Floats, 1]
-    """(n,) cost up to each."""
-    before: Annotated[Integers, 1]
-    """(n,) the corner before each, if the line went through it."""
-
-
 class Corners(NamedTuple):
     """What `move_corners` works on."""
 
@@ -102,24 +92,31 @@ def _ends(a: int, b: int, count: int) -> int:
 
 
 @kernel
-def leave_out(tightening: Tightening, points: Annotated[Floats, 2], most: int, out: Shortcuts) -> None:
+def leave_out(
+    tightening: Tightening,
+    points: Annotated[Floats, 2],
+    most: int,
+    best: Annotated[Floats, 1],
+    before: Annotated[Integers, 1],
+) -> None:
     """Find the cheapest line through some of the corners in order, at most ``most`` - 1 left out between two of them.
 
     Of lines that cost nearly the same, the one with fewer corners wins: corners on straight lines go.
+    ``best`` (n,): filled: cost up to each; ``before`` (n,): filled: the corner before each if the line went through it.
     """
     cost, n = tightening.cost, points.shape[0]
-    out.best[0], out.before[0] = 0.0, 0
+    best[0], before[0] = 0.0, 0
     for j in range(1, n):
         r1, c1 = points[j, 0], points[j, 1]
-        out.best[j] = out.best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
-        out.before[j] = j - 1
+        best[j] = best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
+        before[j] = j - 1
         for i in range(max(0, j - most), j - 1):
             r0, c0 = points[i, 0], points[i, 1]
             # From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
-            allowed = tightening.worth if out.before[j] == j - 1 else -tightening.worth
-            total = segment_cost(cost, r0, c0, r1, c1, out.best[j] + allowed - out.best[i])
+            allowed = tightening.worth if before[j] == j - 1 else -tightening.worth
+            total = segment_cost(cost, r0, c0, r1, c1, best[j] + allowed - best[i])
             if total < math.inf and segment_clear(cost, r0, c0, r1, c1, tightening.margin, _ends(i, j, n)):
-                out.best[j], out.before[j] = out.best[i] + total, i
+                best[j], before[j] = best[i] + total, i
 
 
 @helper
@@ -222,22 +219,9 @@ def _as_line(cost: NDArray[np.floating], line: NDArray[np.floating]) -> Line:
 def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     """Cut a line at the borders of tiles.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Cost per length; infinite where closed. It decides where a line runs along a border: there the dearer tile
-        counts.
-    line : array (n, 2) float64
-        Field coordinates of the corners, within the window.
-
-    Returns
-    -------
-    TracedLine
-
-    Raises
-    ------
-    ValueError
-        The line leaves the window.
+    ``cost`` (rows, cols): cost per length; infinite where closed. It decides where a line runs along a border: there
+    the dearer tile counts; ``line`` (n, 2): field coordinates of the corners, within the window. Raises ValueError: the
+    line leaves the window.
     """
     checked = _as_line(cost, line)
     if line.size and ((line < 0.0) | (line > np.array(cost.shape))).any():
@@ -253,12 +237,7 @@ def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
 def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
     """Return the exact integral of the cost along a line, in tiles; infinite if it crosses a closed tile.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Cost per length; infinite where closed.
-    line : array (n, 2) float64
-        Field coordinates of the corners.
+    ``cost`` (rows, cols): cost per length; infinite where closed; ``line`` (n, 2): field coordinates of the corners.
     """
     out = np.empty(1)
     sum_cost(_as_line(cost, line), out)
@@ -268,14 +247,8 @@ def line_cost(cost: NDArray[np.floating], line: NDArray[np.floating]) -> float:
 def is_clear(cost: NDArray[np.floating], line: NDArray[np.floating], margin: float = 0.0) -> bool:
     """Say whether a line keeps a margin from all closed tiles; see the module for start and goal.
 
-    Parameters
-    ----------
-    cost : array (rows, cols) float32
-        Infinite where closed.
-    line : array (n, 2) float64
-        Field coordinates of the corners.
-    margin : float
-        Tiles, at least 0 and below 0.5.
+    ``cost`` (rows, cols): infinite where closed; ``line`` (n, 2): field coordinates of the corners; ``margin``: tiles,
+    at least 0 and below 0.5.
     """
     out = np.empty(1, np.bool_)
     check_clear(_as_line(cost, line), as_margin(margin), out)
@@ -347,14 +320,8 @@ def thin_out(
 ) -> Floats:
     """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
 
-    Parameters
-    ----------
-    cost, line
-        As `pull_tight`; the line keeps more than the margin, or the arcs stay as they are.
-    margin : float
-        Tiles, at least 0 and below 0.5.
-    least_saving : float
-        What a corner saves at least, tiles.
+    ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
+    tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
     kept = as_margin(margin) + _SPARE
     thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
@@ -366,10 +333,7 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
 
     A line along a border costs what the dearer side does: there, the last bit of a coordinate would decide.
 
-    Parameters
-    ----------
-    cost, line, margin
-        As `pull_tight`.
+    ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
     moved = line.copy()
     for i in range(1, len(line) - 1):
@@ -391,11 +355,11 @@ def _leave_out(tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
     while True:
         count = len(line)
-        found = Shortcuts(np.empty(count), np.empty(count, np.int64))
-        leave_out(tightening, line, _SKIPPED, found)
+        before = np.empty(count, np.int64)
+        leave_out(tightening, line, _SKIPPED, np.empty(count), before)
         kept = [count - 1]
         while kept[-1] > 0:
-            kept.append(int(found.before[kept[-1]]))
+            kept.append(int(before[kept[-1]]))
         if len(kept) == count:
             return line
         line = line[kept[::-1]]

@@ -1,6 +1,3 @@
-from ._place_kernels import (
-    turn_of as turn_of,
-)
 from .classifier import (
     ScanClassifier as ScanClassifier,
     ScanResult as ScanResult,
@@ -17,7 +14,6 @@ from .learned import (
     classify_learned as classify_learned,
     network_input as network_input,
 )
-from .methods import SectorRater as SectorRater, classify_paper as classify_paper, paper_settings as paper_settings
 from .pipeline import (
     ScanRun as ScanRun,
     scan_frames as scan_frames,
@@ -26,11 +22,8 @@ from .polar import (
     polar_sectors as polar_sectors,
 )
 from .stripes import (
-    StripeFilter as StripeFilter,
     StripeModel as StripeModel,
     classify_filter as classify_filter,
     fit_frames as fit_frames,
-    fit_stripes as fit_stripes,
     load_stripes as load_stripes,
-    save_stripes as save_stripes,
 )

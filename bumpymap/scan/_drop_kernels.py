@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 from bumpytiles import kernel
 
-__all__ = ["DropRule", "DropScratch", "GroundEnds", "GroundPoints", "find_drops"]
+__all__ = ["DropRule", "GroundPoints", "find_drops"]
 
 Integers = Annotated[NDArray[np.int32], 1]
 Singles = Annotated[NDArray[np.float32], 2]
@@ -45,45 +45,37 @@ class DropRule(NamedTuple):
     ground goes on, and what is seen below is a reflection in it; -inf where the height of the sensor is not known."""
 
 
-class DropScratch(NamedTuple):
-    """Heights by pixel of the polar grid: (cells, pixels^2)."""
-
-    ground: Singles
-    """Lowest ground point, m; inf without any."""
-    other: Singles
-    """Lowest other point, m; inf without any."""
-
-
-class GroundEnds(NamedTuple):
-    """What is filled."""
-
-    drops: Integers
-    """(cells,) in how many directions the ground drops in the cell; comes as zeros."""
-    end: Annotated[NDArray[np.float32], 1]
-    """(directions,) distance at which the farthest ground ends, m, from sector 0 on; 0 without any."""
-
-
 @kernel
 def find_drops(
-    ground: GroundPoints, by_cell: CellOrder, grid: ZoneGrid, rule: DropRule, scratch: DropScratch, out: GroundEnds
+    ground: GroundPoints,
+    by_cell: CellOrder,
+    grid: ZoneGrid,
+    rule: DropRule,
+    lowest_ground: Singles,
+    lowest_other: Singles,
+    drops: Integers,
+    end: Annotated[NDArray[np.float32], 1],
 ) -> None:
     """Follow the ground outwards: count the drops in every cell, and find where the ground ends.
 
-    A drop counts for the last cell before it, and for the cell of what is seen below.
+    A drop counts for the last cell before it, and for the cell of what is seen below. ``lowest_ground``,
+    ``lowest_other`` (cells, pixels^2): scratch: heights by pixel, m; ``drops`` (cells,): zeros; filled: in how many
+    directions the ground drops in the cell; ``end`` (directions,): filled: distance at which the farthest ground ends,
+    m, from sector 0 on; 0 without any.
     """
     points, pixel, slope = ground.points, ground.pixel, ground.slope
     pixels, zones = grid.pixels, len(grid.sectors)
-    scratch.ground[:] = np.inf
-    scratch.other[:] = np.inf
+    lowest_ground[:] = np.inf
+    lowest_other[:] = np.inf
     for cell in range(len(by_cell.starts) - 2):
         for i in range(by_cell.starts[cell], by_cell.starts[cell + 1]):
             p = by_cell.order[i]
             if ground.is_ground[p]:
-                scratch.ground[cell, pixel[p]] = min(scratch.ground[cell, pixel[p]], points[p, 2])
+                lowest_ground[cell, pixel[p]] = min(lowest_ground[cell, pixel[p]], points[p, 2])
             else:
-                scratch.other[cell, pixel[p]] = min(scratch.other[cell, pixel[p]], points[p, 2])
-    for direction in range(len(out.end)):
-        share = (direction + 0.5) / len(out.end)
+                lowest_other[cell, pixel[p]] = min(lowest_other[cell, pixel[p]], points[p, 2])
+    for direction in range(len(end)):
+        share = (direction + 0.5) / len(end)
         turn = 2.0 * math.pi * (share + grid.start)
         cos, sin = math.cos(turn), math.sin(turn)
         known, last_r, last_z, last_slope = False, 0.0, 0.0, 0.0
@@ -98,20 +90,20 @@ def find_drops(
                 for row in range(pixels):
                     k = row * pixels + column
                     r = grid.edges[zone] + (ring * pixels + row + 0.5) * step
-                    on_ground = scratch.ground[cell, k] < np.inf
-                    z = np.float64(scratch.ground[cell, k] if on_ground else scratch.other[cell, k])
+                    on_ground = lowest_ground[cell, k] < np.inf
+                    z = np.float64(lowest_ground[cell, k] if on_ground else lowest_other[cell, k])
                     if z == np.inf:
                         continue
                     if known:
                         drop = last_z + last_slope * (r - last_r) - z
                         beam = z * last_r / r - last_z
                         if drop > rule.least and drop > rule.slope * (r - last_r) and beam > rule.below:
-                            out.drops[last_cell] += marked != last_cell
-                            out.drops[cell] += cell not in (last_cell, marked)
+                            drops[last_cell] += marked != last_cell
+                            drops[cell] += cell not in (last_cell, marked)
                             marked = cell
                     if on_ground:
                         known, last_r, last_z, last_cell = True, r, z, cell
                         last_slope = slope[cell, 0] * cos + slope[cell, 1] * sin
                         farthest = r + 0.5 * step
             first += grid.sectors[zone] * grid.rings[zone]
-        out.end[direction] = np.float32(farthest)
+        end[direction] = np.float32(farthest)

@@ -453,13 +453,7 @@ def find_planes(
 ) -> None:
     """Find the plane of the ground in every cell, from the sensor outwards.
 
-    Parameters
-    ----------
-    points, geometry
-    rule : SearchRule
-    planes : GroundPlanes
-        Filled.
-    scratch : PlaneScratch
+    ``planes``: filled.
     """
     neighbours, slope = rule.neighbours, rule.slope
     passes = _PASSES if neighbours else _FIRST_PASSES
@@ -525,13 +519,7 @@ def keep_largest(geometry: CellGeometry, planes: GroundPlanes, of: Integers, wei
 
     A cell counts for the inverse of its distance: what lies near the robot is what it stands on.
 
-    Parameters
-    ----------
-    geometry, planes
-    of : (cells,) int32
-        Scratch.
-    weight : (cells,) float64
-        Scratch.
+    ``of`` (cells,): scratch; ``weight`` (cells,): scratch.
     """
     cells = len(geometry.x)
     for cell in range(cells):

@@ -50,14 +50,9 @@ class VoxelTable(NamedTuple):
 def range_image(points: Annotated[NDArray[np.float32], 2], lowest: float, image: Image) -> None:
     """Find the distance of the nearest point in every direction, cm.
 
-    Parameters
-    ----------
-    points : (points, 3) float32
-        In the frame of the sensor, m.
-    lowest : float
-        Elevation of the lower edge of row 0, as a share of a turn. A row is as high as a column is wide.
-    image : (rows, columns) uint16
-        Filled; 0 on entry, and where no point is.
+    ``points`` (points, 3): in the frame of the sensor, m; ``lowest``: elevation of the lower edge of row 0, as a share
+    of a turn. A row is as high as a column is wide; ``image`` (rows, columns): filled; 0 on entry, and where no point
+    is.
     """
     rows, columns = image.shape
     for i in range(len(points)):
@@ -110,20 +105,9 @@ def gather_points(
     A voxel keeps one point of each frame before it keeps a second of any, so that their spread holds the errors of the
     poses; and those nearest to the sensor, the first frame's of equals.
 
-    Parameters
-    ----------
-    place : (points, 3) int32
-        mm; x and y count from the corner of the block.
-    range_cm : (points,) uint16
-        Distance from the sensor, cm.
-    kind : (points,) uint8
-        1 for ground, 0 for others: they have voxels of their own.
-    frame : int
-        Number of the frame.
-    voxel_mm : int
-        Edge of a voxel.
-    table : VoxelTable
-        Has a free row and two free slots for every point.
+    ``place`` (points, 3): mm; x and y count from the corner of the block; ``range_cm`` (points,): distance from the
+    sensor, cm; ``kind`` (points,): 1 for ground, 0 for others: they have voxels of their own; ``frame``: number of the
+    frame; ``voxel_mm``: edge of a voxel; ``table``: has a free row and two free slots for every point.
     """
     most = table.turn.shape[1]
     for i in range(len(place)):

@@ -15,7 +15,6 @@ from bumpytiles import helper, kernel
 __all__ = [
     "BLOCK",
     "CellOrder",
-    "PointPlaces",
     "ZoneGrid",
     "count_labels",
     "place_points",
@@ -48,15 +47,6 @@ class ZoneGrid(NamedTuple):
     """Where sector 0 starts, as a share of a turn."""
     pixels: int
     """Rows (outwards) and columns (counter-clockwise) of a sector."""
-
-
-class PointPlaces(NamedTuple):
-    """Where the points of a scan lie, (points,) each."""
-
-    cell: Integers
-    """Number of the cell, by zone, ring, sector; -1 outside the grid."""
-    pixel: Integers
-    """``row * pixels + column``."""
 
 
 class CellOrder(NamedTuple):
@@ -95,14 +85,7 @@ def turn_of(x: float, y: float) -> float:
 def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
     """Sum the horizontal unit vectors of the points whose distance is in ``reach`` (from, below), m.
 
-    Parameters
-    ----------
-    points : (points, 3) float32
-        m.
-    reach : (2,) float64
-        m.
-    total : (2,) float64
-        Filled: sums of x and of y.
+    ``points`` (points, 3): m; ``reach`` (2,): m; ``total`` (2,): filled: sums of x and of y.
     """
     sx = sy = 0.0
     for i in range(len(points)):
@@ -116,19 +99,13 @@ def point_directions(points: ScanPoints, reach: Floats, total: Floats) -> None:
 
 @kernel
 def place_points(
-    points: ScanPoints, grid: ZoneGrid, out: PointPlaces, polar: Annotated[NDArray[np.float64], 2]
+    points: ScanPoints, grid: ZoneGrid, cell: Integers, pixel: Integers, polar: Annotated[NDArray[np.float64], 2]
 ) -> None:
     """Find the cell and the pixel of every point.
 
-    Parameters
-    ----------
-    points : (points, 3) float32
-        m.
-    grid : ZoneGrid
-    out : PointPlaces
-        Filled.
-    polar : (2, ``BLOCK``) float64
-        Scratch: distance and turn of so many points at a time.
+    ``points`` (points, 3): m; ``cell`` (points,): filled: its number, by zone, ring, sector, -1 outside the grid;
+    ``pixel`` (points,): filled: ``row * pixels + column``; ``polar`` (2, ``BLOCK``): scratch: distance and turn of so
+    many points at a time.
     """
     edges, sectors, rings, pixels = grid.edges, grid.sectors, grid.rings, grid.pixels
     zones = len(sectors)
@@ -143,7 +120,7 @@ def place_points(
             turns[i] = turn + 1.0 if turn < 0.0 else turn
         for i in range(len(some)):
             r, at = distance[i], begin + i
-            out.cell[at], out.pixel[at] = -1, 0
+            cell[at], pixel[at] = -1, 0
             if not edges[0] <= r < edges[zones]:
                 continue
             zone, first = 0, 0
@@ -156,8 +133,8 @@ def place_points(
             sector = min(int(around), sectors[zone] - 1)
             row = min(int((outward - ring) * pixels), pixels - 1)
             column = min(int((around - sector) * pixels), pixels - 1)
-            out.cell[at] = np.int32(first + ring * sectors[zone] + sector)
-            out.pixel[at] = np.int32(row * pixels + column)
+            cell[at] = np.int32(first + ring * sectors[zone] + sector)
+            pixel[at] = np.int32(row * pixels + column)
 
 
 @kernel
@@ -192,16 +169,8 @@ def count_labels(
 ) -> None:
     """Find the most frequent label of each listed sector, the smallest of equals.
 
-    Parameters
-    ----------
-    label : (points,) uint16
-        Below 32,768.
-    by_cell, cells
-        As in ``measure_sectors``.
-    tally : (32768,) int32
-        Scratch, zeros before and after.
-    most : (sectors,) int16
-        Filled.
+    ``label`` (points,): below 32,768; ``by_cell``, ``cells``: as in ``measure_sectors``; ``tally`` (32768,): scratch,
+    zeros before and after; ``most`` (sectors,): filled.
     """
     starts, order = by_cell.starts, by_cell.order
     for s in range(len(cells)):

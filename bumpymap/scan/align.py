@@ -101,10 +101,7 @@ class DriveHeights:
     If there are too many squares together, half of the squares of the world go, the same ones from every frame: those
     that stay are still shared. Memory is therefore bounded, but for some bytes a frame.
 
-    Parameters
-    ----------
-    most : int
-        Squares of all frames together.
+    ``most``: squares of all frames together.
     """
 
     def __init__(self, most: int = _MOST_SQUARES) -> None:
@@ -133,13 +130,8 @@ class DriveHeights:
 def ground_heights(points: NDArray[np.float32], is_ground: NDArray[np.bool_], pose: Floats) -> GroundHeights:
     """Average the ground of a frame in squares of the world.
 
-    Parameters
-    ----------
-    points : (n, 3) float32
-        In the frame of the sensor, m.
-    is_ground : (n,) bool
-    pose : (4, 4) float64
-        Transform from the sensor's frame to the world, m.
+    ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the sensor's frame to the world,
+    m.
     """
     chosen = points[is_ground & (np.hypot(points[:, 0], points[:, 1]) <= _REACH_M)]
     turned = np.einsum("nj,ij->ni", chosen.astype(np.float64), pose[:3, :3])
@@ -189,14 +181,7 @@ def _spread(rows: _SharedSquares, z: Floats) -> float:
 def align_frames(frames: list[GroundHeights]) -> Alignment:
     """Find the corrections of height and tilt with which the frames agree best about the ground.
 
-    Parameters
-    ----------
-    frames : list of GroundHeights
-
-    Returns
-    -------
-    Alignment
-        All corrections are 0 where frames share no ground.
+    All corrections are 0 where frames share no ground.
     """
     rows, count = _shared(frames), len(frames)
     shift: Floats = np.zeros((count, 3))
@@ -271,16 +256,8 @@ class FramesOfDrive(Protocol):
 def refuse_wrong_poses(given: Alignment, frames: FramesOfDrive) -> None:
     """Raise WrongPosesError if the frames contradict each other.
 
-    Parameters
-    ----------
-    given : Alignment
-        Of the poses as they were given.
-    frames : FramesOfDrive
-
-    Raises
-    ------
-    WrongPosesError
-        The ground is smeared, or the frames agree much better when a usual mistake is undone.
+    ``given``: of the poses as they were given. Raises WrongPosesError: the ground is smeared, or the frames agree much
+    better when a usual mistake is undone.
     """
     poses = frames.poses
     if len(poses) < 2:

@@ -40,7 +40,6 @@ from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 
 __all__ = [
-    "FinishedFrame",
     "FrameProducts",
     "FrameReader",
     "drop_empty_folder",
@@ -59,12 +58,7 @@ _NAMED = 5
 
 
 class FrameReader:
-    """Reads frames; bad ones end the run, or are skipped if the settings say so.
-
-    Parameters
-    ----------
-    config : ScanConfig
-    """
+    """Reads frames; bad ones end the run, or are skipped if the settings say so."""
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
@@ -138,15 +132,6 @@ _STAGED = "products"
 
 
 @dataclass(frozen=True, slots=True)
-class FinishedFrame:
-    """A frame whose own files are written."""
-
-    part: FramePart
-    placed: PlacedPoints | None
-    """Its points at its pose; None if they are not merged."""
-
-
-@dataclass(frozen=True, slots=True)
 class FrameProducts:
     """The products of a run while frame after frame is added.
 
@@ -165,22 +150,19 @@ class FrameProducts:
     grids: GridBag | None
     """Grids of all frames; None if no bag is wanted."""
 
-    def load(self, frame: Frame, number: int) -> FinishedFrame | None:
-        """Return a frame that an earlier run has finished; None if it is not finished. Raises as `write`."""
+    def load(self, frame: Frame, number: int) -> tuple[FramePart, PlacedPoints | None] | None:
+        """Return what `write` returns, of a frame that an earlier run has finished; None if it is not finished."""
         part = load_part(part_path(self.run_folder, number), frame)
         if part is None or part.files != file_sizes(self._files(frame, number)):
             return None
-        return FinishedFrame(part, self._place(frame, number, part.points, part.is_ground))
+        return part, self._place(frame, number, part.points, part.is_ground)
 
     def write(
         self, frame: Frame, number: int, report: FrameReport, scan: Scan, classed: ClassedSectors
-    ) -> FinishedFrame:
-        """Write the files of a frame's own, and its checkpoint.
+    ) -> tuple[FramePart, PlacedPoints | None]:
+        """Write the files of a frame's own, and its checkpoint; return what is added, and its points at its pose.
 
-        Raises
-        ------
-        BadInputError
-            Its points cannot be placed at its pose; there are no files of its own then.
+        Raises BadInputError: its points cannot be placed at its pose; there are no files of its own then.
         """
         products, stack = frame_products(self.config, number), classed.sectors
         placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
@@ -196,14 +178,14 @@ class FrameProducts:
             file_sizes(self._files(frame, number)) or {},
         )
         save_part(part, part_path(self.run_folder, number))
-        return FinishedFrame(part, placed)
+        return part, placed
 
-    def add(self, finished: FinishedFrame) -> None:
+    def add(self, part: FramePart, placed: PlacedPoints | None) -> None:
         """Add a frame to the files of the run."""
-        if self.accumulated is not None and finished.placed is not None:
-            self.accumulated.add_points(finished.placed)
-        if self.table is not None and finished.part.rows is not None:
-            self.table.add_rows(finished.part.rows)
+        if self.accumulated is not None and placed is not None:
+            self.accumulated.add_points(placed)
+        if self.table is not None and part.rows is not None:
+            self.table.add_rows(part.rows)
 
     def _place(
         self, frame: Frame, number: int, points: NDArray[np.float32], is_ground: NDArray[np.bool_]

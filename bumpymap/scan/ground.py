@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import PolarSettings
-from bumpymap.scan._drop_kernels import DropRule, DropScratch, GroundEnds, GroundPoints, find_drops
+from bumpymap.scan._drop_kernels import DropRule, GroundPoints, find_drops
 from bumpymap.scan._ground_kernels import (
     FOUND,
     NEIGHBOURS,
@@ -29,7 +29,7 @@ from bumpymap.scan._ground_kernels import (
     keep_largest,
     label_points,
 )
-from bumpymap.scan._place_kernels import CellOrder, PointPlaces, ZoneGrid
+from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 
 __all__ = ["ScanGround", "SectorBuffers", "all_ground", "cell_layout", "find_ground", "ground_ends"]
 
@@ -75,32 +75,19 @@ def ground_ends(
 ) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
     """Find the cells in which the ground drops by more than the clearance of the belly, and where it ends.
 
-    Parameters
-    ----------
-    ground : GroundPoints
-    by_cell : CellOrder
-    grid : ZoneGrid
-    settings : PolarSettings
-    height_m : float
-        Of the origin above the ground.
-    buffers : SectorBuffers
-
-    Returns
-    -------
-    drops : (cells,) bool
-    end : (directions,) float32
-        Distance at which the farthest ground in each direction ends, m; from sector 0 on, counter-clockwise.
+    ``height_m``: of the origin above the ground. Returns ``end`` (directions,): distance at which the farthest ground
+    in each direction ends, m; from sector 0 on, counter-clockwise.
     """
     cells = len(ground.slope)
-    lowest = DropScratch(
-        *(buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other"))
+    on_ground, others = (
+        buffers.empty(name, grid.pixels**2, np.float32, rows=cells) for name in ("lowest_ground", "lowest_other")
     )
-    out = GroundEnds(np.zeros(cells, np.int32), np.empty(_DIRECTIONS, np.float32))
+    drops, farthest = np.zeros(cells, np.int32), np.empty(_DIRECTIONS, np.float32)
     below = _BELOW_M if height_m > _SENSOR_M else -np.inf
-    find_drops(ground, by_cell, grid, DropRule(settings.belly_m, _SLOPE, below), lowest, out)
+    find_drops(ground, by_cell, grid, DropRule(settings.belly_m, _SLOPE, below), on_ground, others, drops, farthest)
     seen = np.repeat(_DIRECTIONS / grid.sectors, grid.sectors * grid.rings)
-    end = np.max([np.roll(out.end, step) for step in range(-_AROUND, _AROUND + 1)], axis=0)
-    return out.drops >= _SHARE * seen, end
+    end = np.max([np.roll(farthest, step) for step in range(-_AROUND, _AROUND + 1)], axis=0)
+    return drops >= _SHARE * seen, end
 
 
 _REACH_OF_NOISE, _REACH_M, _USUAL_NOISE_M = 4.0, (0.12, 0.25), 0.03
@@ -136,7 +123,7 @@ class ScanGround:
 
 def find_ground(
     points: NDArray[np.float32],
-    places: PointPlaces,
+    pixel: NDArray[np.int32],
     by_cell: CellOrder,
     settings: PolarSettings,
     start: float,
@@ -150,24 +137,15 @@ def find_ground(
     them, are ground as well; parts in which points rise from the ground without a gap are plants. A scan whose ground
     would lie above its sensor has none: its axes are not what they are said to be.
 
-    Parameters
-    ----------
-    points : (m, 3) float32
-        m.
-    places : PointPlaces
-    by_cell : CellOrder
-    settings : PolarSettings
-    start : float
-        Azimuth of sector 0, rad.
-    buffers : SectorBuffers, optional
-        Hold ``things`` and the order of the ground points until the next call.
+    ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
+    points until the next call.
     """
     buffers = buffers or SectorBuffers()
     geometry = _geometry(settings, start)
     cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
     xyz = buffers.empty("gathered", count, np.float32, rows=3)
     held = CellPoints(xyz, buffers.empty("part", count, np.int32), by_cell.starts)
-    gather_points(points, places.pixel, _part_of_pixel(settings.pixels), by_cell, held)
+    gather_points(points, pixel, _part_of_pixel(settings.pixels), by_cell, held)
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
     scratch = PlaneScratch(
         np.empty(TAIL),
@@ -203,7 +181,7 @@ def find_ground(
     label_points(
         held,
         by_cell,
-        places.pixel,
+        pixel,
         geometry,
         planes,
         GroundRule(reach, noise, settings.least_points, settings.belly_m, settings.height_m),

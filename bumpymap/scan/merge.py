@@ -49,15 +49,6 @@ _FAR_MM = 2_000_000_000
 
 
 @dataclass(frozen=True, slots=True)
-class _MergeFrame:
-    """A frame whose points are in the file."""
-
-    pose: NDArray[np.float64]
-    rows: tuple[int, int]
-    """Where its points lie in the file: from, to."""
-
-
-@dataclass(frozen=True, slots=True)
 class PlacedPoints:
     """The points of a frame in the world."""
 
@@ -77,18 +68,15 @@ class PlacedPoints:
 class DriveMerge:
     """The frames of a drive while they come, then their merged points.
 
-    Parameters
-    ----------
-    points, images : binary files
-        Take the points, and the range images, of all frames.
-    offset : (3,) float64
-        What is taken off coordinates before they become whole millimetres, m; whole metres.
+    ``points``, ``images``: take the points, and the range images, of all frames; ``offset`` (3,): what is taken off
+    coordinates before they become whole millimetres, m; whole metres.
     """
 
     points: BinaryIO
     images: BinaryIO
     offset: NDArray[np.float64]
-    frames: list[_MergeFrame] = field(default_factory=list)
+    frames: list[tuple[NDArray[np.float64], int, int]] = field(default_factory=list)
+    """Pose of each, and where its points lie in the file: from, to."""
     blocks: dict[int, list[tuple[int, int, int]]] = field(default_factory=dict)
     """Of each block of the world: the frames with points there, and where they lie in the file: from, to."""
     heights: DriveHeights = field(default_factory=DriveHeights)
@@ -121,20 +109,8 @@ class DriveMerge:
     ) -> PlacedPoints:
         """Prepare the points of a frame for `add_points`; several threads may do so at a time.
 
-        Parameters
-        ----------
-        name : str
-            Of the frame.
-        points : (n, 3) float32
-            In the frame of the sensor, m.
-        pose : (4, 4) float64
-            Transform from the sensor's frame to the world, m.
-        is_ground : (n,) bool
-
-        Raises
-        ------
-        BadInputError
-            The frame lies too far from the first one.
+        ``name``: of the frame; ``points`` (n, 3): in the frame of the sensor, m; ``pose`` (4, 4): transform from the
+        sensor's frame to the world, m. Raises BadInputError: the frame lies too far from the first one.
         """
         # Not a matrix product: its library would start threads of its own in each of ours, for half of the time.
         world = np.einsum("nj,ij->ni", points.astype(np.float64), pose[:3, :3]) + (pose[:3, 3] - self.offset)
@@ -167,7 +143,7 @@ class DriveMerge:
         placed.rows.tofile(self.points)
         placed.image.tofile(self.images)
         count = len(placed.rows)
-        self.frames.append(_MergeFrame(placed.pose, (self.seen, self.seen + count)))
+        self.frames.append((placed.pose, self.seen, self.seen + count))
         self.heights.add(placed.heights)
         self.seen += count
 
@@ -187,15 +163,14 @@ class DriveMerge:
     @cached_property
     def poses(self) -> NDArray[np.float64]:
         """(frames, 4, 4) as they were given, when all have come."""
-        return np.array([frame.pose for frame in self.frames]).reshape(-1, 4, 4)
+        return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
 
     def read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Read a frame back: its points (n, 3) in the frame of the sensor, m, and whether each is ground (n,)."""
-        frame = self.frames[number]
-        begin, end = frame.rows
+        pose, begin, end = self.frames[number]
         rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
-        world = 0.001 * rows["place"] + (self.offset - frame.pose[:3, 3])
-        return world @ frame.pose[:3, :3], rows["kind"] == 1
+        world = 0.001 * rows["place"] + (self.offset - pose[:3, 3])
+        return world @ pose[:3, :3], rows["kind"] == 1
 
     def image(self, number: int) -> NDArray[np.uint16]:
         """Read the range image of a frame, see `range_image`."""
@@ -217,17 +192,12 @@ class DriveMerge:
         for number, begin, end in self.blocks[block]:
             rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
             xyz = rows["place"].astype(np.int64)
-            xyz[:, 2] += self._shift_mm(number, xyz)
+            shift, away = self.shift[number], 0.001 * xyz[:, :2] - (self.poses[number, :2, 3] - self.offset[:2])
+            xyz[:, 2] += np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
             xyz[:, :2] -= corner
             table = _with_room(table, len(rows))
             gather_points(xyz.astype(np.int32), rows["range_cm"].copy(), rows["kind"].copy(), number, VOXEL_MM, table)
         return table
-
-    def _shift_mm(self, number: int, xyz: NDArray[np.int64]) -> NDArray[np.int64]:
-        """Return what is added to the heights of points (n, 3) of a frame, mm."""
-        shift, away = self.shift[number], 0.001 * xyz[:, :2] - (self.frames[number].pose[:2, 3] - self.offset[:2])
-        added: NDArray[np.int64] = np.round(1000.0 * (shift[0] + away @ shift[1:])).astype(np.int64)
-        return added
 
     def _judge(self, block: int, where: NDArray[np.int32]) -> NDArray[np.int32]:
         """Count for places (n, 3) in a block the frames that `judge_places` tells apart, (4, n)."""
@@ -236,7 +206,7 @@ class DriveMerge:
         away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
         for number in np.flatnonzero(away < REACH_M).tolist():
-            pose = self.frames[number].pose.copy()
+            pose = self.poses[number].copy()
             pose[:3, 3] -= [*corner, self.offset[2]]
             pose[2, 3] += self.shift[number, 0]
             back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
@@ -319,11 +289,7 @@ def _with_room(table: VoxelTable, more: int) -> VoxelTable:
 def open_merge(folder: Path, first: NDArray[np.float64]) -> Iterator[DriveMerge]:
     """Open the files of a merge in the folder of a run, and remove them at the end.
 
-    Parameters
-    ----------
-    folder : Path
-    first : (4, 4) float64
-        Pose of the first frame, m; coordinates in the files count from there.
+    ``first`` (4, 4): pose of the first frame, m; coordinates in the files count from there.
     """
     paths = [folder / name for name in ("merge.points", "merge.images")]
     try:

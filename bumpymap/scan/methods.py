@@ -78,17 +78,8 @@ _LEAST_STEP_PIXELS = 10
 class SectorRater:
     """Rates the ground of sectors for one vehicle.
 
-    Parameters
-    ----------
-    calibration : Calibration
-        Of the vehicle.
-
-    Raises
-    ------
-    UsageError
-        The calibration was made without a ride model.
-    BadInputError
-        Its ride model is damaged.
+    ``calibration``: of the vehicle. Raises UsageError: the calibration was made without a ride model. Raises
+    BadInputError: its ride model is damaged.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -101,16 +92,8 @@ class SectorRater:
     def __call__(self, scan: Scan, stack: SectorStack) -> SectorRide:
         """Rate the ground of the sectors of a scan.
 
-        Parameters
-        ----------
-        scan : Scan
-        stack : SectorStack
-            Its sectors; ``point_ground`` says which points are rated.
-
-        Returns
-        -------
-        SectorRide
-            Unknown where a sector is not traversable, and where less than half of its area can be rated.
+        ``stack``: its sectors; ``point_ground`` says which points are rated. The ride is unknown where a sector is not
+        traversable, and where less than half of its area can be rated.
         """
         return self._by_sector(self._rate(_cut(scan.points[stack.point_ground], self._grid, self._side)), stack)
 
@@ -239,18 +222,8 @@ def paper_settings(settings: PolarSettings) -> PolarSettings:
 def classify_paper(scan: Scan, settings: PolarSettings | None = None, seed: int = 0) -> ClassedSectors:
     """Classify the sectors of one scan by the paper's rules.
 
-    Parameters
-    ----------
-    scan : Scan
-    settings : PolarSettings, optional
-    seed : int
-        Seed of k-means++.
-
-    Returns
-    -------
-    ClassedSectors
-        ``heights`` are the paper's, see ``paper_heights``. A scan with fewer than three different stripe counts has as
-        many classes.
+    ``seed``: of k-means++. ``heights`` of the result are the paper's, see ``paper_heights``. A scan with fewer than
+    three different stripe counts has as many classes.
     """
     stack = polar_sectors(scan, paper_settings(settings or PolarSettings()))
     heights = paper_heights(scan, stack)
@@ -274,11 +247,8 @@ def _as_waves(heights: NDArray[np.float32]) -> NDArray[np.float32]:
 def paper_heights(scan: Scan, stack: SectorStack) -> NDArray[np.float32]:
     """Return the paper's heightmaps.
 
-    Returns
-    -------
-    (n, pixels, pixels) float32
-        Mean z of a pixel, 0 for the lowest to 1 for the highest of the sector; north row (greatest y) first, west
-        column first; 0 in pixels without points.
+    Returns (n, pixels, pixels): mean z of a pixel, 0 for the lowest to 1 for the highest of the sector; north row
+    (greatest y) first, west column first; 0 in pixels without points.
     """
     pixels, count = stack.settings.pixels, len(stack.zone)
     inside = np.flatnonzero(stack.point_sector >= 0)
@@ -320,13 +290,9 @@ def choose_method(config: ScanConfig) -> Method:
     The default is the learned method: a network trained on labels recognises mud or bushes that are as flat as grass,
     while stripes show only relief. If no network for the grid is included, the default is the filter.
 
-    Raises
-    ------
-    UsageError
-        No network is included, or the network or the stripe classes are for another grid. There is no such vehicle,
-        or the settings name another belly or height.
-    BadInputError
-        The network, the stripe classes or the calibration of the vehicle cannot be read.
+    Raises UsageError: no network is included, or the network or the stripe classes are for another grid. There is no
+    such vehicle, or the settings name another belly or height. Raises BadInputError: the network, the stripe classes or
+    the calibration of the vehicle cannot be read.
     """
     if not config.rates_ride:
         return _choose(config)
@@ -358,10 +324,13 @@ def _choose(config: ScanConfig) -> Method:
     """Return the method without the ride of a vehicle."""
     if config.compat == "paper":
         return Method("filter", "stripe classes found in every scan", lambda scan: classify_paper(scan, config.polar))
-    if config.model is not None or config.method == "learned" or (config.method is None and _by_network(config)):
+    by_network = config.model is not None or config.method == "learned"
+    if config.method is None and config.stripes is None and (model := _shipped_network()) is not None:
+        by_network |= config.polar.pixels == model.pixels
+    if by_network:
         return _learned(config)
     stripes = load_stripes(config.stripes)
-    _require_pixels(stripes.pixels, config.polar)
+    stripes.require_pixels(config.polar)
     centres = ", ".join(f"{centre:.2f}" for centre in stripes.centres)
     basis = f"stripe classes of {'bumpymap' if config.stripes is None else config.stripes}: {centres}"
     buffers = SectorBuffers()
@@ -378,21 +347,6 @@ def _learned(config: ScanConfig) -> Method:
     return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar, buffers), model))
 
 
-def _by_network(config: ScanConfig) -> bool:
-    if config.stripes is not None:
-        return False
-    model = _shipped_network()
-    return model is not None and config.polar.pixels == model.pixels
-
-
 def _shipped_network() -> ScanModel | None:
     there = (files("bumpymap.scan") / "data" / "models" / "scan.onnx").is_file()
     return ScanModel.shipped() if there else None
-
-
-def _require_pixels(pixels: int, grid: PolarSettings) -> None:
-    if pixels != grid.pixels:
-        raise UsageError(
-            f"the stripe classes were fitted on heightmaps of {pixels} pixels, and pixels is {grid.pixels}. Fit them "
-            "again with: bumpymap scan --fit"
-        )

@@ -3,8 +3,7 @@
 import logging
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +37,7 @@ from bumpymap.layers import (
     MAP_FOLDER,
     SCAN_MANIFEST_NAME,
     Frame,
+    FramePart,
     FrameReport,
     check_bag_file,
     check_scan_folder,
@@ -70,7 +70,6 @@ from bumpymap.readers import (
 from bumpymap.scan.align import WrongPosesError
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import (
-    FinishedFrame,
     FrameProducts,
     FrameReader,
     drop_empty_folder,
@@ -81,15 +80,15 @@ from bumpymap.scan.frames import (
     present_products,
     staging_folder,
 )
+from bumpymap.scan.merge import PlacedPoints
 from bumpymap.scan.methods import Method, choose_method
 
 if TYPE_CHECKING:
     from bumpymap.survey import MapResult
 
 __all__ = [
-    "ClassifiedFrames",
-    "FrameRun",
     "ScanRun",
+    "classify_frames",
     "crs_of_poses",
     "describe_scan",
     "drive_settings",
@@ -105,19 +104,24 @@ input."""
 
 
 @dataclass(frozen=True, slots=True)
-class ClassifiedFrames:
-    """The result of classing all frames."""
+class ScanRun:
+    """What a run wrote and found."""
 
     files: tuple[str, ...]
     """Names in the folder of the products; the folder of the frames stands for the files in it."""
     method: ScanMethod
-    reports: tuple[FrameReport, ...]
+    frames: tuple[FrameReport, ...]
+    """In time order, without those that were skipped."""
     skipped: dict[str, str]
-    """Frames that could not be read, with the error message."""
-    accumulated: dict[str, Any] | None
-    """What scan.json says of gathered.laz, see `DriveMerge.record`; None without poses."""
+    """Frames that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]
     """Wall time by stage."""
+    drive: "MapResult | None" = None
+    """The map of the merged frames; None without poses, or without ground to map."""
+    merged: Mapping[str, Any] | None = None
+    """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
+    already_done: bool = False
+    """An earlier run with the same frames and settings is complete: nothing was written, and these are its results."""
 
 
 def describe_scan(
@@ -125,20 +129,17 @@ def describe_scan(
 ) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
     paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
+    calibration_id = None if method.calibration is None else method.calibration.id
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
-        "made with": software_versions() | _made_with(method.name, method.basis, _calibration_id(method)),
+        "made with": software_versions() | _made_with(method.name, method.basis, calibration_id),
         "poses": None if all(frame.pose is None for frame in frames) else _describe_poses(config, frames, poses),
     }
 
 
 def _made_with(method: str, basis: str, calibration: str | None) -> dict[str, Any]:
     return {"method": f"{method}, {basis}", "calibration": calibration}
-
-
-def _calibration_id(method: Method) -> str | None:
-    return None if method.calibration is None else method.calibration.id
 
 
 def _describe_poses(config: ScanConfig, frames: Sequence[Frame], poses: FramePoses | None) -> dict[str, Any]:
@@ -158,10 +159,7 @@ def scan_manifest(
 ) -> dict[str, Any]:
     """Return what ``scan.json`` says beside the frames.
 
-    Raises
-    ------
-    BadInputError
-        A file that was read beside those of frames has changed since.
+    Raises BadInputError: a file that was read beside those of frames has changed since.
     """
     known = run_spec["inputs"]
     own = {str(frame.path) for frame in frames if frame.message is None}
@@ -190,13 +188,10 @@ def _describe_calibration(calibration: Calibration) -> dict[str, Any]:
     }
 
 
-def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequence[Frame]) -> ClassifiedFrames:
+def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequence[Frame]) -> ScanRun:
     """Return the recorded result of the complete run in ``config.out``.
 
-    Raises
-    ------
-    OutputError
-        That run had other inputs or settings, or its products are no longer complete.
+    Raises OutputError: that run had other inputs or settings, or its products are no longer complete.
     """
     with verified_record(config.out, (), SCAN_MANIFEST_NAME) as record:
         method = record["method"]
@@ -210,8 +205,14 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, frames, reports)
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
-        return ClassifiedFrames(
-            present_products(config.out), method["name"], reports, skipped, record["gathered"], record["seconds"]
+        return ScanRun(
+            present_products(config.out),
+            method["name"],
+            reports,
+            skipped,
+            dict(record["seconds"]),
+            merged=record["gathered"],
+            already_done=True,
         )
 
 
@@ -279,12 +280,7 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
 def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progress) -> "MapResult | None":
     """Map the merged frames; return None if none of their points is ground.
 
-    Parameters
-    ----------
-    drive : MapConfig
-    accumulated : mapping
-        Number of merged ``points``, and of those that are ``ground``.
-    progress : Progress
+    ``accumulated``: number of merged ``points``, and of those that are ``ground``.
     """
     from bumpymap.survey import map_surveys  # only for a drive: its kernels need not be compiled for frames
 
@@ -303,111 +299,81 @@ def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progre
         raise
 
 
-@dataclass(frozen=True, slots=True)
-class FrameRun:
-    """The frames of a run, and how they are classed."""
+def classify_frames(
+    config: ScanConfig,
+    frames: Sequence[Frame],
+    method: Method,
+    crs: CRS | None,
+    run_spec: dict[str, Any],
+    progress: Progress,
+    clock: Stopwatch,
+) -> ScanRun:
+    """Class the frames that an earlier run has not finished, and write the products of all of them.
 
-    config: ScanConfig
-    frames: Sequence[Frame]
-    method: Method
-    crs: CRS | None
-    """Of the poses; None: local coordinates."""
-    run_spec: dict[str, Any]
-    """See `describe_scan`."""
+    ``crs``: of the poses; None: local coordinates; ``run_spec``: see `describe_scan`. Raises BumpymapError: bad frames,
+    or a full disk; products in ``config.out`` are replaced when all new ones are complete.
+    """
+    out, reader = config.out, FrameReader(config)
+    how = "in the place of `overwrite=True`" if config.overwrite else "to the same command"
+    run_folder = RunFolder.opened(
+        out,
+        run_spec,
+        resume=config.resume,
+        finished=has_finished_parts,
+        advice=f"Pass `resume=True` {how} to continue from the finished frames.",
+        decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
+    )
+    with run_folder as run, output_errors(out), utf8_path(staging_folder(run.path, frames)) as staged:
+        with clock.stage("scan"), open_products(config, frames, crs, run.path, staged) as products:
+            reports = _classify_each(frames, method, run_spec["inputs"], reader, products, progress)
+        accumulated = products.merged()
+        manifest = scan_manifest(config, frames, method, run_spec, reader.skipped)
+        manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
+        if config.bag is not None and products.grids is not None:
+            done = {report.frame.name for report in reports}
+            products.grids.write(config.bag, (n for n, frame in enumerate(frames) if frame.name in done))
+            manifest["bag"] = describe_file(config.bag)
+        drop_empty_folder(staged)
+        write_scan_manifest(staged, manifest, reports, run_spec["inputs"])
+        files = move_products(staged, out)
+    return ScanRun(files, method.name, tuple(reports), reader.skipped, clock.seconds, merged=accumulated)
 
-    def classify(self, progress: Progress, clock: Stopwatch) -> ClassifiedFrames:
-        """Class the frames that an earlier run has not finished, and write the products of all of them.
 
-        Raises
-        ------
-        BumpymapError
-            Bad frames, or a full disk; products in ``config.out`` are replaced when all new ones are complete.
-        """
-        out, reader = self.config.out, FrameReader(self.config)
-        with self._run_folder() as run, output_errors(out), utf8_path(staging_folder(run.path, self.frames)) as staged:
-            with (
-                clock.stage("scan"),
-                open_products(self.config, self.frames, self.crs, run.path, staged) as products,
-            ):
-                reports = self._classify_each(reader, products, progress)
-            accumulated = products.merged()
-            manifest = scan_manifest(self.config, self.frames, self.method, self.run_spec, reader.skipped)
-            manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
-            if self.config.bag is not None and products.grids is not None:
-                done = {report.frame.name for report in reports}
-                products.grids.write(self.config.bag, (n for n, f in enumerate(self.frames) if f.name in done))
-                manifest["bag"] = describe_file(self.config.bag)
-            drop_empty_folder(staged)
-            write_scan_manifest(staged, manifest, reports, self.run_spec["inputs"])
-            files = move_products(staged, out)
-        return ClassifiedFrames(files, self.method.name, tuple(reports), reader.skipped, accumulated, clock.seconds)
+def _classify_each(
+    frames: Sequence[Frame],
+    method: Method,
+    inputs: Mapping[str, Any],
+    reader: FrameReader,
+    products: FrameProducts,
+    progress: Progress,
+) -> list[FrameReport]:
+    """Read, class and write frames in threads, unless an earlier run has; add them to the files of the run in order."""
 
-    def _run_folder(self) -> AbstractContextManager[RunFolder]:
-        how = "in the place of `overwrite=True`" if self.config.overwrite else "to the same command"
-        return RunFolder.opened(
-            self.config.out,
-            self.run_spec,
-            resume=self.config.resume,
-            finished=has_finished_parts,
-            advice=f"Pass `resume=True` {how} to continue from the finished frames.",
-            decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
-        )
-
-    def _classify_each(self, reader: FrameReader, products: FrameProducts, progress: Progress) -> list[FrameReport]:
-        """Read, class and write frames in threads; add them to the files of the run in their order."""
-
-        def finish(numbered: tuple[int, Frame]) -> tuple[FinishedFrame, str]:
-            return self._finish(*numbered, reader, products)
-
-        reports: list[FrameReport] = []
-        progress.start("scanning frames", len(self.frames))
-        with in_threads(finish, enumerate(self.frames), self.config.threads) as results:
-            for frame, result in zip(self.frames, results, strict=True):
-                with reader.skipping(frame):
-                    finished, empty = result()
-                    if empty:
-                        _log.warning("no ground was classified in %s: %s", frame.origin, empty)
-                    products.add(finished)
-                    reports.append(finished.part.report)
-                progress.advance(1)
-        reader.require_any(len(reports))
-        return reports
-
-    def _finish(
-        self, number: int, frame: Frame, reader: FrameReader, products: FrameProducts
-    ) -> tuple[FinishedFrame, str]:
-        """Read and class a frame and write its files, unless an earlier run has; also return why it has no ground."""
+    def finish(numbered: tuple[int, Frame]) -> tuple[FramePart, PlacedPoints | None, str]:
+        number, frame = numbered
         finished = products.load(frame, number)
         if finished is not None:
-            return finished, ""
-        version: Mapping[str, Any] | None = self.run_spec["inputs"].get(str(frame.path))
+            return *finished, ""
         begin = time.perf_counter()
         scan = reader.read(frame)
         with naming_frame(frame):
-            classed = self.method.classify(scan)
-        report = report_frame(frame, version, scan, classed, time.perf_counter() - begin)
-        return products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
+            classed = method.classify(scan)
+        report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
+        return *products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
 
-
-@dataclass(frozen=True, slots=True)
-class ScanRun:
-    """What a run wrote and found."""
-
-    files: tuple[str, ...]
-    """Names in the folder of the products; the folder of the frames stands for the files in it."""
-    method: ScanMethod
-    frames: tuple[FrameReport, ...]
-    """In time order, without those that were skipped."""
-    skipped: dict[str, str]
-    """Frames that could not be read, with the error message (``skip_bad``)."""
-    seconds: dict[str, float]
-    """Wall time by stage."""
-    drive: "MapResult | None"
-    """The map of the merged frames; None without poses, or without ground to map."""
-    merged: Mapping[str, Any] | None = None
-    """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
-    already_done: bool = False
-    """An earlier run with the same frames and settings is complete: nothing was written, and these are its results."""
+    reports: list[FrameReport] = []
+    progress.start("scanning frames", len(frames))
+    with in_threads(finish, enumerate(frames), products.config.threads) as results:
+        for frame, result in zip(frames, results, strict=True):
+            with reader.skipping(frame):
+                part, placed, empty = result()
+                if empty:
+                    _log.warning("no ground was classified in %s: %s", frame.origin, empty)
+                products.add(part, placed)
+                reports.append(part.report)
+            progress.advance(1)
+    reader.require_any(len(reports))
+    return reports
 
 
 def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun:
@@ -437,8 +403,7 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         drive = drive_settings(config, frames)
         run_spec = describe_scan(config, frames, method, found)
     if is_done:
-        classified = earlier_frames(config, run_spec, frames)
-        seconds = dict(classified.seconds)
+        run = earlier_frames(config, run_spec, frames)
     else:
         check_scan_folder(
             config.out, [frame.path for frame in frames], overwrite=config.overwrite, unfinished=unfinished
@@ -446,20 +411,9 @@ def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
         if config.bag is not None:
             inputs = [frame.path for frame in frames]
             check_bag_file(config.bag, config.out, inputs, overwrite=config.overwrite or unfinished)
-        classified = FrameRun(config, frames, method, crs, run_spec).classify(progress, clock)
-        seconds = clock.seconds
-    mapped = None
-    if drive is not None and classified.accumulated is not None:
-        with clock.stage("map"):
-            mapped = map_drive(drive, classified.accumulated, progress)
-    already_done = is_done and (mapped is None or mapped.already_done)
-    return ScanRun(
-        classified.files,
-        classified.method,
-        classified.reports,
-        classified.skipped,
-        seconds,
-        mapped,
-        classified.accumulated,
-        already_done,
-    )
+        run = classify_frames(config, frames, method, crs, run_spec, progress, clock)
+    if drive is None or run.merged is None:
+        return run
+    with clock.stage("map"):
+        mapped = map_drive(drive, run.merged, progress)
+    return replace(run, drive=mapped, already_done=is_done and (mapped is None or mapped.already_done))

@@ -16,7 +16,6 @@ from bumpymap.scan._drop_kernels import GroundPoints
 from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
-    PointPlaces,
     ZoneGrid,
     count_labels,
     place_points,
@@ -43,23 +42,9 @@ def polar_sectors(
 ) -> SectorStack:
     """Cut a scan into sectors, find the ground in those that hold enough points, and measure it.
 
-    Parameters
-    ----------
-    scan : Scan
-    settings : PolarSettings, optional
-        The default is the paper's grid with a zone before it.
-    buffers : SectorBuffers, optional
-        Reused from earlier scans; the returned arrays do not share their memory.
-
-    Returns
-    -------
-    SectorStack
-        Sorted by zone, ring, sector; empty if no sector holds enough points.
-
-    Raises
-    ------
-    BadInputError
-        A label is 32,768 or more.
+    ``settings``: the default is the paper's grid with a zone before it; ``buffers``: reused from earlier scans; the
+    returned arrays do not share their memory. Sectors are sorted by zone, ring, sector; there are none if none
+    holds enough points. Raises BadInputError: a label is 32,768 or more.
     """
     settings = settings or PolarSettings()
     points = np.ascontiguousarray(scan.points, np.float32)
@@ -69,14 +54,13 @@ def polar_sectors(
     grid = ZoneGrid(edges, sectors, rings, start / (2.0 * math.pi), settings.pixels)
     buffers = buffers or SectorBuffers()
     cell, pixel, order = (buffers.empty(name, len(points), np.int32) for name in ("cell", "pixel", "order"))
-    places = PointPlaces(cell, pixel)
-    place_points(points, grid, places, np.empty((2, BLOCK)))
+    place_points(points, grid, cell, pixel, np.empty((2, BLOCK)))
     by_cell = CellOrder(np.zeros(int(sectors @ rings) + 2, np.int64), order)
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
     ground = (
-        find_ground(points, places, by_cell, settings, start, buffers)
+        find_ground(points, pixel, by_cell, settings, start, buffers)
         if settings.ground_only
         else all_ground(by_cell, points, settings.pixels)
     )

@@ -34,6 +34,7 @@ from bumpymap.core import (
     BadInputError,
     ClassedSectors,
     OutputError,
+    PolarSettings,
     Progress,
     SectorStack,
     SilentProgress,
@@ -110,20 +111,20 @@ class StripeModel:
     seed: int
     """Seed of k-means++."""
 
+    def require_pixels(self, settings: PolarSettings) -> None:
+        """Raise UsageError if the classes were fitted on heightmaps of another size."""
+        if settings.pixels != self.pixels:
+            raise UsageError(
+                f"the stripe classes were fitted on heightmaps of {self.pixels} pixels, and pixels is "
+                f"{settings.pixels}. Fit them again with: bumpymap scan --fit"
+            )
+
 
 def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = None) -> NDArray[np.float32]:
     """Draw stripes over heightmaps and count those that the relief does not break.
 
-    Parameters
-    ----------
-    heights : (n, pixels, pixels) float32
-        Height above the plane of the sector, rows outwards, without holes, m.
-    settings : StripeFilter, optional
-
-    Returns
-    -------
-    (n,) float32
-        Mean number of stripes along a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
+    ``heights`` (n, pixels, pixels): height above the plane of the sector, rows outwards, without holes, m. Returns
+    (n,): mean number of stripes along a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
     """
     settings = settings or StripeFilter()
     pixels = heights.shape[1]
@@ -135,16 +136,8 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
 def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.float32]:
     """Count the stripes in images.
 
-    Parameters
-    ----------
-    maps : (n, pixels, pixels) float32
-        Stripes are waves of amplitude 1 about 0.
-    settings : StripeFilter
-
-    Returns
-    -------
-    (n,) float32
-        Mean number of stripes along a column.
+    ``maps`` (n, pixels, pixels): stripes are waves of amplitude 1 about 0. Returns (n,): mean number of stripes along a
+    column.
     """
     count, pixels = maps.shape[:2]
     bank = _bank_for_stripes(pixels, settings)
@@ -178,11 +171,9 @@ def _bank_for_stripes(pixels: int, settings: StripeFilter) -> NDArray[np.float32
 def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
     """Return the weights of an image's pixels in the filter responses.
 
-    Returns
-    -------
-    (pixels^2, orientations, padded) float32
-        Real parts: the weight of each pixel in the response at each pixel, padded with zeros to a multiple of
-        ``STEP``. A filter that extends beyond the image is scaled so that unbroken stripes still give 1.
+    Returns (pixels^2, orientations, padded): real parts: the weight of each pixel in the response at each pixel, padded
+    with zeros to a multiple of ``STEP``. A filter that extends beyond the image is scaled so that unbroken stripes
+    still give 1.
     """
     row, column = (axis.ravel() for axis in np.indices((pixels, pixels), dtype=np.float64))
     down, right = row - row[:, None], column - column[:, None]
@@ -202,19 +193,8 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
 def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFilter | None = None) -> StripeModel:
     """Fit the classes of stripe counts to many scans by k-means++.
 
-    Parameters
-    ----------
-    stacks : sequence of SectorStack
-        Only traversable sectors are used.
-    seed : int
-    settings : StripeFilter, optional
-
-    Raises
-    ------
-    BadInputError
-        The scans hold fewer than three different stripe counts.
-    UsageError
-        scikit-learn is not installed.
+    ``stacks``: only traversable sectors are used. Raises BadInputError: the scans hold fewer than three different
+    stripe counts. Raises UsageError: scikit-learn is not installed.
     """
     settings = settings or StripeFilter()
     sizes = {stack.settings.pixels for stack in stacks}
@@ -261,11 +241,7 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
         The model was fitted on heightmaps of another size.
     """
     model = model or load_stripes()
-    if model.pixels != stack.settings.pixels:
-        raise UsageError(
-            f"the stripe classes were fitted on heightmaps of {model.pixels} pixels; this scan was cut into "
-            f"{stack.settings.pixels}. Fit them again with: bumpymap scan --fit"
-        )
+    model.require_pixels(stack.settings)
     stripes = np.full(len(stack.zone), np.nan, np.float32)
     stripes[stack.traversable] = count_stripes(stack.heights[stack.traversable], model.filter)
     classed = nearest_class(stack, stripes, model.centres)

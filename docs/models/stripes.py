@@ -12,7 +12,8 @@ from bumpymap.core import CLASSES, NOT_TRAVERSABLE
 from bumpymap.lab.train.scan_sectors import crowns_as_bushes, scene_scan
 from bumpymap.lab.worlds.scans.scene import THEMES
 from bumpymap.readers import LABEL_SETS
-from bumpymap.scan import classify_filter, fit_stripes, polar_sectors, save_stripes
+from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.scan.stripes import fit_stripes, save_stripes
 
 SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"

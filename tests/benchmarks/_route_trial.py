@@ -24,8 +24,10 @@ from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.jobs import JobJournal, Key, drive_jobs
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 from bumpymap.rating.vehicle_body import less_floor
-from bumpymap.route import CostSettings, Planner
+from bumpymap.route import CostSettings
 from bumpymap.route.ground import CostGround
+from bumpymap.route.places import on_grid, place_in_window
+from bumpymap.route.planner import Planner
 from bumpytiles import TileWindow
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
@@ -255,16 +257,16 @@ class RoutePlanner:
     @classmethod
     def of(cls, route_map: "RouteMap") -> "RoutePlanner":
         """Return the planner of a map, with the settings of its vehicle."""
-        return cls(Planner(route_map, CostSettings(), route_map.window.cols * route_map.window.rows))
+        return cls(Planner(CostGround(route_map, CostSettings(), route_map.window.cols * route_map.window.rows)))
 
     def __call__(self, start: Floats, goal: Floats) -> Floats | None:
         """Plan a way; see `PlanWay`. None too if the vehicle does not fit where it begins or ends."""
-        window = self.planner.site.window
-        ends = np.array([self.planner.at(place, window) for place in (start, goal)])
+        site = self.planner.ground.site
+        ends = on_grid(np.array([start, goal]), site.grid, site.window)
         line = self.planner.line(*ends)
         if line is None:
             return None
-        placed = np.array([self.planner.place(corner, window) for corner in line])
+        placed = np.array([place_in_window(corner, site.grid, site.window) for corner in line])
         placed[0], placed[-1] = start, goal
         return placed
 
@@ -812,8 +814,8 @@ def evaluate_routes(
 
 
 def _tight_turns_deg(route_map: "RouteMap", line: Floats) -> float:
-    planner = RoutePlanner.of(route_map).planner
-    return CostGround(planner).tight_turns_deg(np.array([planner.at(place, route_map.window) for place in line]))
+    ground = RoutePlanner.of(route_map).planner.ground
+    return ground.tight_turns_deg(on_grid(np.asarray(line, np.float64), route_map.grid, route_map.window))
 
 
 def _raw(

@@ -17,7 +17,10 @@ from scipy.ndimage import label
 from bumpymap.core import Barred, TileField
 from bumpymap.layers import RouteMap, open_map
 from bumpymap.rating import Vehicle
-from bumpymap.route import CostSettings, Planner
+from bumpymap.route import CostSettings
+from bumpymap.route.ground import CostGround
+from bumpymap.route.places import on_grid, place_in_window
+from bumpymap.route.planner import Planner
 from bumpytiles import TileWindow
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
@@ -93,12 +96,12 @@ def _planned_ways(layers: Path, count: int, weights: tuple[float, float]) -> lis
     ride, fail = weights
     rule = replace(opened.rule, ride_weight=ride, fail_weight=fail)
     site = replace(opened, sheets=tuple(replace(sheet, rule=rule) for sheet in opened.sheets))
-    planner = Planner(site, CostSettings(), site.window.cols * site.window.rows)
+    planner = Planner(CostGround(site, CostSettings(), site.window.cols * site.window.rows))
     lines = []
     for ends in _ends(site.read(site.window), _SMOOTH_SEED if ride else _ROUGH_SEED):
-        if (line := planner.line(*(planner.at(place, site.window) for place in ends))) is None:
+        if (line := planner.line(*on_grid(np.asarray(ends, np.float64), site.grid, site.window))) is None:
             continue
-        corners = np.array([planner.place(corner, site.window) for corner in line])
+        corners = np.array([place_in_window(corner, site.grid, site.window) for corner in line])
         corners[[0, -1]] = ends
         east, south = site.window.col + corners[:, 1], site.window.row + site.window.rows - corners[:, 0]
         lines.append(np.stack([east, south], axis=1) * site.grid.tile_size)

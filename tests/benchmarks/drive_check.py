@@ -20,8 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from bumpymap.check import DriveMeasure, ReadingSettings, WayStretch, agreement_of
-from bumpymap.check.pipeline import _Done, _field, _measured, _stretches
+from bumpymap.check import CheckConfig
+from bumpymap.check.measure import DriveMeasure, WayStretch
+from bumpymap.check.pipeline import _Done, _field, _measured, _stretches, agreement_of
 from bumpymap.check.places import places_on_map
 from bumpymap.core import BadInputError, MapAgreement
 from bumpymap.layers import RouteMap, open_map
@@ -104,7 +105,7 @@ def measured(kept: KeptDrive, set_name: str, seed: int) -> Row:
     sensed = sense_drive(motion, sensors, seed, f"{kept.name}_{set_name}", f"EPSG:{epsg}")
     site = site_of(kept.layers)
     places = places_on_map(sensed.log, site)
-    done = _measured(sensed.log, places, ReadingSettings(), site, _field(site, [places]))
+    done = _measured(sensed.log, places, CheckConfig((kept.name,)), site, _field(site, [places]))
     return Row(sensed, done, true_c_r(motion, done.drive, done.cut, sensed.start_s))
 
 

@@ -148,7 +148,7 @@ def main() -> int:
 def _compare(folder: Path, start: tuple[float, float], goal: tuple[float, float], rounds: int) -> None:
     from skimage.graph import MCP_Geometric
 
-    from bumpymap.route import find_way
+    from bumpymap.route.search import find_way
 
     with rasterio.open(folder / "cost.tif") as file:
         cost = np.where(np.isnan(values := file.read(1)), np.inf, values).astype(np.float32)

@@ -25,15 +25,8 @@ from bumpymap.lab.evaluate.scans import read_frames, simulated_scans
 from bumpymap.lab.settings import ScanEvaluateSettings
 from bumpymap.lab.train.scan_sectors import UNSEEN
 from bumpymap.readers import find_frames
-from bumpymap.scan import (
-    ScanModel,
-    StripeFilter,
-    StripeModel,
-    classify_filter,
-    classify_learned,
-    load_stripes,
-    polar_sectors,
-)
+from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, load_stripes, polar_sectors
+from bumpymap.scan.stripes import StripeFilter
 
 _LEAST_INLIER_M = 0.1
 

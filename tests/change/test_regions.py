@@ -3,7 +3,7 @@ from hypothesis import given, strategies as st
 from scipy import ndimage
 
 from bumpymap.change.compare import GroundChange, decide
-from bumpymap.change.regions import connect
+from bumpymap.change.pipeline import connect
 
 
 @given(st.integers(0, 10_000), st.floats(0.05, 0.8), st.integers(1, 6))

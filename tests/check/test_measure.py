@@ -6,13 +6,15 @@ import made_drives
 import numpy as np
 import pytest
 
-from bumpymap.check import ReadingSettings, cut_stretches, measure_drive, metre_places
+from bumpymap.check.measure import measure_drive
+from bumpymap.check.places import metre_places
+from bumpymap.check.stretches import cut_stretches
 from bumpymap.core import BadInputError, ImuTrack, WheelTrack
 
 
-def measured(log, settings=None):
+def measured(log):
     places = None if log.places is None else metre_places(log.places, log.places.x, log.places.y, log.name)
-    found = measure_drive(log, places, settings or ReadingSettings())
+    found = measure_drive(log, places, 10.0)
     return found, cut_stretches(found, 10.0)
 
 
@@ -117,9 +119,9 @@ def test_a_drive_without_accelerometer_is_measured_and_says_so(good):
     assert any("no accelerometer" in note for note in found.notes)
 
 
-def refused(log, settings=None):
+def refused(log):
     with pytest.raises(BadInputError) as caught:
-        measured(log, settings)
+        measured(log)
     return str(caught.value)
 
 

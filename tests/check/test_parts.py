@@ -5,9 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import spearmanr
 
-from bumpymap.check import CheckConfig, ReadingSettings, agreement_of, local_metres
-from bumpymap.check.pipeline import spearman
-from bumpymap.check.signals import levelling, low_pass, pieces, rolling_mean, turned
+from bumpymap.check import CheckConfig
+from bumpymap.check.pipeline import agreement_of, spearman
+from bumpymap.check.places import local_metres
+from bumpymap.check.signals import levelling, low_pass, turned
 from bumpymap.check.stretches import less_floor
 from bumpymap.core import DrivenStretches, UsageError
 
@@ -105,11 +106,6 @@ def test_the_low_pass_does_not_reach_over_a_gap():
     assert kept[600:] == pytest.approx(1.0)
 
 
-def test_pieces_and_rolling_means_by_hand():
-    assert pieces(np.array([True, True, False, True])) == [slice(0, 2), slice(3, 4)]
-    assert rolling_mean(np.array([0.0, 3.0, 6.0, 9.0]), 3) == pytest.approx([1.5, 3.0, 6.0, 7.5])
-
-
 def test_local_metres_are_those_of_the_ellipsoid():
     from pyproj import Geod
 
@@ -122,8 +118,6 @@ def test_local_metres_are_those_of_the_ellipsoid():
 
 @pytest.mark.parametrize("wrong", [{"band_hz": 0.0}, {"band_hz": float("nan")}, {"window_m": 4.0}])
 def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(UsageError):
-        ReadingSettings(**wrong)
     with pytest.raises(UsageError):
         CheckConfig(("drive.csv",), **wrong)
 

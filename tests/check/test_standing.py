@@ -4,8 +4,8 @@ import made_drives
 import numpy as np
 import pytest
 
-from bumpymap.check import metre_places
 from bumpymap.check.measure import find_standing, rough_speed
+from bumpymap.check.places import metre_places
 from bumpymap.check.signals import even_imu
 from bumpymap.core import WheelTrack
 

@@ -1,12 +1,11 @@
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from route_maps import RULE, bare_map
 
-from bumpymap.core import NO_TILE, Barred, TileField, UsageError
-from bumpymap.route import TileChoice, cost_of
+from bumpymap.core import NO_TILE, Barred, TileField
+from bumpymap.route.ground import cost_of
 from bumpytiles import TileWindow
 
 
@@ -91,38 +90,9 @@ def test_robust_is_never_cheaper_and_needs_the_upper_end():
     assert np.isinf(cost_of(without, robust=True)[passable]).all()
 
 
-def test_cost_rises_with_risk():
-    field = made_field()
-    costs = [cost_of(field, risk_m=risk) for risk in (0.0, 10.0, 300.0, 1e5)]
-    for cheaper, dearer in pairwise(costs):
-        assert (cheaper <= dearer).all()
-        fails = np.isfinite(cheaper) & (field.p_fail > 0.01)
-        assert (cheaper[fails] < dearer[fails]).all()
-
-
-def test_avoid_and_only_close_tiles_and_open_none():
+def test_closed_tiles_are_closed_and_no_others():
     field = made_field()
     rng = np.random.default_rng(5)
-    avoid, only = rng.random((2, *field.barred.shape)) < 0.4
+    closed = rng.random(field.barred.shape) < 0.4
     cost = cost_of(field, unknown_cost=3.0)
-    for choice, kept in (
-        (TileChoice(), np.ones_like(avoid)),
-        (TileChoice(avoid=avoid), ~avoid),
-        (TileChoice(only=only), only),
-        (TileChoice(avoid, only), only & ~avoid),
-    ):
-        assert np.array_equal(cost_of(field, unknown_cost=3.0, choice=choice), np.where(kept, cost, np.inf))
-
-
-@pytest.mark.parametrize(
-    ("settings", "words"),
-    [
-        ({"risk_m": -1.0}, "risk=-1"),
-        ({"risk_m": np.nan}, "risk=nan"),
-        ({"unknown_cost": 0.5}, "unknown=0.5"),
-        ({"unknown_cost": np.inf}, "unknown=inf"),
-    ],
-)
-def test_weights_out_of_range_are_refused(settings, words):
-    with pytest.raises(UsageError, match=words):
-        cost_of(made_field(3, 3), **settings)
+    assert np.array_equal(cost_of(field, unknown_cost=3.0, closed=closed), np.where(closed, np.inf, cost))

@@ -3,7 +3,8 @@ import pytest
 from route_oracles import smooth_field
 
 from bumpymap.core import UsageError
-from bumpymap.route import find_way, plan_way
+from bumpymap.route.planner import plan_way
+from bumpymap.route.search import find_way
 from bumpytiles import TileWindow
 
 EXTENT = TileWindow(-40, 1000, 140, 120)

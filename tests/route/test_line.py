@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from route_oracles import gap_to_closed, integral, smooth_field
 
-from bumpymap.route import is_clear, line_cost, trace
+from bumpymap.route.straighten import is_clear, line_cost, trace
 
 
 def random_line(rng, shape, corners=4):

@@ -8,7 +8,8 @@ import shapely
 from tile_maps import TileMap
 
 from bumpymap.core import Barred
-from bumpymap.route import cost_of, measure
+from bumpymap.route import measure
+from bumpymap.route.ground import cost_of
 from bumpymap.route.measure import measure_way
 
 SIZE = 3.0

@@ -6,7 +6,8 @@ from pyproj import CRS, Proj
 from route_maps import bare_map
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.route import parse_point, place_point
+from bumpymap.route import parse_point
+from bumpymap.route.places import place_point
 from bumpytiles import TileWindow
 
 SITE = bare_map()

@@ -6,13 +6,15 @@ import shapely
 from tile_maps import TileMap
 
 from bumpymap.core import Barred
+from bumpymap.route.ground import CostGround
+from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import is_clear
 
 
 def planner(site, **settings):
-    return Planner(site, CostSettings(**settings), 10**7)
+    return Planner(CostGround(site, CostSettings(**settings), 10**7))
 
 
 def rough_map(seed, rows=60, cols=70, barred_share=0.15):
@@ -46,9 +48,9 @@ def test_no_way_crosses_a_closed_tile_or_comes_too_near(seed):
     plan = planner(site)
     stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
     way = plan.way(stops)
-    cost = plan.load(site.window)
-    line = np.array([plan.place(point, site.window) for point in way.line])
-    assert is_clear(cost, line, plan.margin)
+    cost = plan.ground.on_tiles(site.window, through=False)
+    line = np.array([place_in_window(point, site.grid, site.window) for point in way.line])
+    assert is_clear(cost, line, plan.ground.margin)
     col, row = (way.measured.tiles - (site.west, site.south)).T
     assert (site.barred[len(site.barred) - 1 - row, col] == Barred.NO).all()
 
@@ -70,11 +72,11 @@ def test_areas_close_tiles():
     (west, south), (east, north) = site.at(20, 14), site.at(5, 16)
     wall = np.array([shapely.box(west + 1, south, east - 1, north)])
     free = planner(site).way(stops).measured
-    around = Planner(site, CostSettings(), 10**7, avoid=wall).way(stops).measured
+    around = Planner(CostGround(site, CostSettings(), 10**7, avoid=wall)).way(stops).measured
     assert free.figures.detour == pytest.approx(1.0)
     assert around.figures.detour > 1.05
     assert not ({14, 15} & set(around.tiles[around.tiles[:, 1] < site.south + 15][:, 0] - site.west))
-    assert Planner(site, CostSettings(), 10**7, only=wall).way(stops) is None
+    assert Planner(CostGround(site, CostSettings(), 10**7, only=wall)).way(stops) is None
 
 
 def test_the_upper_end_of_the_interval_is_dearer():
@@ -109,7 +111,7 @@ def test_a_stone_on_the_line_is_passed_beside_its_tile():
     plan = planner(site)
     way = plan.way(stops)
     apart = shapely.distance(shapely.LineString(way.line), shapely.points(np.array(site.stones)))
-    assert apart.min() >= plan.reach_m - 0.15
+    assert apart.min() >= plan.ground.reach_m - 0.15
     assert way.measured.figures.obstacle_m == 0.0
     assert 1.0 < way.measured.figures.detour < 1.05
 
@@ -120,7 +122,7 @@ def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     site.stones = [tuple(site.at(10.6, 20.5))]
     plan = planner(site)
     way = plan.way(stops)
-    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > plan.reach_m + 0.3
+    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > plan.ground.reach_m + 0.3
     assert way.measured.figures.tight_turns_deg == 0.0
 
 
@@ -144,7 +146,7 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     plan = planner(site, through_obstacles=True)
     measured = plan.way(stops).measured
     figures, profile = measured.figures, measured.profile
-    assert figures.obstacle_m == pytest.approx(2 * plan.reach_m, abs=0.3)
+    assert figures.obstacle_m == pytest.approx(2 * plan.ground.reach_m, abs=0.3)
     assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
     expected = np.exp(-figures.hazard - figures.tight_turns_deg / 100) * 0.5**figures.obstacle_m
     assert figures.p_arrives == pytest.approx(expected)
@@ -184,9 +186,14 @@ def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
     way = plan.way(stops)
     line = shapely.LineString(way.line)
     assert way.measured.figures.obstacle_m == 0.0
-    assert shapely.distance(line, shapely.points(np.array(site.stones))).min() >= plan.reach_m - 0.15
+    assert shapely.distance(line, shapely.points(np.array(site.stones))).min() >= plan.ground.reach_m - 0.15
     north, south = (site.at(row, 0)[1] for row in (4, 5))
-    assert south + plan.reach_m - 1e-6 <= way.line[:, 1].min() < way.line[:, 1].max() <= north - plan.reach_m + 1e-6
+    assert (
+        south + plan.ground.reach_m - 1e-6
+        <= way.line[:, 1].min()
+        < way.line[:, 1].max()
+        <= north - plan.ground.reach_m + 1e-6
+    )
     back = plan.way(stops[::-1])
     np.testing.assert_array_equal(back.line, way.line[::-1])
 

@@ -8,16 +8,16 @@ import pytest
 from tile_maps import TileMap
 
 from bumpymap.core import Barred, UsageError
-from bumpymap.route import follow_back
+from bumpymap.route.ground import CostGround
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BETWEEN_OBSTACLES, BYTES_PER_TILE, NOT_REACHED
+from bumpymap.route.search import BETWEEN_OBSTACLES, BYTES_PER_TILE, NOT_REACHED, follow_back
 from bumpymap.route.settings import CostSettings
 
 
 def test_on_even_ground_cost_and_minutes_follow_the_distance():
     site = TileMap(np.full((41, 41), 0.2))
-    reach = find_reach(Planner(site, CostSettings(), 10**6), site.at(20.5, 20.5))
+    reach = find_reach(CostGround(site, CostSettings(), 10**6), site.at(20.5, 20.5))
     row, col = np.mgrid[0:41, 0:41]
     distance = np.hypot(row - 20, col - 20) * 3.0
     away = distance > 0
@@ -34,7 +34,7 @@ def test_minutes_are_those_of_the_way_that_the_back_links_give():
     barred[20, 25] = Barred.NO
     site = TileMap(rng.gamma(2.0, 0.2, (40, 50)), barred)
     start = site.at(20.3, 25.8)
-    reach = find_reach(Planner(site, CostSettings(), 10**6), start)
+    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
     assert (reach.back == NOT_REACHED).sum() > 100
     assert np.isnan(reach.cost[reach.back == NOT_REACHED]).all()
     assert np.isnan(reach.minutes[reach.back == NOT_REACHED]).all()
@@ -48,8 +48,8 @@ def test_a_limit_reads_a_window_and_keeps_what_lies_within():
     rng = np.random.default_rng(5)
     site = TileMap(rng.gamma(2.0, 0.1, (120, 150)))
     start = site.at(60.5, 70.5)
-    whole = find_reach(Planner(site, CostSettings(), 10**6), start)
-    part = find_reach(Planner(site, CostSettings(), 10**6), start, most_m=60.0)
+    whole = find_reach(CostGround(site, CostSettings(), 10**6), start)
+    part = find_reach(CostGround(site, CostSettings(), 10**6), start, most_m=60.0)
     assert part.cost.size < whole.cost.size / 4
     top = site.south + 120 - part.window.row - part.window.rows
     left = part.window.col - site.west
@@ -62,21 +62,21 @@ def test_a_limit_reads_a_window_and_keeps_what_lies_within():
 def test_what_does_not_fit_in_memory_is_refused():
     site = TileMap(np.full((30, 30), 0.1))
     with pytest.raises(UsageError, match="900 tiles; 500 fit"):
-        find_reach(Planner(site, CostSettings(), 500), site.at(3.5, 3.5), math.inf)
+        find_reach(CostGround(site, CostSettings(), 500), site.at(3.5, 3.5), math.inf)
 
 
 def test_the_field_takes_no_more_memory_than_the_search():
     """A map may fill the limit."""
     rng = np.random.default_rng(6)
     site = TileMap(rng.uniform(0.05, 0.5, (300, 300)), np.where(rng.random((300, 300)) < 0.1, Barred.SLOPE, Barred.NO))
-    plan = Planner(site, CostSettings(), 10**6)
-    cost = plan.load(site.window)
+    ground = CostGround(site, CostSettings(), 10**6)
+    cost = ground.on_tiles(site.window, through=False)
     start = site.at(*(np.argwhere(site.barred == Barred.NO)[0] + 0.5))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Planner, "load", lambda *_: cost.copy())
-        find_reach(plan, start)  # compiles
+        patch.setattr(CostGround, "on_tiles", lambda *_, **__: cost.copy())
+        find_reach(ground, start)  # compiles
         tracemalloc.start()
-        find_reach(plan, start)
+        find_reach(ground, start)
         most = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     assert most < 1.3 * BYTES_PER_TILE * cost.size
@@ -96,7 +96,7 @@ def walled(gap):
 @pytest.mark.parametrize("gap", [0.0, 1.0])
 def test_nothing_is_reached_through_a_wall(gap):
     site, start = walled(gap)
-    reach = find_reach(Planner(site, CostSettings(), 10**6), start)
+    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
     assert np.isfinite(reach.cost[:, :20]).all()
     assert np.isnan(reach.cost[:, 21:]).all()
     assert (reach.back[:, 21:] == NOT_REACHED).all()
@@ -104,8 +104,8 @@ def test_nothing_is_reached_through_a_wall(gap):
 
 def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
     site, start = walled(2.6)
-    planner = Planner(site, CostSettings(), 10**6)
-    reach = find_reach(planner, start)
+    ground = CostGround(site, CostSettings(), 10**6)
+    planner, reach = Planner(ground), find_reach(ground, start)
     assert np.isfinite(reach.cost).all()
     assert reach.share == 1.0
     for row, col in ((10, 21), (2, 30), (28, 39), (15, 24)):
@@ -124,7 +124,7 @@ def test_a_way_back_leads_nowhere_but_to_the_start():
     site, start = walled(2.6)
     site.barred[29, 20] = Barred.NO
     site.stones = [stone for stone in site.stones if stone[1] > site.at(29, 0)[1]]  # a second gap, of a whole tile
-    reach = find_reach(Planner(site, CostSettings(), 10**6), start)
+    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
     back = reach.back
     assert (back[:, 21:] == BETWEEN_OBSTACLES).any()
     assert (back[:, 21:] < BETWEEN_OBSTACLES).any()
@@ -136,14 +136,14 @@ def test_a_way_back_leads_nowhere_but_to_the_start():
 
 def test_a_start_beside_an_obstacle_in_a_split_tile_reaches_its_side():
     site, _ = walled(0.0)
-    reach = find_reach(Planner(site, CostSettings(), 10**6), site.at(15.5, 20.1))
+    reach = find_reach(CostGround(site, CostSettings(), 10**6), site.at(15.5, 20.1))
     assert np.isfinite(reach.cost[:, :20]).all()
     assert np.isnan(reach.cost[:, 21:]).all()
 
 
 def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():
     site, start = walled(2.6)
-    reach = find_reach(Planner(site, CostSettings(), 2000), start)
+    reach = find_reach(CostGround(site, CostSettings(), 2000), start)
     assert np.isnan(reach.cost[:, 21:]).all()
     (note,) = reach.notes
     assert "between obstacles were not looked for" in note

@@ -5,18 +5,9 @@ import pytest
 from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length, two_media
 from scipy.ndimage import label
 
-from bumpymap.route import (
-    FROM_START,
-    MOVES,
-    NOT_REACHED,
-    find_way,
-    follow_back,
-    is_clear,
-    line_cost,
-    pull_tight,
-    spread,
-)
-from bumpymap.route.straighten import wide_margin
+from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
+from bumpymap.route.search import MOVES, find_way, follow_back, spread
+from bumpymap.route.straighten import is_clear, line_cost, pull_tight, wide_margin
 
 EVEN = np.ones((100, 100), np.float32)
 

@@ -1,102 +1,42 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
-from hypothesis.extra import numpy as arrays
-from route_maps import RULE, bare_map
+from route_maps import bare_map
+from tile_maps import TileMap
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, TileField
-from bumpymap.route import GridPoint, cost_of, nearest_usable, parse_point, usable_point
+from bumpymap.core import NO_TILE, BadInputError, Barred
+from bumpymap.route import CostSettings, parse_point
+from bumpymap.route.ground import CostGround
+from bumpymap.route.stops import usable_point
 from bumpytiles import TileWindow
 
-MASKS = arrays.arrays(bool, st.tuples(st.integers(1, 40), st.integers(1, 40)), elements=st.booleans())
+PLACE = bare_map(TileWindow(160_000, 712_000, 30, 20))
 
 
-def distance_by_hand(is_open, row, col, margin):
-    """Distance to the nearest shrunk square, tile by tile."""
-    best = np.inf
-    for i, j in np.argwhere(is_open):
-        if i <= row < i + 1 and j <= col < j + 1:
-            return 0.0
-        down = max(i + margin - row, 0.0, row - (i + 1 - margin))
-        right = max(j + margin - col, 0.0, col - (j + 1 - margin))
-        best = min(best, np.hypot(down, right))
-    return best
+class SnapMap(TileMap):
+    """All tiles closed by one code, but for one; points are placed as on a map in a CRS, or without one."""
+
+    def __init__(self, code, *, opened=(12, 14), place=PLACE):
+        barred = np.full((20, 30), code, np.uint8)
+        barred[opened] = Barred.NO
+        super().__init__(np.full(barred.shape, 0.1), barred, georeference=place.georeference, has_crs=place.has_crs)
+        self.to_lonlat, self.to_crs = place.to_lonlat, place.to_crs
 
 
-@given(MASKS, st.floats(-30, 70), st.floats(-30, 70), st.floats(0.0, 0.5), st.integers(0, 3))
-def test_the_nearest_point_in_an_open_tile(mask, row, col, margin, sparse):
-    is_open = mask & (np.indices(mask.shape).sum(0) % (1 + 7 * sparse) == 0)  # few open tiles, far away
-    found = nearest_usable(is_open, row, col, margin=margin)
-    expected = distance_by_hand(is_open, row, col, margin)
-    if found is None:
-        assert not is_open.any()
-        return
-    assert found.distance == pytest.approx(expected, abs=1e-9)
-    assert np.hypot(found.row - row, found.col - col) == pytest.approx(found.distance, abs=1e-9)
-    i, j = int(np.floor(found.row)), int(np.floor(found.col))
-    if margin > 1e-6:
-        assert is_open[i, j]
-        if found.distance > 0:
-            assert min(found.row - i, i + 1 - found.row, found.col - j, j + 1 - found.col) >= margin - 1e-9
-
-
-def test_far_away_in_a_large_window():
-    is_open = np.zeros((2000, 1500), bool)
-    is_open[1990, 3] = True
-    found = nearest_usable(is_open, 5.5, 1400.5)
-    assert (found.row, found.col) == (1990.25, 3.75)
-    assert found.distance == pytest.approx(np.hypot(1984.75, 1396.75))
-    assert nearest_usable(np.zeros((2000, 1500), bool), 5.5, 1400.5) is None
-
-
-def test_equally_near_points_are_chosen_by_place():
-    is_open = np.ones((3, 3), bool)
-    is_open[1, 1] = False
-    found = nearest_usable(is_open, 1.5, 1.5)
-    assert (found.row, found.col) == (0.75, 1.5)
-
-
-SITE = bare_map(TileWindow(160_000, 712_000, 30, 20))
-
-
-def field_with(code, *, opened=(12, 14)):
-    """All tiles closed by one code, but for one."""
-    barred = np.full((20, 30), code, np.uint8)
-    barred[opened] = Barred.NO
-    known = np.full(barred.shape, 0.1, np.float32)
-    return TileField(
-        SITE.grid,
-        SITE.georeference,
-        SITE.window,
-        barred=barred,
-        c_r=known,
-        c_r_low=known,
-        c_r_high=known,
-        p_fail=known,
-        obstacle=known,
-        rule=RULE,
-        vehicle=SITE.vehicle,
-    )
-
-
-def at(row, col):
-    """The point at field coordinates of the site."""
-    return GridPoint((160_000 + col) * 3.0, (712_020 - row) * 3.0)
+def usable(site, row, col, snap=0.0, **areas):
+    point = tuple(site.at(row, col))
+    found = usable_point(CostGround(site, CostSettings(), 10**7, **areas), "the goal", point, snap)
+    return tuple(found), point
 
 
 def test_an_open_point_stays_where_it_is():
-    field = field_with(Barred.SLOPE)
-    point = at(12.01, 14.99)
-    assert usable_point(SITE, field, cost_of(field), point) == point
+    found, point = usable(SnapMap(Barred.SLOPE), 12.5, 14.43)
+    assert found == point
 
 
 @pytest.mark.parametrize(
     ("code", "words"),
     [
         (Barred.UNKNOWN, "unknown ground; `unknown=COST`"),
-        (Barred.OBSTACLE, r"not passable \(obstacle\)"),
         (Barred.SLOPE, r"not passable \(too steep\)"),
         (Barred.FAILS, r"not passable \(drives fail\)"),
         (Barred.STEP, r"not passable \(step\)"),
@@ -104,37 +44,41 @@ def test_an_open_point_stays_where_it_is():
     ],
 )
 def test_the_message_says_what_closes_the_tile_and_where_to_go(code, words):
-    field = field_with(code)
+    site = SnapMap(code)
     with pytest.raises(BadInputError, match=f"the goal lies on .*{words}") as caught:
-        usable_point(SITE, field, cost_of(field), at(12.5, 10.5), name="the goal")
+        usable(site, 12.5, 10.5)
     told = str(caught.value)
-    assert "is 11.2 m away" in told  # 3.75 tiles of 3 m
-    assert "`snap=12`" in told
-    longitude_latitude = told.split(" (longitude", maxsplit=1)[0].rsplit(maxsplit=1)[-1]
-    assert parse_point(longitude_latitude, SITE) == pytest.approx(at(12.5, 14.25), abs=0.02)
+    away = float(told.split(" m away", maxsplit=1)[0].rsplit(maxsplit=1)[-1])
+    assert 10.5 < away < 12.0  # the middle of the open tile is 12 m away, its side 10.5 m
+    assert f"`snap={np.ceil(away):.0f}`" in told
+    near = parse_point(told.split(" (longitude", maxsplit=1)[0].rsplit(maxsplit=1)[-1], PLACE)
+    assert np.hypot(*np.subtract(near, site.at(12.5, 10.5))) == pytest.approx(away, abs=0.06)
+    found, _ = usable(site, 12.5, 10.5, snap=12.0)
+    assert found == pytest.approx(near, abs=0.02)
+    with pytest.raises(BadInputError, match="m away"):
+        usable(site, 12.5, 10.5, snap=10.0)
 
 
-def test_snapping_takes_a_point_that_is_near_enough():
-    field = field_with(Barred.SLOPE)
-    cost, point = cost_of(field), at(12.5, 10.5)
-    with pytest.raises(BadInputError, match=r"11\.2 m away"):
-        usable_point(SITE, field, cost, point, snap_m=11.24)
-    assert usable_point(SITE, field, cost, point, snap_m=11.25) == pytest.approx(at(12.5, 14.25))
-    assert usable_point(SITE, field, cost, point, snap_m=12.0, margin=0.5) == pytest.approx(at(12.5, 14.5))
-    outside = at(12.5, 31.0)
-    assert usable_point(SITE, field, cost, outside, snap_m=60.0) == pytest.approx(at(12.5, 14.75))
+def test_the_nearest_of_all_open_pixels_is_found_however_far_it_is():
+    site = SnapMap(Barred.SLOPE, opened=(19, 29))
+    site.barred[0, 0] = Barred.NO
+    found, point = usable(site, 11.2, 13.1, snap=100.0)
+    free = np.argwhere(site.passage(site.window)) + 0.5
+    places = np.array([site.at(*(each / site.grid.pixels)) for each in free])
+    assert np.hypot(*np.subtract(found, point)) == pytest.approx(np.hypot(*(places - point).T).min(), abs=1e-6)
 
 
-def test_tiles_that_the_user_closed_and_no_open_tile_at_all():
-    field = field_with(Barred.NO)
-    cost = np.full(field.barred.shape, np.inf, np.float32)
+def test_areas_that_the_user_closed_and_no_open_tile_at_all(monkeypatch):
+    site = SnapMap(Barred.NO)
+    monkeypatch.setattr(
+        "bumpymap.route.ground.tiles_in", lambda _, window, __: np.ones((window.rows, window.cols), bool)
+    )
     with pytest.raises(BadInputError, match=r"`avoid` or `only`.*No tile in the 90 m x 60 m around it"):
-        usable_point(SITE, field, cost, at(3.5, 3.5))
+        usable(site, 3.5, 3.5, avoid=object())
 
 
 def test_without_a_crs_the_point_is_given_in_coordinates_of_the_survey():
-    local = bare_map(SITE.window, crs=None)
-    field = replace(field_with(Barred.STEP), georeference=local.georeference)
-    with pytest.raises(BadInputError, match=r"at crs:480042\.75,2136022\.50") as caught:
-        usable_point(local, field, cost_of(field), at(12.5, 10.5))
+    site = SnapMap(Barred.STEP, place=bare_map(PLACE.window, crs=None))
+    with pytest.raises(BadInputError, match=r"at crs:48004\d\.\d\d,21360\d\d\.\d\d") as caught:
+        usable(site, 12.5, 10.5)
     assert "longitude" not in str(caught.value)

@@ -36,9 +36,8 @@ def stony_map(seed):
 @pytest.mark.parametrize("seed", [3, 5, 6, 13, 14, 28, 34, 50, *range(100, 108)])
 def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_one(seed):
     site, ends = stony_map(seed)
-    plan = Planner(site, CostSettings(), 10**7)
-    line, back = plan.line(*ends), Planner(site, CostSettings(), 10**7).line(*ends[::-1])
-    ground = CostGround(plan)
+    ground = CostGround(site, CostSettings(), 10**7)
+    line, back = Planner(ground).line(*ends), Planner(ground).line(*ends[::-1])
     start, goal = np.floor(ground.in_window(ends, site.window)).astype(int)
     best = cheapest_on_pixels(ground.on_pixels(site.window), start, goal, site.grid.pixel_size)
     if line is None:

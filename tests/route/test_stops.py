@@ -1,7 +1,5 @@
 """Start and goal at the edges of tiles and maps, and how far around them is looked."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from route_maps import write_folder
@@ -11,6 +9,8 @@ from tile_maps import TileMap
 from bumpymap.core import BadInputError, Barred
 from bumpymap.layers import open_map
 from bumpymap.route import RouteConfig, plan_routes
+from bumpymap.route.ground import CostGround
+from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.stops import find_stops
@@ -25,7 +25,7 @@ def layers(tmp_path_factory):
 
 def stops(layers, **settings):
     config = RouteConfig((layers,), goal=GOAL, **settings)
-    return find_stops(Planner(open_map([layers]), config.cost, 10**7), config)
+    return find_stops(CostGround(open_map([layers]), config.cost, 10**7), config)
 
 
 def test_a_snap_of_any_length_looks_at_the_map_alone(layers):
@@ -55,17 +55,7 @@ def test_a_point_on_a_border_lies_in_the_tile_north_of_it(south):
     barred = np.zeros((12, 9), np.uint8)
     barred[6] = Barred.SLOPE
     site = TileMap(np.full(barred.shape, 0.1), barred, south=south)
-    plan = Planner(site, CostSettings(), 10**6)
-    assert np.floor(plan.place(site.at(6.0, 3.0), site.window)).tolist() == [5.0, 3.0]
+    plan = Planner(CostGround(site, CostSettings(), 10**6))
+    assert np.floor(place_in_window(site.at(6.0, 3.0), site.grid, site.window)).tolist() == [5.0, 3.0]
     assert plan.line(site.at(5.5, 3.0), site.at(1.0, 8.0)) is not None
     assert plan.line(site.at(5.5, 3.0), site.at(11.0, 8.0)) is None
-
-
-def test_legs_of_one_planner_are_not_those_of_a_changed_one():
-    site = TileMap(np.full((9, 20), 0.1))
-    ends = np.array([site.at(4.5, 2.5), site.at(4.5, 17.5)])
-    site.barred[3:6, 10] = Barred.UNKNOWN
-    plan = Planner(site, CostSettings(), 10**6)
-    around = plan.line(*ends)
-    through = dataclasses.replace(plan, settings=CostSettings(unknown=1.0)).line(*ends)
-    assert len(through) == 2 < len(around)

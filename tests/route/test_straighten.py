@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from route_oracles import gap_to_closed, smooth_field, taut_length
 
-from bumpymap.route import find_way, follow_back, is_clear, line_cost, pull_tight, spread
+from bumpymap.route.search import find_way, follow_back, spread
+from bumpymap.route.straighten import is_clear, line_cost, pull_tight
 
 
 def way_by_moves(cost, start, goal, margin):

@@ -18,7 +18,7 @@ from bags import cloud, lidar_rows, odometry, transforms, write_bag
 
 from bumpymap.cli import main
 from bumpymap.core import OutputError, Robot, UsageError
-from bumpymap.layers import ExportSettings, GroundGrid, export_map, open_map
+from bumpymap.layers import GroundGrid
 from bumpymap.layers.scan.grid_bag import sector_occupancy
 from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
 
@@ -150,13 +150,6 @@ def test_points_with_times_are_deskewed_by_the_poses_of_the_bag(clock, tmp_path)
     assert min(off[2:]) > 0.3
 
 
-def test_the_map_of_a_drive_becomes_a_map_for_nav2(ran, tmp_path):
-    site = open_map([ran[0].out / "map"])
-    done = export_map(site, tmp_path / "nav2", ExportSettings(to="nav2"))
-    assert done.record["tiles"]["passable"] > 50
-    assert (tmp_path / "nav2" / "map.pgm").stat().st_size > 100
-
-
 def test_grids_are_read_back_with_the_values_of_the_sectors(ran):
     from bumpymap.core import Scan
 
@@ -199,13 +192,6 @@ def check_grid_map(stored, stamp, layers):
     for name, array in zip(message.layers, message.data, strict=True):
         matrix = np.asarray(array.data).reshape(240, 240).T  # column by column; rows run to -x, columns to -y
         np.testing.assert_array_equal(matrix[::-1, ::-1].T, layers[name])
-
-
-def test_the_same_bag_gives_the_same_bytes(ran, tmp_path):
-    config = replace(ran[0], out=tmp_path / "out", bag=tmp_path / "again.mcap")
-    scan_frames(config)
-    assert config.bag.read_bytes() == ran[0].bag.read_bytes()
-    assert (config.out / "sectors.parquet").read_bytes() == (ran[0].out / "sectors.parquet").read_bytes()
 
 
 def test_a_complete_run_is_recognised(ran, bag, tmp_path):

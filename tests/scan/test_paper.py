@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
-from bumpymap.scan import classify_paper, paper_settings, polar_sectors
-from bumpymap.scan.methods import paper_heights
+from bumpymap.scan import polar_sectors
+from bumpymap.scan.methods import classify_paper, paper_heights, paper_settings
 
 
 def made_scan(seed=1, bumps=0.2, count=30_000):

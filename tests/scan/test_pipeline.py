@@ -17,10 +17,9 @@ from ply_files import read_vertices
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import FrameSource, PolarSettings, Robot, point_classes
+from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.run_folder import locked
-from bumpymap.layers import name_frames, write_frame
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.scan.frame import write_polygons
 from bumpymap.readers import read_scan
@@ -434,18 +433,6 @@ def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tm
     assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
 
 
-def test_an_interrupt_while_the_drive_is_mapped_keeps_the_frames(drive, tmp_path):
-    out = tmp_path / "out"
-    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter", products=("table",))
-    with pytest.raises(KeyboardInterrupt) as end:
-        scan_frames(config, _Ends(3))
-    assert end.value.__notes__ == [
-        "The products of the frames are complete; the map of the drive is missing. Pass `resume=True` to make it."
-    ]
-    assert {"gathered.laz", "sectors.parquet", "scan.json"} <= set(files(out))
-    assert "map/run.json" not in files(out)
-
-
 def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, mapped, tmp_path):
     out = tmp_path / "out"
     config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
@@ -626,22 +613,6 @@ def test_a_crs_that_is_not_in_metres_is_refused_before_the_work(drive, tmp_path,
     with pytest.raises(UsageError, match=r"`crs[`=]"):
         scan_frames(config)
     assert not (tmp_path / "out").exists()
-
-
-def test_a_frame_by_itself_is_what_the_run_wrote(drive, mapped, tmp_path):
-    """No frame depends on those before it."""
-    path = drive / "frames" / "1.bin"
-    scan = read_scan(path)
-    write_frame(
-        name_frames([FrameSource(path)])[0].name,
-        scan,
-        classify_filter(polar_sectors(scan)),
-        tmp_path,
-        ("polygons", "picture"),
-    )
-    for ending in ("json", "png"):
-        name = f"frames/1.{ending}"
-        assert (tmp_path / name).read_bytes() == (mapped[0] / name).read_bytes()
 
 
 def test_a_full_disk_leaves_nothing(drive, tmp_path, monkeypatch):

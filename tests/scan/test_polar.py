@@ -11,7 +11,7 @@ from jitted_helpers import jitted
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan, point_classes
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.shared_kernels import fill_holes
-from bumpymap.scan import classify_filter, polar_sectors, turn_of
+from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan._sector_kernels import _heights_of, sector_scratch
 from bumpymap.scan.polar import anchor_of
 
@@ -77,13 +77,6 @@ def test_every_sector_is_that_of_a_loop_by_hand(settings):
         assert stack.coverage[row] == pytest.approx(len(set(pixels.tolist())) / settings.pixels**2, rel=1e-6)
     assert len(listed) == len(stack.zone)
     assert (stack.point_sector >= 0).sum() == stack.count.sum()
-
-
-def test_the_angle_is_that_of_arctan2():
-    rng = np.random.default_rng(1)
-    places = [*rng.normal(size=(2000, 2)), (1, 0), (0, 1), (-1, 0), (0, -1), (1, 1), (-1, 1), (1e-30, 1e30), (0, 0)]
-    for x, y in places:
-        assert turn_of(float(x), float(y)) == pytest.approx(math.atan2(y, x) / (2 * math.pi), abs=2e-11)
 
 
 def test_heights_stand_over_the_plane_and_holes_take_their_neighbours_mean():

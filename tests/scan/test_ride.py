@@ -12,7 +12,8 @@ import bumpymap
 from bumpymap.core import NO_CLASS, PolarSettings, Scan, UsageError, sector_bounds
 from bumpymap.lab.worlds.scans.things import make_field
 from bumpymap.rating import find_calibration
-from bumpymap.scan import ScanConfig, SectorRater, polar_sectors, scan_frames
+from bumpymap.scan import ScanConfig, polar_sectors, scan_frames
+from bumpymap.scan.methods import SectorRater
 
 HIGH_M = 1.7
 HALF_M = 21.0

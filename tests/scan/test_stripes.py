@@ -10,8 +10,8 @@ from scipy.ndimage import gaussian_filter
 
 from bumpymap.core import NOT_TRAVERSABLE, PolarSettings, Scan
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.scan import StripeFilter, classify_filter, fit_stripes, load_stripes, polar_sectors, save_stripes
-from bumpymap.scan.stripes import count_stripes, gabor_bank
+from bumpymap.scan import classify_filter, load_stripes, polar_sectors
+from bumpymap.scan.stripes import StripeFilter, count_stripes, fit_stripes, gabor_bank, save_stripes
 
 
 def relief(rms, smooth, count=40, seed=0):

@@ -3,13 +3,11 @@
 import hashlib
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from bumpymap.core import BadInputError, FrameSource
-from bumpymap.layers import load_part, name_frames, part_path
+from bumpymap.layers import part_path
 from bumpymap.readers import read_scan
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames
@@ -77,26 +75,6 @@ def test_any_number_of_threads_gives_the_same_bytes(frames, serial, tmp_path, th
     assert untimed == [replace(report, seconds=0.0).record() | {"pose": None} for report in serial[1].frames]
 
 
-def test_every_nth_frame_has_a_picture(serial):
-    pictures = sorted(path.name for path in (serial[0] / "frames").glob("*.png"))
-    assert pictures == ["0.png", "3.png", "6.png"]
-    assert len(list((serial[0] / "frames").iterdir())) == 2 * FRAMES + 3
-
-
-def test_the_first_bad_frame_is_named_and_the_others_go_on_if_wanted(frames, tmp_path, caplog):
-    own = tmp_path / "own"
-    own.mkdir()
-    for number in range(FRAMES):
-        (own / f"{number}.bin").write_bytes(b"123" if number in {2, 5} else (frames / f"{number}.bin").read_bytes())
-    config = settings(own, tmp_path / "out", threads=4)
-    with pytest.raises(BadInputError, match=r"2\.bin has 3 bytes"):
-        scan_frames(config)
-    result = scan_frames(replace(config, resume=True, skip_bad=True))
-    assert list(result.skipped) == [str(own / "2.bin"), str(own / "5.bin")]
-    assert [report.frame.name for report in result.frames] == ["0", "1", "3", "4", "6"]
-    assert [Path(record.args[0]).name for record in caplog.records] == ["2.bin", "5.bin"]
-
-
 class _Stopped:
     """A progress that ends the run after two frames."""
 
@@ -148,16 +126,3 @@ def test_what_a_power_cut_has_left_half_written_is_made_again(frames, serial, tm
         hit.write_bytes(hit.read_bytes()[: 0 if loss == "part empty" else hit.stat().st_size // 2])
     scan_frames(replace(config, resume=True))
     assert checksums(tmp_path / "out") == checksums(serial[0])
-
-
-def test_a_checkpoint_keeps_what_the_map_of_a_drive_needs(frames, tmp_path):
-    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", threads=1)
-    run = interrupted(config)
-    (frame,) = name_frames([FrameSource(config.frames[0])])
-    part = load_part(part_path(run, 0), frame)
-    scan = read_scan(config.frames[0], config.robot)
-    np.testing.assert_array_equal(part.points, scan.points)
-    assert part.is_ground.dtype == np.bool_
-    assert part.is_ground.shape == (len(scan.points),)
-    assert sorted(part.files) == ["0.json", "0.ply"]
-    scan_frames(replace(config, resume=True))
