@@ -15,11 +15,13 @@ def _scripts(monkeypatch):
 def test_figures_of_a_command_and_of_a_process_that_has_ended():
     from _measure import _tree, run_timed
 
-    script = "import subprocess, sys; subprocess.run([sys.executable, '-c', 'sum(range(3_000_000))'])"
-    run = run_timed([sys.executable, "-c", script])
+    work = "sum(range(3_000_000)); open('/dev/zero', 'rb').read({}); open('/dev/null', 'wb').write(bytes(4_000_000))"
+    script = "import subprocess, sys; subprocess.run([sys.executable, '-c', sys.argv[1]])"
+    run, more = (run_timed([sys.executable, "-c", script, work.format(size)]) for size in (1_000, 9_001_000))
     assert run.exit_code == 0
     assert 0 < run.children < run.cpu
-    assert run.bytes_read > 0
+    assert more.bytes_read - run.bytes_read == pytest.approx(9_000_000, rel=0.01)
+    assert run.bytes_written == pytest.approx(4_000_000, rel=0.01)
     with subprocess.Popen([sys.executable, "-c", ""]) as ended:
         ended.wait()
         assert list(_tree(ended.pid)) == [ended.pid]
