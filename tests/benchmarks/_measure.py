@@ -92,8 +92,8 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, m
             os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
             wall = time.perf_counter() - started
             children = _children_cpu(process.pid)
-            # Only root may see what a process that has ended read and wrote. When it is waited for, that is added to the
-            # counts of this process; so is looking at them.
+            # Only root may see what a process that has ended read and wrote. This process may see its own counts, to
+            # which those are added when it waits for the other; so is every look at them.
             looks = [_own_bytes(), _own_bytes()]
             _, status, usage = os.wait4(process.pid, 0)
             looks.append(_own_bytes())
