@@ -1,5 +1,6 @@
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from functools import cache
@@ -18,6 +19,10 @@ from bumpytiles import Grid, TileBuckets
 # No test may depend on a clock; in CI the same examples are tried every time.
 settings.register_profile("bumpymap", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("bumpymap")
+
+# A suite that runs in the background (`make test &`, nohup) ignores Ctrl-C, and so would every command that it starts.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Modules that several rooms' tests share, and made-up ground, drives and sensors.
 sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds")]

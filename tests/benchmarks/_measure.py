@@ -91,8 +91,13 @@ def run_timed(command: Sequence[str], env: Mapping[str, str] | None = None, *, m
         with _MemoryMonitor(process.pid) if memory else nullcontext() as monitor:
             os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its figures remain until it is waited for
             wall = time.perf_counter() - started
-            children, (read, written) = _children_cpu(process.pid), _bytes(process.pid)
+            children = _children_cpu(process.pid)
+            # Only root may see what a process that has ended read and wrote. This process may see its own counts, to
+            # which those are added when it waits for the other; so is every look at them.
+            looks = [_own_bytes(), _own_bytes()]
             _, status, usage = os.wait4(process.pid, 0)
+            looks.append(_own_bytes())
+            read, written = (first - 2 * second + third for first, second, third in zip(*looks, strict=True))
         process.returncode = os.waitstatus_to_exitcode(status)
         out.seek(0)
         err.seek(0)
@@ -175,10 +180,10 @@ def _children_cpu(pid: int) -> float:
     return (int(words[13]) + int(words[14])) / os.sysconf("SC_CLK_TCK") if words else 0.0
 
 
-def _bytes(pid: int) -> tuple[int, int]:
-    """Return the bytes that a process and the child processes it has waited for have read and written."""
-    counts = dict(line.split(": ") for line in _read(Path(f"/proc/{pid}/io")).splitlines())
-    return int(counts.get("rchar", 0)), int(counts.get("wchar", 0))
+def _own_bytes() -> tuple[int, int]:
+    """Return the bytes that this process and the child processes it has waited for have read and written."""
+    counts = dict(line.split(": ") for line in _read(Path("/proc/self/io")).splitlines())
+    return int(counts["rchar"]), int(counts["wchar"])
 
 
 def _read(path: Path) -> str:
