@@ -428,8 +428,12 @@ def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:
     code = f"import sys; from {__name__} import compile_modules; compile_modules(*sys.argv[1:])"
     # Helpers are optimised once, as parts of a kernel, not by numba before that.
     env = {"PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in sys.path if path), "NUMBA_OPT": "0"}
-    output = {"stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
     with suppress(OSError):
-        # Not in the current folder, where numba would read settings.
-        return start_python(["-c", code, *modules], environment=env, cwd=Path(__file__).parent, **output)
+        return start_python(
+            ["-c", code, *modules],
+            environment=env,
+            cwd=Path(__file__).parent,  # in the current folder numba would read settings
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
     return None
