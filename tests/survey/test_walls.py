@@ -6,7 +6,7 @@ import pytest
 from bumpymap.core.config import MapConfig
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import Barred, Georeference, rated_columns
-from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid, TileBuckets, TileTable
 
@@ -43,7 +43,7 @@ def rated(models, points, folder):
     blocks = [rating(block, False) for block in buckets.blocks()]
     columns = {c.name: np.concatenate([block[c.name] for block in blocks]) for c in rated_columns(grid.pixels)}
     folder.mkdir()
-    table = add_neighbours(TileTable.of(grid, columns), NeighbourRating.of(config, loaded), folder, 1, SilentProgress())
+    table = finish_tiles(TileTable.of(grid, columns), NeighbourRating.of(config, loaded), folder, 1, SilentProgress())
     return table.read(("barred", "class_id", "p_fail", "c_r"))
 
 
