@@ -42,8 +42,8 @@ class Yard:
         """Places in the middle of the yard, and beyond the eastern wall."""
         return [tuple(map(float, self.place.of_scene(x, 0.0))) for x in (0.0, 0.5 * SIDE_M + 5.0)]
 
-    def map(self, folder):
-        """Survey it and map it; returns the folder of the layers."""
+    def map(self, folder, **settings):
+        """Survey it and map it with some settings; returns the folder of the layers."""
         scene = ring(gap=self.gap, thickness=self.thickness, side=SIDE_M)
         points = survey_scene(
             scene,
@@ -56,7 +56,7 @@ class Yard:
             margin=6.0,
         )
         write_points(points, folder / "yard.las")
-        bumpymap.map_survey(folder / "yard.las", folder / "layers")
+        bumpymap.map_survey(folder / "yard.las", folder / "layers", **settings)
         return folder / "layers"
 
     def crossed(self, is_open, transform):
