@@ -48,7 +48,8 @@ from bumpymap.layers import (
     write_routes,
 )
 from bumpymap.route.alternatives import find_alternatives
-from bumpymap.route.ground import WornTiles
+from bumpymap.route.ground import CostGround, WornTiles
+from bumpymap.route.passages import widest_opening
 from bumpymap.route.planner import PlannedWay, Planner
 from bumpymap.route.reach import Reach, find_reach
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES, spread
@@ -142,7 +143,7 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
             np.isfinite(spread(cost, planner.place(end, window), margin=planner.margin)[0]) for end in (start, goal)
         ]
         areas = [_area(int(part.sum()), size) for part in reached]
-        closest = _closest(planner, *reached)
+        closest = _opening(planner, start, goal) or _closest(planner, *reached)
         beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
         unknown = ""
         if planner.settings.unknown is None and Barred.UNKNOWN in beside:
@@ -154,6 +155,19 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
             "`through_obstacles`"
         )
     return "there is no way through all points"
+
+
+def _opening(planner: Planner, start: NDArray[np.float64], goal: NDArray[np.float64]) -> str:
+    """Say where the widest opening between two points is; nothing if it is as wide as the vehicle, or there is none."""
+    found = widest_opening(CostGround(planner), start, goal)
+    needed = 2.0 * planner.reach_m
+    if found is None or found[1] >= needed:
+        return ""
+    place, width = found
+    return (
+        f"The widest opening between them is at {place_text(planner.site, place)}, about {width:.1f} m wide; the "
+        f"vehicle needs {needed:.1f} m. "
+    )
 
 
 def _closest(planner: Planner, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:

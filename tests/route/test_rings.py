@@ -1,8 +1,14 @@
 """Yards within walls, surveyed and mapped: nothing gets in or out but through a gap that the vehicle fits through."""
 
+import math
+import re
+
 import numpy as np
 import pytest
+from pyproj import Transformer
 from ring_maps import SIDE_M, TOOLS, Yard
+
+import bumpymap
 
 pytestmark = pytest.mark.slow
 
@@ -23,3 +29,15 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
         assert obstacle_m == 0.0
     assert yard.is_reached(layers) == fits
     assert yard.crossed_by_tools(layers) == dict.fromkeys(TOOLS, fits)
+
+
+def test_without_a_way_the_message_names_the_gap_that_is_too_narrow(tmp_path):
+    yard = Yard(2.0, 0.2, 50, classified=True, seed=4)
+    layers = yard.map(tmp_path, vehicle="car")
+    with pytest.raises(bumpymap.BadInputError) as raised:
+        bumpymap.find_routes(layers, *yard.ends, snap=6.0)
+    said = re.search(r"widest opening .* (\S+),(\S+) \(longitude, latitude\), about (\S+) m wide", str(raised.value))
+    longitude, latitude, width = map(float, said.groups())
+    place = Transformer.from_crs(4326, 32632, always_xy=True).transform(longitude, latitude)
+    assert math.dist(place, yard.place.of_scene(0.5 * SIDE_M + 0.1, 0.0)) < 0.6
+    assert 1.5 < width < 2.0
