@@ -38,7 +38,7 @@ from bumpymap.core import (
     SilentProgress,
     neighbour_columns,
 )
-from bumpymap.patches import find_standing, settle_solids
+from bumpymap.patches import settle_relief, settle_solids
 from bumpymap.rating import (
     BlockRating,
     Calibration,
@@ -262,8 +262,6 @@ def _read_window(blocks: _Blocks, rating: NeighbourRater, key: BlockKey) -> Neig
 Columns = dict[str, NDArray[Any]]
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
 _OBJECTS = ("obstacle", "obstacle_height", "clearance")
-_WIDEST = 2.6
-"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
 _SIDES = Column("sides", "|u1")
@@ -360,7 +358,7 @@ class NeighbourRating:
             )
         objects = window.mosaic("objects")
         if self.compat == "none":
-            objects[self._standing(window) & (objects != UNSEEN)] = OBSTACLE
+            objects = self._out_of_relief(window, objects)
         objects = settle_objects(settle_solids(objects, self.grid, self.max_hole), self.grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         steps = self._steps(window)
@@ -392,15 +390,13 @@ class NeighbourRating:
         known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
         return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
 
-    def _standing(self, window: NeighbourWindow) -> NDArray[np.bool_]:
-        """Return the pixels of narrow, steep things in the relief of tiles whose points all count as ground."""
+    def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""
         relief = window.present & np.isnan(window["obstacle"])
         if not relief.any():
-            return np.zeros(self._pixels(relief).shape, np.bool_)
-        body = self.calibration.body
-        size = self.grid.pixel_size
-        found = find_standing(window.mosaic("heights"), body, size, width=_WIDEST, least=body.lowest_obstacle_m)
-        return found & self._pixels(relief)
+            return objects
+        settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.grid.pixel_size)
+        return np.where(self._pixels(relief), settled, objects)
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:
