@@ -14,7 +14,7 @@ from .objects import (
     settle_solids as settle_solids,
 )
 from .standing import (
-    find_standing as find_standing,
+    settle_relief as settle_relief,
     take_off_standing as take_off_standing,
 )
 from .thin import (

@@ -9,14 +9,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import POINT_GROUND, POINT_OTHER, PatchStack, VehicleBody
+from bumpymap.core import FREE, OBSTACLE, POINT_GROUND, POINT_OTHER, STEEP, UNSEEN, PatchStack, VehicleBody
 from bumpymap.patches.kernels.standing import StandingLimits, mark_standing, standing_scratch
 from bumpytiles import BLOCK_TILES, TilePoints
 
-__all__ = ["find_standing", "take_off_standing"]
+__all__ = ["find_standing", "settle_relief", "take_off_standing"]
 
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider things are above its threshold."""
+_WIDEST = 2.6
+"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
+_HOLLOW = 1.8
+"""Width of a ditch of which the sides are no walls, m; those of a wider one are ground at another level."""
 _RAISED = 0.5
 """Height of the sides above the ground, as a share of the lowest obstacle."""
 _DROP, _REACH = 0.8, 0.3
@@ -69,6 +73,39 @@ def take_off_standing(
     return replace(points, flag=flag), replace(patches, heights=np.where(standing, np.float32(np.nan), patches.heights))
 
 
+def settle_relief(
+    states: NDArray[np.uint8], heights: Mosaic, body: VehicleBody, pixel: float
+) -> NDArray[np.uint8]:  # fmt: skip
+    """Decide which pixels stand out of a relief: narrow, steep things do, and the sides of narrow hollows do not.
+
+    The points at the side of a ditch lie as far above one another as those of a fence or of the side of a wall. But a
+    wheel rolls over a narrow ditch; what it does in a wide one, the steps and the ride of its tile tell.
+
+    Parameters
+    ----------
+    states : uint8 (rows, cols)
+        Of `find_steep`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
+    heights : float32 (rows, cols)
+        Mean height of the points in each pixel, m; NaN where there are none.
+    body : VehicleBody
+        Outline of the vehicle.
+    pixel : float
+        Side of a pixel, m.
+
+    Returns
+    -------
+    uint8 (rows, cols)
+        The same with ``OBSTACLE`` where something stands out, and ``FREE`` for ``STEEP`` beside a hollow.
+    """
+    out, steep = states.copy(), states == STEEP
+    if steep.any():
+        hollow = find_standing(-heights, body, pixel, width=_HOLLOW)
+        out[steep & _with_neighbours(hollow)] = FREE
+    standing = find_standing(heights, body, pixel, width=_WIDEST, least=body.lowest_obstacle_m)
+    out[standing & (states != UNSEEN)] = OBSTACLE
+    return out
+
+
 def find_standing(
     heights: Mosaic, body: VehicleBody, pixel: float, *, width: float = _WIDTH, least: float = 0.0
 ) -> Marks:  # fmt: skip
@@ -105,6 +142,17 @@ def find_standing(
     scratch = standing_scratch(rows, cols, disc)
     mark_standing(np.ascontiguousarray(heights, np.float32), limits, scratch, marks)
     return marks
+
+
+def _with_neighbours(marks: Marks) -> Marks:
+    """Mark the eight pixels around marked ones too."""
+    out = marks.copy()
+    out[1:] |= marks[:-1]
+    out[:-1] |= marks[1:]
+    rows = out.copy()
+    out[:, 1:] |= rows[:, :-1]
+    out[:, :-1] |= rows[:, 1:]
+    return out
 
 
 def _corner(points: TilePoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

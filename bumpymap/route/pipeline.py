@@ -50,6 +50,7 @@ from bumpymap.layers import (
 )
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
+from bumpymap.route.passages import widest_opening
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
@@ -129,7 +130,7 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
         areas = [
             f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * grid.tile_size**2 / 1e4:,.2f} ha)" for tiles in counts
         ]
-        closest = _closest(ground.site, *reached)
+        closest = _opening(ground, start, goal) or _closest(ground.site, *reached)
         beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
         unknown = ""
         if ground.settings.unknown is None and Barred.UNKNOWN in beside:
@@ -141,6 +142,19 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
             "for an obstacle with `through_obstacles`"
         )
     return "there is no way through all points"
+
+
+def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.float64]) -> str:
+    """Say where the widest opening between two points is; nothing if it is as wide as the vehicle, or there is none."""
+    found = widest_opening(ground, start, goal)
+    needed = 2.0 * ground.reach_m
+    if found is None or found[1] >= needed:
+        return ""
+    place, width = found
+    return (
+        f"The widest opening between them is at {place_text(ground.site, place)}, about {width:.1f} m wide; the "
+        f"vehicle needs {needed:.1f} m. "
+    )
 
 
 def _closest(site: RouteMap, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:

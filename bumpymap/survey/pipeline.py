@@ -45,7 +45,7 @@ from bumpymap.survey.run_record import (
     run_manifest,
     versions,
 )
-from bumpymap.survey.second_pass import NeighbourRating, SplitClosing, add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import BLOCK_TILES, Bounds, Grid, TileWindow
 
@@ -150,9 +150,7 @@ def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapR
             executor = ClusterExecutor(work, space, budget, progress, workers, aligned.options, fits)
         measured = run_engine(aligned.inputs, work, space, budget, executor, progress, clock)
         with clock.stage("neighbours"), engine_errors(budget):
-            tiles = add_neighbours(measured.table, neighbours, space.new_tiles, config.threads, progress)
-            closing = SplitClosing(grid, models.calibration, config.compat)
-            tiles = add_neighbours(tiles, closing, space.new_tiles, config.threads, SilentProgress(), "split")
+            tiles = finish_tiles(measured.table, neighbours, space.new_tiles, config.threads, progress)
         table = CostTable(inputs.georeference, models.calibration.cost_rule, tiles, speeds)
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)

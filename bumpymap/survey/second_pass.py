@@ -2,8 +2,9 @@
 
 A step at the border of two tiles belongs to both, a vehicle is wider than a pixel, and few points say more beside those
 of the neighbours: none of that is known while the points of one block are measured. So each block is read once more
-with a ring of tiles around it. What is added to a tile depends on the finished tiles alone, not on how they were
-divided among files, tasks or machines.
+with a ring of tiles around it, and again to sweep the vehicle between what is then known to stand in this block and in
+those around it. What is added to a tile depends on the finished tiles alone, not on how they were divided among files,
+tasks or machines.
 """
 
 from collections import OrderedDict
@@ -34,9 +35,10 @@ from bumpymap.core import (
     Progress,
     Rating,
     Reason,
+    SilentProgress,
     neighbour_columns,
 )
-from bumpymap.patches import find_standing, settle_solids
+from bumpymap.patches import settle_relief, settle_solids
 from bumpymap.rating import (
     BlockRating,
     Calibration,
@@ -60,33 +62,32 @@ from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, JoinedPack, Pack, Ti
 
 __all__ = [
     "KEPT_BYTES",
-    "RING",
     "NeighbourRater",
     "NeighbourRating",
     "NeighbourWindow",
-    "SplitClosing",
+    "VehicleSweep",
     "add_neighbours",
+    "finish_tiles",
 ]
 
-RING = 1
-"""Width of the ring around a block, tiles."""
 _GROUP_TILES = 256
 """Most tiles in a group of blocks: as many as a full block has."""
 KEPT_BYTES = 8 << 20
 """Most bytes of blocks that are kept in memory: 24 full ones at 15 x 15 pixels."""
-_SIDE = BLOCK_TILES + 2 * RING
 _FILL: dict[str, Any] = {"f": np.nan, "u": 255, "i": 0}
 """Value of a missing tile, by the kind of a column."""
 
 
 @dataclass(frozen=True, slots=True)
 class NeighbourWindow:
-    """The tiles of a block and of the ring around it, as arrays over the window."""
+    """The tiles of a block and of the rings around it, as arrays over the window of n = 16 + 2 ``rings`` tiles."""
 
+    rings: int
+    """How many tiles lie around the block on each side."""
     columns: Mapping[str, NDArray[Any]]
-    """(18, 18, ...) each, north row first; missing tiles are NaN, 255 in columns of bytes, 0 in other integers."""
+    """(n, n, ...) each, north row first; missing tiles are NaN, 255 in columns of bytes, 0 in other integers."""
     present: NDArray[np.bool_]
-    """(18, 18) whether there is a tile."""
+    """(n, n) whether there is a tile."""
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         return self.columns[name]
@@ -99,11 +100,15 @@ class NeighbourWindow:
 
     def inner(self, name: str) -> NDArray[Any]:
         """Return a column of the tiles of the block alone, (16, 16, ...)."""
-        return self.columns[name][RING:-RING, RING:-RING]
+        return self.columns[name][self.rings : -self.rings, self.rings : -self.rings]
 
 
 class NeighbourRater(Protocol):
     """Rates the tiles of a block with their neighbours."""
+
+    @property
+    def rings(self) -> int:
+        """How many tiles around the block it reads on each side, at most 16."""
 
     @property
     def needs(self) -> Sequence[str]:
@@ -202,9 +207,9 @@ def _rate_group(
     if (left := rating.leaves(own)) is None:
         if len(keys) > 1:
             return [one for key in keys for one in _rate_group(blocks, rating, [key])]
-        rated = rating(_read_window(blocks, rating.needs, keys[0]))
-        line, column = _cells(keys[0], place)
-        new = {part.name: rated[part.name][line - RING, column - RING] for part in rating.columns}
+        rated = rating(_read_window(blocks, rating, keys[0]))
+        line, column = _cells(keys[0], place, 0)
+        new = {part.name: rated[part.name][line, column] for part in rating.columns}
         return [(keys[0], new | place)]
     columns = left | place
     ends = np.cumsum([blocks.table.pack_of[key].rows(key) for key in keys]).tolist()
@@ -214,47 +219,53 @@ def _rate_group(
     ]
 
 
-def _cells(key: BlockKey, tiles: Mapping[str, NDArray[np.int64]]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _cells(
+    key: BlockKey, tiles: Mapping[str, NDArray[np.int64]], rings: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return line and column of tiles in the window around a block, from its north-west corner."""
-    north, west = (key[0] + 1) * BLOCK_TILES + RING - 1, key[1] * BLOCK_TILES - RING
+    north, west = (key[0] + 1) * BLOCK_TILES + rings - 1, key[1] * BLOCK_TILES - rings
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(blocks: _Blocks, names: Sequence[str], key: BlockKey) -> NeighbourWindow:
-    """Put the tiles of a block and of the ring around it together."""
+def _read_window(blocks: _Blocks, rating: NeighbourRater, key: BlockKey) -> NeighbourWindow:
+    """Put the tiles of a block and of the rings around it together."""
+    side = BLOCK_TILES + 2 * rating.rings
     columns: dict[str, NDArray[Any]] = {}
-    present = np.zeros((_SIDE, _SIDE), np.bool_)
+    present = np.zeros((side, side), np.bool_)
     around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
     for beside in (found for found in around if found in blocks.table.pack_of):
         part = blocks.read(beside)
-        line, column = _cells(key, part)
-        inside = np.flatnonzero((line >= 0) & (line < _SIDE) & (column >= 0) & (column < _SIDE))
+        line, column = _cells(key, part, rating.rings)
+        inside = np.flatnonzero((line >= 0) & (line < side) & (column >= 0) & (column < side))
         if not len(inside):
             continue
         cells = line[inside], column[inside]
         present[cells] = True
-        for name in names:
+        for name in rating.needs:
             values = part[name]
             if name not in columns:
-                columns[name] = np.full((_SIDE, _SIDE, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
+                columns[name] = np.full((side, side, *values.shape[1:]), _FILL[values.dtype.kind], values.dtype)
             columns[name][cells] = values if beside == key else values[inside]
-    return NeighbourWindow(columns, present)
+    return NeighbourWindow(rating.rings, columns, present)
 
 
 Columns = dict[str, NDArray[Any]]
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
 _OBJECTS = ("obstacle", "obstacle_height", "clearance")
-_WIDEST = 2.6
-"""Width of a thing that stands on relief, m: a van, up to 0.3 m off the grid of the pixels."""
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))
 """Rows and columns to the tile beyond each side; rows go south."""
+_SIDES = Column("sides", "|u1")
+"""Bits: the vehicle can cross the side in the north, east, south, west; a step in the tile or at its sides bars it."""
 _LEAST_PIXELS = 10
 """With fewer pixels along the side of a tile, steps are not measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class NeighbourRating:
-    """Rates the tiles of a block with their neighbours: thin tiles, steps, and ways between obstacles."""
+    """Rates the tiles of a block with their neighbours: thin tiles, steps, and what stands on the ground.
+
+    What it returns in ``barred`` is what the ground of a tile bars; `VehicleSweep` adds what stands on it.
+    """
 
     grid: Grid
     calibration: Calibration
@@ -279,6 +290,11 @@ class NeighbourRating:
         )
 
     @property
+    def rings(self) -> int:
+        """Tiles around a block that it reads."""
+        return 1
+
+    @property
     def needs(self) -> tuple[str, ...]:
         """Columns of the finished tiles that it reads."""
         return (*_RATED, "slope", "coverage", "heights", "objects", *_OBJECTS, "thin", *self._motion)
@@ -286,7 +302,8 @@ class NeighbourRating:
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        return neighbour_columns(self.grid.pixels, len(self.speeds))
+        columns = neighbour_columns(self.grid.pixels, len(self.speeds))
+        return (*(column for column in columns if column.name not in ("passable", "passage")), _SIDES)
 
     @property
     def _motion(self) -> tuple[str, ...]:
@@ -317,8 +334,8 @@ class NeighbourRating:
         return (
             {name: own[name] for name in (*_RATED, *_OBJECTS, *self._motion)}
             | dict.fromkeys(("edge_step", "inner_step", *(f"step_{side}" for side in SIDES)), nothing)
-            | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), "passable": np.zeros(tiles, np.uint8)}
-            | {"objects": objects, "passage": np.zeros_like(objects)}
+            | {"barred": np.full(tiles, Barred.UNKNOWN, np.uint8), _SIDES.name: np.zeros(tiles, np.uint8)}
+            | {"objects": objects}
         )
 
     def __call__(self, window: NeighbourWindow) -> Columns:
@@ -331,7 +348,7 @@ class NeighbourRating:
             )
         objects = window.mosaic("objects")
         if self.compat == "none":
-            objects[self._standing(window) & (objects != UNSEEN)] = OBSTACLE
+            objects = self._out_of_relief(window, objects)
         objects = settle_objects(settle_solids(objects, self.grid, self.max_hole), self.grid.pixels)
         objects[(objects == FREE) & ~self._pixels(known)] = UNSEEN
         steps = self._steps(window)
@@ -339,10 +356,6 @@ class NeighbourRating:
             # Few points make steps of rough ground: in thin tiles they bar the way, but do not change the ride.
             share = dense_share(own["coverage"]) if self.rates_thin else 1.0
             own |= apply_steps(own, steps.unseen * share, self.calibration)
-            barred = self._sweep(own, known, objects, steps)
-        else:
-            barred = self.calibration.cost_rule.barred(own)
-        areas = free_areas(objects, barred, self.calibration.body, self.grid.tile_size)
         states = self._inner(objects)
         share = np.mean(states == OBSTACLE, axis=(2, 3), dtype=np.float32)
         obstacle = np.where(np.isnan(own["obstacle"]), np.float32(np.nan), share)
@@ -351,8 +364,8 @@ class NeighbourRating:
             {name: own[name] for name in _RATED}
             | {f"step_{side}": steps.border[..., number] for number, side in enumerate(SIDES)}
             | {"edge_step": steps.edge_step, "inner_step": steps.inner}
-            | {"barred": barred, "passable": (barred == Barred.NO).astype(np.uint8)}
-            | {"objects": states, "passage": areas, "obstacle": obstacle}
+            | {"barred": self.calibration.cost_rule.barred(own), _SIDES.name: self._sides(known, steps)}
+            | {"objects": states, "obstacle": obstacle}
             # A roof is an obstacle of unknown height, and nothing that hangs over the way.
             | {"obstacle_height": np.where((height == 0.0) & (obstacle > 0.0), nothing, height)}
             | {"clearance": np.where((states == CANOPY).any(axis=(2, 3)), own["clearance"], nothing)}
@@ -367,15 +380,13 @@ class NeighbourRating:
         known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
         return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
 
-    def _standing(self, window: NeighbourWindow) -> NDArray[np.bool_]:
-        """Return the pixels of narrow, steep things in the relief of tiles whose points all count as ground."""
+    def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""
         relief = window.present & np.isnan(window["obstacle"])
         if not relief.any():
-            return np.zeros(self._pixels(relief).shape, np.bool_)
-        body = self.calibration.body
-        size = self.grid.pixel_size
-        found = find_standing(window.mosaic("heights"), body, size, width=_WIDEST, least=body.lowest_obstacle_m)
-        return found & self._pixels(relief)
+            return objects
+        settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.grid.pixel_size)
+        return np.where(self._pixels(relief), settled, objects)
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:
@@ -384,18 +395,14 @@ class NeighbourRating:
         shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
         return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
 
-    def _sweep(
-        self, own: Mapping[str, NDArray[Any]], known: NDArray[np.bool_], objects: NDArray[np.uint8], steps: TileSteps
-    ) -> NDArray[np.uint8]:
-        """Return what bars the inner tiles."""
-        alone = self.calibration.cost_rule.barred(own)
+    def _sides(self, known: NDArray[np.bool_], steps: TileSteps) -> NDArray[np.uint8]:
+        """Return the sides of the inner tiles that the vehicle can cross, and whether a step bars the tile."""
         crossed = _crossed(edge_usable(steps.border, self.calibration), np.isnan(steps.border), known)
-        barred = find_passable(objects, alone, crossed, self.calibration.body, self.grid.tile_size)
         # The rating sees a wall as a ramp between two pixels, which is easier to climb. A wall on a border bars both of
         # its tiles, or a way over the cost layer, which knows no borders, would cross it.
         fails = crossing_fails(np.fmax(steps.inner, steps.edge_step), self.calibration) >= FAIL_SHARE
-        barred[(barred == Barred.NO) & fails] = Barred.STEP
-        return barred
+        bits = np.packbits(np.concatenate([crossed, fails[..., None]], axis=-1), axis=-1, bitorder="little")
+        return np.asarray(bits[..., 0])
 
     def _pixels(self, of_tiles: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Give every pixel of a mosaic the value of its tile."""
@@ -406,40 +413,75 @@ class NeighbourRating:
         px = self.grid.pixels
         tiles = len(mosaic) // px
         apart = mosaic.reshape(tiles, px, tiles, px).swapaxes(1, 2)
-        return apart[RING:-RING, RING:-RING]
+        return apart[self.rings : -self.rings, self.rings : -self.rings]
 
 
 @dataclass(frozen=True, slots=True)
-class SplitClosing:
-    """Bars the tiles of a block that obstacles split, from the results of `NeighbourRating` around them."""
+class VehicleSweep:
+    """Finds where the vehicle fits in the tiles of a block, and which of them it can pass.
+
+    Obstacles are those that `NeighbourRating` found for each tile beside the neighbours of its own block: what a block
+    knows of those in the ring around it, from fewer neighbours, may differ. The ways through the tiles of the inner
+    ring are needed to tell where an obstacle splits tiles, and depend on the obstacles in the outer one.
+    """
 
     grid: Grid
     calibration: Calibration
     compat: Compat
 
     @property
+    def rings(self) -> int:
+        """Tiles around a block that it reads."""
+        return 2
+
+    @property
     def needs(self) -> tuple[str, ...]:
-        """Columns that it reads, and returns again."""
-        return ("barred", "passable", "passage")
+        """Columns that it reads."""
+        return ("barred", "objects", _SIDES.name)
 
     @property
     def columns(self) -> tuple[Column, ...]:
         """Columns that it returns."""
-        return tuple(column for column in neighbour_columns(self.grid.pixels) if column.name in self.needs)
+        names = ("barred", "passable", "passage")
+        return tuple(column for column in neighbour_columns(self.grid.pixels) if column.name in names)
 
     def leaves(self, own: Mapping[str, NDArray[Any]]) -> Columns | None:
-        """Return the columns of n tiles of a block if the vehicle fits nowhere in them; else None."""
-        return None if own["passage"].any() else {name: own[name] for name in self.needs}
+        """Return the columns of n tiles of a block if the ground bars all of them; else None."""
+        if (own["barred"] == Barred.NO).any():
+            return None
+        passable = np.zeros(len(own["barred"]), np.uint8)
+        return {"barred": own["barred"], "passable": passable, "passage": np.zeros_like(own["objects"])}
 
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return the columns of the inner tiles."""
-        missing = ~window.present
-        areas, barred = window["passage"].copy(), window["barred"].copy()
-        areas[missing], barred[missing] = 0, Barred.UNKNOWN
-        closed, areas = close_split_tiles(areas, barred, self.calibration.body, self.grid.tile_size)
+        body, size = self.calibration.body, self.grid.tile_size
+        objects = window.mosaic("objects")
+        alone = np.where(window.present, window["barred"], np.uint8(Barred.UNKNOWN))[1:-1, 1:-1]
+        sides = window[_SIDES.name][1:-1, 1:-1, None]
+        bits = np.unpackbits(np.where(window.present[1:-1, 1:-1, None], sides, 0), axis=-1, bitorder="little")
+        barred = alone
+        if self.compat == "none":
+            barred = find_passable(objects, alone, bits[..., : len(SIDES)].astype(np.bool_), body, size)
+            barred[(barred == Barred.NO) & (bits[..., len(SIDES)] > 0)] = Barred.STEP
+        closed, areas = close_split_tiles(free_areas(objects, barred, body, size), barred, body, size)
         if self.compat != "none":
-            closed = window.inner("barred")
+            closed = barred[1:-1, 1:-1]
         return {"barred": closed, "passable": (closed == Barred.NO).astype(np.uint8), "passage": areas}
+
+
+def finish_tiles(
+    table: TileTable, rating: NeighbourRating, folder: Path, threads: int, progress: Progress
+) -> TileTable:  # fmt: skip
+    """Rate all tiles with their neighbours, and sweep the vehicle over them; their packs are in ``folder``.
+
+    Raises
+    ------
+    OSError
+        The packs cannot be written.
+    """
+    rated = add_neighbours(table, rating, folder, threads, progress)
+    sweep = VehicleSweep(rating.grid, rating.calibration, rating.compat)
+    return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
 
 
 def _first(window: NeighbourWindow) -> BlockRating:
@@ -458,9 +500,9 @@ def _crossed(
     holds what their points tell. A side without a known tile beyond it leads nowhere, but does not bar a tile of which
     no neighbour is known.
     """
-    rows, cols = (side - 2 * RING for side in known.shape)
+    rows, cols = (side - 2 for side in known.shape)
     beyond = np.stack(
-        [known[RING + down : RING + down + rows, RING + right : RING + right + cols] for down, right in _BESIDE],
+        [known[1 + down : 1 + down + rows, 1 + right : 1 + right + cols] for down, right in _BESIDE],
         axis=-1,
     )
     alone = ~beyond.any(axis=-1, keepdims=True)

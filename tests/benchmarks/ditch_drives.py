@@ -24,7 +24,7 @@ from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.lab.simulate.refit import WallGround, cross
 from bumpymap.rating import Vehicle, crossing_fails
-from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid, TileBuckets, TileTable
 
@@ -103,7 +103,7 @@ def mapped(config, models, points):
     columns = {c.name: np.concatenate([block[c.name] for block in blocks]) for c in rated_columns(grid.pixels)}
     with tempfile.TemporaryDirectory() as folder:
         table = TileTable.of(grid, columns)
-        table = add_neighbours(table, NeighbourRating.of(config, models), Path(folder), 1, SilentProgress())
+        table = finish_tiles(table, NeighbourRating.of(config, models), Path(folder), 1, SilentProgress())
         found = table.read(("barred", "c_r", "class_id"))
     inner = np.all([(found[name] >= MARGIN) & (found[name] < TILES - MARGIN) for name in ("col", "row")], axis=0)
     return {name: values[inner] for name, values in found.items()}

@@ -13,7 +13,6 @@ import numpy as np
 from bumpymap.core import (
     CANOPY,
     FREE,
-    OBSTACLE,
     POINT_BUILDING,
     POINT_GROUND,
     POINT_OTHER,
@@ -21,7 +20,7 @@ from bumpymap.core import (
     UNSEEN,
     FeatureSettings,
 )
-from bumpymap.patches import find_objects, find_standing, find_steep, measure, settle_solids
+from bumpymap.patches import find_objects, find_steep, measure, settle_relief, settle_solids
 from bumpymap.rating import settle_objects
 from bumpytiles import Grid, TileBuckets
 
@@ -317,8 +316,7 @@ def _mapped(points, body):
     states = image([stack.objects for stack in stacks], UNSEEN)
     if not classified:
         heights = image([alone.heights for _, alone in blocks], np.nan)
-        standing = find_standing(heights, body, 0.2, width=2.6, least=body.lowest_obstacle_m)
-        states[standing & (states != UNSEEN)] = OBSTACLE
+        states = settle_relief(states, heights, body, 0.2)
     return states, 3.0 * west, 3.0 * south
 
 

@@ -1,41 +1,16 @@
 """Yards within walls, surveyed and mapped: nothing gets in or out but through a gap that the vehicle fits through."""
 
-import laspy
+import math
+import re
+
 import numpy as np
 import pytest
-import rasterio
-from pyproj import CRS
-from scenes import Place, ring, survey_scene
-from skimage.graph import MCP_Geometric
+from pyproj import Transformer
+from ring_maps import SIDE_M, TOOLS, Yard
 
 import bumpymap
-from bumpymap.layers import ExportSettings, export_map, open_map
 
 pytestmark = pytest.mark.slow
-
-LETHAL = 98
-"""Above this value of a cell, planners of Nav2 do not plan."""
-
-
-def write(points, path):
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = (0.001, 0.001, 0.001), (500_000, 5_700_000, 0)
-    header.add_crs(CRS.from_epsg(32632))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z, las.classification = points.x, points.y, points.z + 100.0, points.classification
-    las.write(path)
-
-
-def crosses(is_open, place, transform):
-    """Whether a least-cost tool that steps to all eight neighbours gets from the yard to the ground around it."""
-    rows, cols = np.nonzero(is_open)
-    x, y = place.in_scene(*(transform * (cols + 0.5, rows + 0.5)))
-    far = np.maximum(np.abs(x), np.abs(y))
-    yard, around = (np.column_stack([rows, cols])[part] for part in (far < 9.0, far > 14.0))
-    assert len(yard)
-    assert len(around)
-    reached = MCP_Geometric(np.where(is_open, 1.0, -1.0)).find_costs(yard[:1])[0]
-    return bool(np.isfinite(reached[tuple(around.T)]).any())
 
 
 @pytest.mark.parametrize(
@@ -43,34 +18,26 @@ def crosses(is_open, place, transform):
     [(0.0, 0.1, 50, True), (0.0, 0.3, 20, True), (0.0, 0.2, 50, False), (1.0, 0.2, 50, True), (2.3, 0.2, 50, True)],
 )
 def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, density, classified):
-    rng = np.random.default_rng(int(100 * gap + 10 * thickness + density))
-    place = Place(rng.uniform(0, 90), 500_000 + rng.uniform(0, 3), 5_700_000 + rng.uniform(0, 3))
-    scene = ring(gap=gap, thickness=thickness, side=24.0)
-    points = survey_scene(scene, density, classified=classified, sides=True, place=place, noise=0.01, margin=6.0)
-    write(points, tmp_path / "yard.las")
-    bumpymap.map_survey(tmp_path / "yard.las", tmp_path / "layers")
-    start, goal = (tuple(map(float, place.of_scene(x, 0.0))) for x in (0.0, 17.0))
+    yard = Yard(gap, thickness, density, classified, seed=int(100 * gap + 10 * thickness + density))
+    layers = yard.map(tmp_path)
     fits = gap >= 2.0
+    way = yard.way_out(layers)
+    assert (way is not None) == fits
     if fits:
-        (route,) = bumpymap.find_routes(tmp_path / "layers", start, goal, snap=6.0)
-        x, y = place.in_scene(*route.line.T)
-        assert abs(np.interp(12.0, x, y)) < 0.5 * gap - 0.4
-        assert route.figures.obstacle_m == 0.0
-    else:
-        with pytest.raises(bumpymap.BadInputError, match="come closest at"):
-            bumpymap.find_routes(tmp_path / "layers", start, goal, snap=6.0)
-    reach = bumpymap.map_reach(tmp_path / "layers", start, snap=6.0)
-    assert bool(np.isfinite(reach.cost.sel(x=goal[0], y=goal[1], method="nearest"))) == fits
-    for file in ("layers/cost.tif", "pixels/cost.tif"):
-        if file.startswith("pixels"):
-            export_map(open_map([tmp_path / "layers"]), tmp_path / "pixels", ExportSettings(to="cost"))
-        with rasterio.open(tmp_path / file) as raster:
-            is_open = np.isfinite(raster.read(1))
-            assert crosses(is_open, place, raster.transform) == fits, file
-    with rasterio.open(tmp_path / "layers" / "cost.tif") as raster:
-        transform = raster.transform
-    export_map(open_map([tmp_path / "layers"]), tmp_path / "nav2", ExportSettings(to="nav2"))
-    header, _, rest = (tmp_path / "nav2" / "map.pgm").read_bytes().partition(b"\n255\n")
-    cols, rows = map(int, header.split()[1:3])
-    cells = np.frombuffer(rest, np.uint8).reshape(rows, cols)
-    assert crosses(cells <= LETHAL, place, transform) == fits
+        line, obstacle_m = way
+        assert abs(np.interp(0.5 * SIDE_M, *line.T)) < 0.5 * gap - 0.4
+        assert obstacle_m == 0.0
+    assert yard.is_reached(layers) == fits
+    assert yard.crossed_by_tools(layers) == dict.fromkeys(TOOLS, fits)
+
+
+def test_without_a_way_the_message_names_the_gap_that_is_too_narrow(tmp_path):
+    yard = Yard(2.0, 0.2, 50, classified=True, seed=4)
+    layers = yard.map(tmp_path, vehicle="car")
+    with pytest.raises(bumpymap.BadInputError) as raised:
+        bumpymap.find_routes(layers, *yard.ends, snap=6.0)
+    said = re.search(r"widest opening .* (\S+),(\S+) \(longitude, latitude\), about (\S+) m wide", str(raised.value))
+    longitude, latitude, width = map(float, said.groups())
+    place = Transformer.from_crs(4326, 32632, always_xy=True).transform(longitude, latitude)
+    assert math.dist(place, yard.place.of_scene(0.5 * SIDE_M + 0.1, 0.0)) < 0.6
+    assert 1.5 < width < 2.0

@@ -5,7 +5,7 @@ import pytest
 
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.survey import second_pass
-from bumpymap.survey.second_pass import RING, add_neighbours
+from bumpymap.survey.second_pass import add_neighbours
 from bumpytiles import BLOCK_TILES, Column, Grid, TileTable
 
 GRID = Grid(3.0, 2)
@@ -14,6 +14,7 @@ GRID = Grid(3.0, 2)
 class Neighbours:
     """Adds the heights of the tiles to the north and south, and of the pixel west of the tile's north-west pixel."""
 
+    rings = 1
     needs = ("height", "heights", "kind", "number")
     columns = (
         Column("north", "<f4"),
@@ -38,11 +39,11 @@ class Neighbours:
     def __call__(self, window):
         image = window.mosaic("heights")
         assert image.shape == (18 * GRID.pixels, 18 * GRID.pixels)
-        inner = slice(RING * GRID.pixels, -RING * GRID.pixels, GRID.pixels)
+        inner = slice(GRID.pixels, -GRID.pixels, GRID.pixels)
         return {
             "north": window["height"][:-2, 1:-1],
             "south": window["height"][2:, 1:-1],
-            "west_pixel": image[inner, RING * GRID.pixels - 1 : -RING * GRID.pixels - 1 : GRID.pixels],
+            "west_pixel": image[inner, GRID.pixels - 1 : -GRID.pixels - 1 : GRID.pixels],
             "number": window.inner("number") + 1,
             "kinds": window["kind"][1:-1, 2:],
         }

@@ -6,7 +6,7 @@ import pytest
 from bumpymap.core.config import MapConfig
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import Barred, Georeference, rated_columns
-from bumpymap.survey.second_pass import NeighbourRating, add_neighbours
+from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating
 from bumpytiles import Grid, TileBuckets, TileTable
 
@@ -43,7 +43,7 @@ def rated(models, points, folder):
     blocks = [rating(block, False) for block in buckets.blocks()]
     columns = {c.name: np.concatenate([block[c.name] for block in blocks]) for c in rated_columns(grid.pixels)}
     folder.mkdir()
-    table = add_neighbours(TileTable.of(grid, columns), NeighbourRating.of(config, loaded), folder, 1, SilentProgress())
+    table = finish_tiles(TileTable.of(grid, columns), NeighbourRating.of(config, loaded), folder, 1, SilentProgress())
     return table.read(("barred", "class_id", "p_fail", "c_r"))
 
 
@@ -95,3 +95,20 @@ def test_a_kerb_that_the_vehicle_climbs_bars_nothing(models, tmp_path, height):
     for number, (rng, wall) in enumerate(walls(int(100 * height), 6)):
         found = rated(models, survey(rng, wall, height, 100, 0.005), tmp_path / str(number))
         assert (found["barred"][inside(found)] == Barred.NO).all()
+
+
+@pytest.mark.parametrize("density", [200, 50])
+@pytest.mark.parametrize(
+    ("depth", "width", "barred"), [(0.4, 0.3, 0.0), (0.5, 0.5, 0.0), (0.4, 1.5, 0.9), (1.0, 1.5, 0.9)]
+)
+def test_a_ditch_bars_tiles_only_if_a_wheel_does_not_roll_over_it(models, tmp_path, depth, width, barred, density):
+    """In a survey without classes, where the points at its sides lie far above one another as those of a wall do."""
+    states = []
+    for number, (rng, line) in enumerate(walls(round(100 * depth + 10 * width), 6)):
+        x, y, z = survey(rng, line, 0.0, density, 0.01)
+        z[np.abs(beyond(x, y, line)) < 0.5 * width] -= depth
+        found = rated(models, (x, y, z), tmp_path / str(number))
+        middle = beyond(found["col"] * 3 - WEST + 1.5, found["row"] * 3 - SOUTH + 1.5, line)
+        states.append(found["barred"][inside(found) & (np.abs(middle) < 1.0)])
+    share = np.mean(np.concatenate(states) != Barred.NO)
+    assert abs(share - barred) <= 0.25

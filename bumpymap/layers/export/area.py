@@ -4,6 +4,7 @@ Costs of cells go pixel by pixel with obstacles grown; for occupancy grids, unkn
 """
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,6 +14,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
     NO_TILE,
@@ -37,6 +39,7 @@ from bumpymap.layers.route_map import RouteMap
 from bumpytiles import Bounds, TileWindow
 
 __all__ = [
+    "CLOSED_IN_PART",
     "COST_NAME",
     "DATUM_NAME",
     "DEAREST",
@@ -55,6 +58,7 @@ __all__ = [
     "export_folder",
     "keepout_values",
     "lay_objects",
+    "open_in_part",
     "passable_cost",
     "speed_values",
     "write_file",
@@ -159,6 +163,39 @@ def lay_objects(
     fine[((objects == UNDECIDED) | (objects == UNSEEN)) & told & (fine < LETHAL)] = unknown
     fine[objects == OBSTACLE] = LETHAL
     return fine
+
+
+CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT)
+"""Tiles that what stands on them closes for what reads tiles alone."""
+
+
+def open_in_part(route_map: RouteMap, field: TileField) -> NDArray[np.bool_]:
+    """Return the pixels of tiles that obstacles close or split over which the vehicle passes between these obstacles.
+
+    They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        The map, for ``passage.tif``.
+    field : TileField
+        (rows, cols) tiles of it.
+
+    Returns
+    -------
+    bool (rows * pixels, cols * pixels)
+    """
+    grid, window = route_map.grid, field.window
+    pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
+    closed = np.isin(field.barred, CLOSED_IN_PART)
+    ring = math.ceil(reach / pixels)
+    wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+    free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)
+    if not free.any():
+        return np.zeros((window.rows * pixels, window.cols * pixels), np.bool_)
+    inner = slice(ring * pixels, -ring * pixels)
+    swept = distance_transform_edt(~free)[inner, inner] < reach
+    return np.asarray(swept & np.repeat(np.repeat(closed, pixels, axis=0), pixels, axis=1))
 
 
 COST_NAME = "cost.tif"

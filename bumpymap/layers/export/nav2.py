@@ -6,7 +6,7 @@ robots, and held by the tests.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
 from bumpymap.layers.export.area import (
+    CLOSED_IN_PART,
     DEAREST,
     FRAME,
     LETHAL,
@@ -24,6 +25,7 @@ from bumpymap.layers.export.area import (
     cost_values,
     keepout_values,
     lay_objects,
+    open_in_part,
     passable_cost,
     speed_values,
     write_file,
@@ -201,10 +203,20 @@ def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2G
             continue
         objects = area.route_map.objects(window)
         judged = ~np.isnan(field.obstacle)
+        between = open_in_part(area.route_map, field)
+        barred = np.where(np.isin(field.barred, CLOSED_IN_PART), np.uint8(Barred.NO), field.barred)
+        opened = replace(field, barred=barred)
         cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
         keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
-        speed[lines] = np.repeat(np.repeat(coarse[2], area.split, axis=0), area.split, axis=1)
+        for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
+            cells[lines][between] = _by_cell(values, area.split)[between]
+        speed[lines] = _by_cell(coarse[2], area.split)
     return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
+
+
+def _by_cell(values: NDArray[np.uint8], split: int) -> NDArray[np.uint8]:
+    """Give every cell the value of its tile."""
+    return np.repeat(np.repeat(values, split, axis=0), split, axis=1)
 
 
 def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
