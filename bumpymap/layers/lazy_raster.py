@@ -15,7 +15,7 @@ from xarray.backends import BackendArray
 from xarray.core import indexing
 
 from bumpymap.core import BadInputError
-from bumpymap.layers.map_files import closed_gdal
+from bumpymap.layers.map_files import closed_gdal, gdal_text
 
 __all__ = ["lazy_values"]
 
@@ -36,7 +36,7 @@ class _ValuesOnDisk(BackendArray):  # type: ignore[misc]  # mypy does not read x
             with closed_gdal(), rioxarray.open_rasterio(self.path, **options) as raster:
                 values: NDArray[Any] = raster.variable[key].values
         except (OSError, RasterioError) as error:
-            raise BadInputError(f"cannot read {self.path}: {error}. Map the survey again") from error
+            raise BadInputError(f"cannot read {self.path}: {gdal_text(error)}. Map the survey again") from error
         return values
 
 

@@ -45,6 +45,7 @@ __all__ = [
     "FeatureTable",
     "RemoteFolder",
     "closed_gdal",
+    "gdal_text",
     "open_layer",
     "open_raster",
     "read_features",
@@ -163,7 +164,7 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
                 yield raster
     except (rasterio.errors.RasterioIOError, OSError) as error:
         place = folder.url if isinstance(folder, RemoteFolder) else folder
-        raise BadInputError(f"{place}/{name} cannot be read: {error}") from error
+        raise BadInputError(f"{place}/{name} cannot be read: {gdal_text(error)}") from error
 
 
 def _make_folder(files: Any, path: str) -> None:
@@ -194,6 +195,11 @@ _VIRTUAL = re.compile(
 )
 """Elements of the virtual rasters that bumpymap writes. None leads to another file but SourceFilename."""
 _AGAIN = "Map the survey again"
+
+
+def gdal_text(error: Exception) -> str:
+    """Return why GDAL cannot read a raster; what rasterio raises may only say that this is its cause."""
+    return str(error.__cause__ or error).rstrip(".")
 
 
 def closed_gdal(**options: Any) -> "rasterio.Env":
@@ -271,7 +277,7 @@ def _require_alone(path: Path) -> None:
         with open_layer(path):
             pass
     except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
 
 
 def require_format(path: Path) -> None:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +22,13 @@ from bumpymap.core import (
     Barred,
     CostRule,
     Georeference,
+    Number,
     RouteVehicle,
+    shape_fault,
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import open_layer, require_written
+from bumpymap.layers.map_files import gdal_text, open_layer, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -44,9 +47,10 @@ _DTYPES = {
 }
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
 """What a route reads; a comparison of surveys reads the classes too."""
+_VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
-_CHECKED_BYTES = 64 << 20
-"""Of a larger raster windows are read, which takes less time than its checksum."""
+CHECKED_BYTES = 64 << 20
+"""The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
 _OFF = 1e-3
 """Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
 _PIECE = 512
@@ -81,7 +85,7 @@ class RouteSheet:
         """
         manifest = read_manifest(folder)
         try:
-            require_written(folder, manifest, _RASTERS, most=_CHECKED_BYTES)
+            require_written(folder, manifest, _RASTERS, most=CHECKED_BYTES)
             crs, unit = manifest["crs"], manifest["metres_per_unit"]
             known = None if crs is None else stated_crs(crs["wkt"])
             cost = manifest["cost"]
@@ -160,6 +164,7 @@ class RouteSheet:
         scale = self.grid.pixels if name in _PER_PIXEL else 1
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
+        self._require_whole(name)
         with _opened(self.folder / name) as file:
             numbers = _numbers(self.folder / name, file, bands)
             for lines, columns in _pieces(top, left, window.rows * scale, window.cols * scale):
@@ -175,9 +180,22 @@ class RouteSheet:
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
+        self._require_whole("heightmap.tif")
         with _opened(self.folder / "heightmap.tif") as file:
             found: NDArray[np.float32] = file.read(1, window=part, out_shape=shape, resampling=Resampling.average)
         return found
+
+    def _require_whole(self, name: str) -> None:
+        """Raise BadInputError if a raster whose checksum was not compared when the sheet was opened is damaged."""
+        written = {str(file["path"]): file for file in self.manifest["files"]}
+        if name in _RASTERS and int(written[name]["bytes"]) > CHECKED_BYTES:
+            _compare(self.folder, name, int(written[name]["bytes"]), str(written[name]["sha256"]))
+
+
+@lru_cache(maxsize=1024)
+def _compare(folder: Path, name: str, size: int, sha256: str) -> None:
+    """Compare the checksum of a raster once."""
+    require_written(folder, {"files": [{"path": name, "bytes": size, "sha256": sha256}]}, [name])
 
 
 def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
@@ -197,7 +215,7 @@ def _opened(path: Path) -> "Iterator[DatasetReader]":
         with open_layer(path, **_GDAL) as file:
             yield file
     except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {error.__cause__ or error}. {_AGAIN}") from error
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
@@ -261,7 +279,9 @@ def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
             f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
             "survey again, with `overwrite=True` to replace these layers"
         )
-    return RouteVehicle(str(vehicle["name"]), float(vehicle["width_m"]), float(vehicle["speed_mps"]))
+    if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
+        raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
+    return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
 
 
 _UNKNOWN_OBJECT = 3

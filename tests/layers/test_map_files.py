@@ -265,6 +265,43 @@ def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, sheets, tmp
         read(folder, tmp_path)
 
 
+def test_a_record_without_what_a_route_needs_names_it(one, tmp_path):
+    folder = copytree(one, tmp_path / "map")
+    record = json.loads((folder / "run.json").read_text())
+    del record["vehicle"]["speed_mps"]
+    (folder / "run.json").write_text(json.dumps(record))
+    with pytest.raises(BadInputError, match=r"run\.json is damaged: vehicle is .*; it must be .*speed_mps"):
+        open_map([folder])
+
+
+@pytest.mark.parametrize("read", [report, export, dataset])
+def test_why_a_damaged_raster_cannot_be_read_is_said(one, tmp_path, read):
+    """Not that an earlier message says it."""
+    folder = copytree(one, tmp_path / "map")
+    for name in ("obstacle.tif", "roughness.tif", "class.tif"):
+        with rasterio.open(folder / name) as file:
+            start = int(file.get_tag_item("BLOCK_OFFSET_0_0", "TIFF", bidx=1))
+        data = bytearray((folder / name).read_bytes())
+        data[start : start + 8] = bytes(8)
+        (folder / name).write_bytes(data)
+    list_anew(folder)
+    with pytest.raises(BadInputError, match=r"cannot read .*\.tif: ((?!previous exception).)*$"):
+        read(folder, tmp_path)
+
+
+def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
+    monkeypatch.setattr("bumpymap.layers.route_sheet.CHECKED_BYTES", 100)
+    folder = copytree(one, tmp_path / "map")
+    data = bytearray((folder / "heightmap.tif").read_bytes())
+    data[len(data) // 2] ^= 1
+    (folder / "heightmap.tif").write_bytes(data)
+    site = open_map([folder])
+    assert site.read(site.window).window == site.window
+    for read in (lambda: site.heights(site.window), lambda: site.relief(site.window, (5, 6))):
+        with pytest.raises(BadInputError, match=r"heightmap\.tif is damaged: its checksum"):
+            read()
+
+
 @pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".gpkg", ".fgb", ".shp", ".json"])
 @pytest.mark.parametrize("read", [read_points, lambda path: read_areas(path, bare_map())])
 def test_a_vector_file_leads_nowhere_else(server, tmp_path, suffix, read):

@@ -32,7 +32,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import CHANGE_COLOURS
 from bumpymap.layers.manifest import COUNT, PLACE_SHAPE
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_files import gdal_text, open_layer
 from bumpymap.layers.report.page import write_page
 from bumpymap.layers.report.site import jpeg
 from bumpymap.layers.report.tiles import ByteGrid, packed
@@ -142,9 +142,11 @@ class ChangeSite:
                 size = file.width, file.height
             places, degrees = _places(folder / "change.geojson", record)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
-            raise BadInputError(f"{folder} holds no comparison of this version: {error!r}. {_AGAIN}") from error
+            said = error if isinstance(error, ValueError) else repr(error)
+            raise BadInputError(f"{folder} holds no comparison of this version: {said}. {_AGAIN}") from error
         except (OSError, RasterioError) as error:
-            raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
+            said = gdal_text(error)
+            raise BadInputError(f"cannot read the files of the comparison in {folder}: {said}. {_AGAIN}") from error
         return cls(record, west, north, unit, tile_size, step, *size, kinds, grids, places, degrees, _still(kinds))
 
     @property
@@ -189,6 +191,8 @@ def _read(
     file: rasterio.io.DatasetReader, step: int
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
     """Return kinds and differences on the grid of the page; of several tiles the change, or the farthest value."""
+    if missing := [name for name in _BANDS if name not in file.descriptions]:
+        raise ValueError(f"change.tif has no band {missing[0]}")
     bands = [file.descriptions.index(name) + 1 for name in _BANDS]
     rank = np.zeros(256, np.uint8)
     rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)

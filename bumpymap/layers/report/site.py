@@ -31,7 +31,7 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.colours import CLASS_COLOURS, UNKNOWN_OBJECT, class_limits, class_ranges
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_files import gdal_text, open_layer
 from bumpymap.layers.report.charts import Chart, c_r_chart, slope_chart
 from bumpymap.layers.report.drives import DrawnCheck
 from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
@@ -108,7 +108,7 @@ def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.f
             with open_layer(path) as file:
                 _add_heights(file, spot, factor, total, weight)
         except RasterioError as error:
-            raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+            raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
     return np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan).astype(np.float32)
 
 
@@ -205,7 +205,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
                 down = np.arange(count * factor) * spot.pixels // factor
                 canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(across, down, axis=0)
     except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
     return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
 
 

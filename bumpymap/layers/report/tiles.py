@@ -17,7 +17,7 @@ from rasterio.errors import RasterioError
 
 from bumpymap.core import BARRED_TEXT, FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
 from bumpymap.layers.colours import UNKNOWN_OBJECT
-from bumpymap.layers.map_files import open_layer
+from bumpymap.layers.map_files import gdal_text, open_layer
 from bumpymap.layers.sheets.folders import raster_in, sheets_of
 
 __all__ = [
@@ -170,7 +170,7 @@ class Spot:
             with open_layer(path) as file:
                 place, width, height = file.transform, file.width, file.height
         except RasterioError as error:
-            raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+            raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
         unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
         grid = record["grid"]
         step = max(1, math.ceil(max(width, height) / side))
