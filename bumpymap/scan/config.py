@@ -72,10 +72,10 @@ class ScanConfig:
     threads: Annotated[int, Setting("Number of frames to work on at a time", "N", 1, default="all cores")] = field(
         default_factory=lambda: os.cpu_count() or 1
     )
-    vehicle: Annotated[NameOrFile | None, Setting("Vehicle whose ride is told: name or TOML file", "NAME_OR_FILE")] = (
+    vehicle: Annotated[NameOrFile | None, Setting("Vehicle whose ride is rated: name or TOML file", "NAME_OR_FILE")] = (
         None
     )
-    """Vehicle whose ride on each sector is told, and whose belly and height say what an obstacle is: a name or a TOML
+    """Vehicle whose ride on each sector is rated, and whose belly and height say what an obstacle is: a name or a TOML
     file, as for ``bumpymap map``. It is also that of the mapped layers; None: no ride, and the map of the default."""
     calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE")] = None
     """A calibration file, instead of ``vehicle``."""
@@ -88,12 +88,12 @@ class ScanConfig:
     """Size of the grids in ``bag``."""
 
     def __post_init__(self) -> None:
-        check_settings(self)
-        if not (self.products or self.poses or self.pictures):
+        if {*self.products} - {*SCAN_PRODUCTS} or not (self.products or self.poses or self.pictures):
             raise UsageError(
-                f"`products` is empty; give one or more of {', '.join(SCAN_PRODUCTS)}. Pictures of frames are drawn "
-                "with `pictures`"
+                f"`products` is {', '.join(self.products) or 'empty'}; give one or more of {', '.join(SCAN_PRODUCTS)}. "
+                "Pictures of frames are drawn with `pictures`"
             )
+        check_settings(self)
         if self.resume and self.overwrite:
             raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"

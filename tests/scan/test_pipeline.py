@@ -593,7 +593,7 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
         ({"products": ("tables",)}, "polygons, table, cloud"),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"products": ()}, "give one or more"),
-        ({"pictures": -1}, "`pictures` is -1"),
+        ({"pictures": -1}, "pictures is -1; it must be a whole number, at least 0"),
         ({"range_m": float("nan")}, "`range_m` is nan; it must be a number from 1 to 1000 m"),
         ({"threads": 0}, "`threads` is 0"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
