@@ -20,20 +20,21 @@ class CheckConfig:
     drives: Annotated[
         tuple[str, ...],
         Setting(
-            "Log of a drive: CSV, a bag of ROS, ULog; files of one drive joined by commas. Can be repeated",
+            "Log: CSV, bag, ULog; files of one drive by commas",
             "LOG",
             option="drive",
+            group="Input",
         ),
     ]
     """Each a file, the folder of a bag, or several files joined by commas."""
     layers: Path | None = None
     """Layers of the map; None: the drives are measured alone."""
-    out: Annotated[Path | None, Setting("Folder for the files: page, picture, tables, GIS layers", "DIR")] = None
+    out: Annotated[Path | None, Setting("Folder for the files: page, tables, GIS layers", "DIR", group="Output")] = None
     """Folder for the files; None: only the summary."""
     columns: Mapping[str, str] | None = None
     """Quantity -> column or topic that holds it; None: guessed."""
     band_hz: Annotated[
-        float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band")
+        float, Setting("Rates are low-passed at this frequency", "HZ", 1.0, unit="Hz", option="band", rare=True)
     ] = 10.0
     """Rates are low-passed at this frequency, Hz."""
     window_m: Annotated[
@@ -45,10 +46,11 @@ class CheckConfig:
             unit="m",
             why=", so that the C_r of a stretch is more than chance",
             option="window",
+            rare=True,
         ),
     ] = 10.0
     """Length of a stretch, m."""
-    overwrite: Annotated[bool, Setting("Replace the files of an earlier check")] = False
+    overwrite: Annotated[bool, Setting("Replace the files of an earlier check", group="Output")] = False
 
     def __post_init__(self) -> None:
         check_settings(self)

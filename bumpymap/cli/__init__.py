@@ -27,6 +27,7 @@ _COMMANDS = {
     "report": "make the page of a map again, or compare two maps",
     "route": "find the cheapest way over mapped ground, and what can be reached",
     "scan": "classify the ground in LiDAR scans of a robot, and map its drive",
+    "settings": "print every setting of a command, as a TOML file",
     "train": "train the texture network or the scan network",
     "vehicle": "list, create and check vehicle profiles",
 }

@@ -39,10 +39,10 @@ def exit_code_of(run: Callable[[], object], words: Sequence[str]) -> int:
     run : callable
         Raises click's exceptions; an integer that it returns is the exit code.
     words : sequence of str
-        Arguments of the command line. With ``--log-json`` among them, everything is printed as events.
+        Arguments of the command line. With ``--json`` among them, everything is printed as events.
     """
     options = list(words[: words.index("--")] if "--" in words else words)
-    as_json = "--log-json" in options
+    as_json = "--json" in options
     begin = time.monotonic()
     if as_json:
         emit("start", arguments=list(words), version=_version())

@@ -8,13 +8,16 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._text import option_name, set_up_logging, spell_setting
+from bumpymap.cli._text import option_name, set_up_logging, spell_settings
 from bumpymap.core import (
     Clash,
     Declared,
+    UsageError,
+    assigned_settings,
     override_settings,
     parse_share,
     path_fault,
+    read_settings_file,
     refuse_clashes,
     settings_with_options,
 )
@@ -23,8 +26,10 @@ __all__ = [
     "FILE",
     "LOCATION",
     "PATH",
-    "config_option",
+    "GroupedCommand",
+    "config_options",
     "given_options",
+    "grouped_option",
     "jobs_option",
     "merge_settings",
     "output_options",
@@ -64,6 +69,59 @@ class _Location(_NamedPath):
 
 LOCATION = _Location(path_type=Path)
 """Type of surveys on the command line."""
+
+
+class GroupedOption(click.Option):
+    """An option that the help page shows under the heading of its group."""
+
+    def __init__(self, *names: Any, group: str = "Run", key: str = "", **more: Any) -> None:
+        super().__init__(*names, **more)
+        self.group, self.key = group, key
+
+
+def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> None:
+    """Raise UsageError if a setting is given as an option, where it has none."""
+    if value not in (None, False) and isinstance(option, GroupedOption):
+        shown = option.metavar if value is True else value
+        raise UsageError(
+            f"{option.opts[0]} is no option: write --set {option.key}={shown}, or put it into a file for --config "
+            f"(bumpymap settings {ctx.info_name} prints one)"
+        )
+
+
+def grouped_option(*names: str, group: str, **more: Any) -> Callable[[_Command], _Command]:
+    """Add an option that the help page shows under the heading of its group."""
+    return click.option(*names, cls=GroupedOption, group=group, **more)
+
+
+class GroupedCommand(click.Command):
+    """A command whose help page shows its options in groups, each in its order."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the command; messages name its settings as it takes them."""
+        options = [each for each in self.params if isinstance(each, GroupedOption) and each.name]
+        spell_settings({each.name: f"--set {each.key}" if each.key else each.opts[0] for each in options if each.name})
+        return super().invoke(ctx)
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options under the headings of their groups."""
+        rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
+        shown = [each for each in self.get_params(ctx) if isinstance(each, click.Option)]
+        records = [(getattr(each, "group", "Run"), each.get_help_record(ctx)) for each in shown]
+        width = max(len(record[0]) for _, record in records if record)
+        for group, record in records:
+            if record:
+                rows[group].append((record[0].ljust(width), record[1]))
+        formatter.write_paragraph()
+        for group, options in rows.items():
+            if options:
+                formatter.write_heading(group)
+                with formatter.indentation():
+                    formatter.write_dl(options, col_max=24)
+
+
+GROUPS = ("Input", "Way", "Ground", "Vehicle", "Output", "Run")
+"""Headings of help pages, in their order."""
 
 
 class _Share(click.ParamType):  # type: ignore[type-arg]
@@ -111,7 +169,7 @@ class WordList(click.ParamType):  # type: ignore[type-arg]
 
 
 def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
-    """Add ``--quiet`` and ``--log-json``, by which logs are printed; ``what`` is the help text of ``--quiet``."""
+    """Add ``--quiet`` and ``--json``, by which logs are printed; ``what`` is the help text of ``--quiet``."""
 
     def add(command: Callable[..., Any]) -> Any:
         @wraps(command)
@@ -119,25 +177,52 @@ def output_options(what: str = "Print no progress and no summary.") -> Callable[
             set_up_logging(as_json=options["log_json"])
             return command(*values, **options)
 
-        log_json = click.option("--log-json", is_flag=True, help="Print events, warnings and errors as JSON lines.")
-        return click.option("--quiet", is_flag=True, help=what)(log_json(run))
+        log_json = click.option("--json", "log_json", is_flag=True, help="Print result, events and errors as JSON.")
+        old = click.option("--log-json", is_flag=True, hidden=True, expose_value=False, callback=_renamed)
+        return click.option("--quiet", is_flag=True, help=what)(old(log_json(run)))
 
     return add
 
 
+def _renamed(_context: click.Context, _option: click.Parameter, value: bool) -> None:
+    if value:
+        raise UsageError("--log-json is --json now, for every command")
+
+
 def jobs_option(command: _Command) -> _Command:
     """Add ``--jobs`` for drives of the simulation."""
-    text = "Processes of this machine that drive at a time [default: one per core]."
+    text = "Drives at a time, each a process [one per core]."
     return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
 
 
-config_option = click.option(
-    "--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings, which options override."
-)
+def config_options(*owners: type) -> Callable[[_Command], _Command]:
+    """Add ``--config`` and ``--set``, which set any field of the settings classes ``owners``.
+
+    The command gets ``stored``: name -> value, with those of ``--set`` in the place of those of the file.
+    """
+
+    def add(command: Callable[..., Any]) -> Any:
+        @wraps(command)
+        def run(*values: Any, config_file: Path | None, assigned: tuple[str, ...], **options: Any) -> Any:
+            stored = read_settings_file(config_file, *owners) if config_file else {}
+            return command(*values, stored=stored | assigned_settings(assigned, stored, *owners), **options)
+
+        text = "Any setting of `bumpymap settings`, such as pixels=21"
+        assign = click.option("--set", "assigned", multiple=True, metavar="KEY=VALUE", help=f"{text}.")
+        file = click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
+        return file(assign(run))
+
+    return add
 
 
 def settings_options(
-    owner: type, *names: str, without: Sequence[str] = (), required: Sequence[str] = (), **texts: str
+    owner: type,
+    *names: str,
+    without: Sequence[str] = (),
+    required: Sequence[str] = (),
+    moved: Sequence[str] = (),
+    table: str = "",
+    **texts: str,
 ) -> Callable[[_Command], _Command]:
     """Add the options of a settings class: those named, or all that it declares.
 
@@ -147,6 +232,10 @@ def settings_options(
         Dataclass whose fields hold a `Setting`. Each option's value comes under the field's name.
     *names, without, required : str
         Fields to take; fields to leave out; those whose option must be given.
+    moved : str
+        Fields that this command takes by ``--set`` and ``--config`` alone, besides those that are declared rare.
+    table : str
+        Table of a settings file that holds these fields; empty: none.
     **texts : str
         Help texts of this command, without the full stop, instead of those of the declaration.
     """
@@ -155,7 +244,10 @@ def settings_options(
 
     def add(command: _Command) -> _Command:
         for each in reversed(declared):
-            command = _option(each, texts.get(each.name, each.setting.help), each.name in required)(command)
+            if each.setting.rare or each.name in moved:
+                command = _moved(each, f"{table}.{each.name}" if table else each.name)(command)
+            else:
+                command = _option(each, texts.get(each.name, each.setting.help), each.name in required)(command)
         return command
 
     return add
@@ -164,15 +256,29 @@ def settings_options(
 def _option(each: Declared, text: str, required: bool) -> Callable[[_Command], _Command]:
     """Return a decorator that adds one option."""
     setting = each.setting
-    spelled = spell_setting(each.name, setting.option)
+    spelled = _spelled(each)
     default = _default_text(each.default) if setting.default is None else setting.default
-    shown = f"{text} [default: {default}]." if default and "[default" not in text else f"{text}."
+    shown = f"{text} [{default}]." if default and "[" not in text else f"{text}."
     if each.kind is bool:
         as_flag: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
-        return click.option(spelled, each.name, help=shown, **as_flag)
+        return grouped_option(spelled, each.name, help=shown, group=setting.group, **as_flag)
     kind, several = _click_type(each.kind, setting.metavar)
     more: dict[str, Any] = {"multiple": several, "required": required, "metavar": setting.metavar}
-    return click.option(spelled, each.name, type=kind, help=shown, **more)
+    return grouped_option(spelled, each.name, type=kind, help=shown, group=setting.group, **more)
+
+
+def _moved(each: Declared, key: str) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds an option which is there only to say how this setting is given."""
+    more: dict[str, Any] = (
+        {"is_flag": True, "metavar": "false" if each.default else "true"} if each.kind is bool else {}
+    )
+    return grouped_option(
+        _spelled(each), each.name, group="Run", key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
+    )
+
+
+def _spelled(each: Declared) -> str:
+    return f"--{(each.setting.option or each.name).replace('_', '-')}"
 
 
 def _default_text(value: Any) -> str:

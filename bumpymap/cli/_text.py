@@ -1,6 +1,6 @@
 r"""Printing to the terminal: all output of the command line goes through this module, which makes it safe.
 
-Text and tables go to standard output; errors, log records and the events of ``--log-json`` to standard error.
+Text and tables go to standard output; errors, log records and the events of ``--json`` to standard error.
 
 A file name may hold escape sequences that a terminal executes, line breaks that forge a message, and marks that change
 the direction of text. They are printed escaped (``\x1b``, ``\n``, ``\u202e``), so that callers need not do it. One call
@@ -15,7 +15,7 @@ import os
 import re
 import shlex
 import sys
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, TextIO
@@ -45,30 +45,23 @@ __all__ = [
     "print_table",
     "restored_logging",
     "set_up_logging",
-    "spell_setting",
+    "spell_settings",
 ]
 
-_SPELLED: dict[str, str] = {}
-"""Setting -> option, where the two differ (``from`` is a word of Python); of the commands that were made."""
+_NAMES: dict[str, str] = {}
+"""Setting -> how the command that runs takes it, where that is not ``--setting``: ``--from``, ``--set pixels``."""
 _SETTING = re.compile(r"`([a-z][a-z_]*)(?:=(?:'([^`]*)'|([^`'\s]+)))?`")
 
 
-def spell_setting(name: str, option: str) -> str:
-    """Return the option of a setting; one of another name, without dashes, is remembered for messages.
-
-    Raises
-    ------
-    ValueError
-        Another command spells this setting in another way.
-    """
-    if option and _SPELLED.setdefault(name, option) != option:
-        raise ValueError(f"{name} is --{option} here and --{_SPELLED[name]} elsewhere")
-    return option_name(name)
+def spell_settings(names: Mapping[str, str]) -> None:
+    """Note how the command that runs takes each of its settings, for messages."""
+    _NAMES.clear()
+    _NAMES.update(names)
 
 
 def option_name(name: str) -> str:
-    """Return the option of a setting, such as ``--tile-size``."""
-    return f"--{_SPELLED.get(name, name).replace('_', '-')}"
+    """Return the option of a setting, such as ``--tile-size``; of one that has none, ``--set KEY``."""
+    return _NAMES.get(name, f"--{name.replace('_', '-')}")
 
 
 def as_options(text: str) -> str:
@@ -79,6 +72,9 @@ def as_options(text: str) -> str:
 def _option(found: re.Match[str]) -> str:
     name, quoted, plain = found.groups()
     option = option_name(name)
+    if option.startswith("--set "):
+        value = f"'{quoted}'" if quoted is not None else {None: "", "True": "true", "False": "false"}.get(plain, plain)
+        return f"{option}={value}" if value else option
     if quoted is not None:
         return f"{option} {shlex.quote(quoted)}"
     return option if plain in {None, "True"} else f"{option} {plain}"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, config_option, given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, GroupedCommand, config_options, given_options, output_options, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._text import as_options, interrupt_note, option_name, print_json, print_line
 from bumpymap.core import CLASHES, MapConfig, count_text, refuse_clashes
@@ -23,18 +23,18 @@ _MOST_LISTED = 20
 """Messages and warnings that the summary lists at most."""
 
 
-@click.command("batch")
+@click.command("batch", cls=GroupedCommand)
 @click.argument("source", type=PATH)
 @settings_options(BatchConfig, required=("out",))
 @settings_options(
     MapConfig,
-    without=("out", "resume"),
+    without=("out",),
+    moved=("z_unit", "local", "skip_bad", "align", "speed", "sheets"),
     threads="Number of threads, shared by --jobs",
-    memory="Memory limit, shared by --jobs",
-    scratch="Folder for points that exceed --memory [default: in --out], and for layers until they are uploaded",
+    memory="Memory, shared by --jobs",
     overwrite="Replace layers of other inputs or settings",
 )
-@config_option
+@config_options(MapConfig)
 @output_options()
 @click.pass_context
 def command(
@@ -42,8 +42,8 @@ def command(
     /,
     source: Path,
     out: Path | str,
-    config_file: Path | None,
     *,
+    stored: dict[str, Any],
     quiet: bool,
     log_json: bool,
     **given: Any,
@@ -51,19 +51,18 @@ def command(
     """Map the surveys of SOURCE, each to a folder of its own. The same command continues an interrupted batch.
 
     SOURCE is a folder, a .txt file with a path in each line, or a .csv file with the column "survey"; its other columns
-    are options of map. An option of the command line overrides the CSV, and the CSV overrides --config.
+    are settings of map, which override --config and are overridden by options.
 
     \b
     bumpymap batch surveys --out night
     bumpymap batch surveys.csv --out night --jobs 4
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    from bumpymap.survey import read_batch_settings, run_batch
+    from bumpymap.survey import run_batch
 
     settings = given_options(given)
     own = {name: settings.pop(name) for name in ("survey_per", "jobs") if name in settings}
     refuse_clashes(settings, CLASHES, option_name)
-    defaults = read_batch_settings(config_file) if config_file else {}
-    config = BatchConfig(source, out, settings, defaults, **own)
+    config = BatchConfig(source, out, settings, stored, **own)
     with interrupt_note(_CONTINUE), show_progress(quiet=quiet, as_json=log_json) as progress:
         result = run_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)
     if not quiet:

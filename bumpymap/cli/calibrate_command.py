@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import FILE, given_options, jobs_option, output_options, settings_options
+from bumpymap.cli._options import (
+    FILE,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    jobs_option,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, option_name, print_error, print_json, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
@@ -25,21 +34,26 @@ if TYPE_CHECKING:
 _NO_OUT = "calibrate needs a file to write: --out FILE.json (or --check)"
 
 
-@click.command("calibrate")
-@click.option(
-    "--vehicle",
-    metavar="NAME_OR_FILE",
-    help="Name of an included vehicle, or a TOML file [with --check: warthog].",
-)
-@click.option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).")
+@click.command("calibrate", cls=GroupedCommand)
+@grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
+@grouped_option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output")
 @settings_options(CalibrationSettings)
 @jobs_option
-@click.option("--quick", is_flag=True, help="Rough calibration in a few minutes: other defaults, fewer z ranges.")
-@click.option("--overwrite", is_flag=True, help="Replace the file, and discard progress made with other settings.")
-@click.option("--check", is_flag=True, help="Only check the simulation against analytical solutions; writes no file.")
+@click.option("--quick", is_flag=True, help="Rough calibration in minutes: fewer drives and z ranges.")
+@grouped_option("--overwrite", is_flag=True, help="Replace the file, and drives of other settings.", group="Output")
+@click.option("--check", is_flag=True, help="Only check the simulation against formulas; write no file.")
+@config_options(CalibrationSettings)
 @output_options()
 def command(
-    *, vehicle: str | None, out: Path | None, quick: bool, check: bool, quiet: bool, log_json: bool, **given: Any
+    *,
+    vehicle: str | None,
+    out: Path | None,
+    quick: bool,
+    check: bool,
+    stored: dict[str, Any],
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
 ) -> None:
     """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.
 
@@ -51,9 +65,9 @@ def command(
     profile = load_profile(vehicle)
     workers, overwrite = given.pop("jobs") or os.cpu_count() or 1, given.pop("overwrite")
     settings = CalibrationSettings(profile)
-    settings = replace(settings.quick() if quick else settings, **given_options(given))
+    settings = replace(settings.quick() if quick else settings, **{**stored, **given_options(given)})
     if check:
-        _refuse_beside_check()
+        _refuse_beside_check(stored)
         _check(profile, settings.seed)
         return
     if out is None:
@@ -85,10 +99,10 @@ def _default_vehicle(out: Path | None, *, check: bool) -> str:
     )
 
 
-def _refuse_beside_check() -> None:
+def _refuse_beside_check(stored: dict[str, Any]) -> None:
     """Raise UsageError for options that have no effect on a check."""
-    foreign = set(given_options(click.get_current_context().params)) - {"check", "vehicle", "seed", "quiet", "log_json"}
-    for name in sorted(foreign):
+    given = {*given_options(click.get_current_context().params), *stored}
+    for name in sorted(given - {"check", "vehicle", "seed", "quiet", "log_json", "config_file", "assigned"}):
         raise UsageError(f"--check makes no calibration and writes nothing: leave out {option_name(name)} or --check")
 
 
@@ -170,11 +184,11 @@ def _check_place(out: Path, overwrite: bool) -> None:
 
 def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick: bool) -> str:
     """Return the command that makes the file again."""
-    words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name, "--seed", str(settings.seed)]
-    words += ["--patches", str(settings.patches), "--starts", str(settings.starts)]
-    words += ["--terrains", str(settings.terrains), "--terrain-starts", str(settings.terrain_starts)]
-    words += ["--tile-size", repr(settings.tile_size).removesuffix(".0"), "--pixels", str(settings.pixels)]
-    return shlex.join(words + (["--quick"] if quick else []))
+    words = ["bumpymap", "calibrate", "--vehicle", vehicle, "--out", out.name]
+    words += ["--tile-size", repr(settings.tile_size).removesuffix(".0")] + ["--quick"] * quick
+    for name in ("seed", "patches", "starts", "terrains", "terrain_starts", "pixels"):
+        words += ["--set", f"{name}={getattr(settings, name)}"]
+    return shlex.join(words)
 
 
 def _summary(calibration: "Calibration", out: Path) -> None:

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.check import CheckConfig
-from bumpymap.cli._options import FILE, PATH, given_options, output_options, settings_options
+from bumpymap.cli._options import (
+    FILE,
+    PATH,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import (
@@ -314,18 +323,19 @@ def _refit_percent(share: float) -> str:
 _PARTLY_DONE = 4
 
 
-@click.command("check")
+@click.command("check", cls=GroupedCommand)
 @click.argument("layers", type=PATH, metavar="[LAYERS]", required=False)
 @settings_options(CheckConfig, required=("drives",))
-@click.option(
-    "--columns",
-    metavar="LIST",
-    help="Columns or topics of the log, such as rate_y=GyrY[deg/s],time=t [default: guessed and shown].",
+@grouped_option(
+    "--columns", metavar="LIST", help="Of the log: rate_y=GyrY[deg/s],time=t [guessed and shown].", group="Input"
 )
-@click.option("--refit", type=FILE, metavar="FILE", help="Move the calibration of the map to the drives (JSON).")
-@click.option(
-    "--calibration", type=FILE, metavar="FILE", help="With --refit: calibration of the map [default: its own]."
+@grouped_option(
+    "--refit", type=FILE, metavar="FILE", help="Move the calibration to the drives (JSON).", group="Vehicle"
 )
+@grouped_option(
+    "--calibration", type=FILE, metavar="FILE", help="With --refit: that of the map [its own].", group="Vehicle"
+)
+@config_options(CheckConfig)
 @output_options()
 @click.pass_context
 def command(
@@ -333,6 +343,7 @@ def command(
     /,
     layers: Path | None,
     *,
+    stored: dict[str, Any],
     quiet: bool,
     log_json: bool,
     columns: str | None,
@@ -353,7 +364,7 @@ def command(
 
     refit = _refit(layers, given.pop("refit"), given.pop("calibration"), overwrite=given["overwrite"])
     named = None if columns is None else parse_columns(columns)
-    config = CheckConfig(layers=layers, columns=named, **given_options(given))
+    config = CheckConfig(**{**stored, **given_options(given), "layers": layers, "columns": named})
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result, files = run_check(config, progress)
     update, refused = _moved(refit, result)

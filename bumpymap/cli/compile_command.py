@@ -2,14 +2,14 @@
 
 import click
 
-from bumpymap.cli._options import output_options
+from bumpymap.cli._options import GroupedCommand, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.core import OutputError
 
 __all__ = ["command"]
 
 
-@click.command("compile")
+@click.command("compile", cls=GroupedCommand)
 @output_options()
 def command(*, quiet: bool, log_json: bool) -> None:
     """Compile the numerical kernels, and the templates of pages, now and once, not in the first run that needs them."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import PATH, output_options
+from bumpymap.cli._options import PATH, GroupedCommand, output_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic
@@ -16,7 +16,7 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 
 
-@click.command("demo")
+@click.command("demo", cls=GroupedCommand)
 @click.option(
     "--out",
     default="demo_out",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bumpymap.change import DiffConfig
-from bumpymap.cli._options import PATH, given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, GroupedCommand, config_options, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import count_text, share_text, shares_text
@@ -71,12 +71,13 @@ def _record(result: "ChangeResult", config: DiffConfig) -> dict[str, Any]:
     }
 
 
-@click.command("diff")
+@click.command("diff", cls=GroupedCommand)
 @click.argument("before", type=PATH, metavar="BEFORE")
 @click.argument("after", type=PATH, metavar="AFTER")
 @settings_options(DiffConfig)
+@config_options(DiffConfig)
 @output_options()
-def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: Any) -> None:
+def command(before: Path, after: Path, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:
     """Find what has changed between two surveys of a site, BEFORE and AFTER: folders of `bumpymap map`.
 
     \b
@@ -84,7 +85,7 @@ def command(before: Path, after: Path, *, quiet: bool, log_json: bool, **given: 
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.change import find_changes
 
-    config = DiffConfig(before, after, **given_options(given))
+    config = DiffConfig(**{**stored, **given_options(given), "before": before, "after": after})
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = find_changes(config, progress)
     if not quiet:

@@ -11,7 +11,10 @@ import click
 from bumpymap.cli._options import (
     LOCATION,
     PATH,
+    GroupedCommand,
+    config_options,
     given_options,
+    grouped_option,
     jobs_option,
     merge_settings,
     output_options,
@@ -25,37 +28,38 @@ from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 if TYPE_CHECKING:
     from bumpymap.lab import Findings, ScanFindings, Subject
 
-_OF_ALL = ("surveys", "scans", "out", "seed", "overwrite", "quiet", "log_json")
+_OF_ALL = ("surveys", "scans", "out", "seed", "overwrite", "quiet", "log_json", "config_file", "assigned")
 _OF_SCANS = ("scenes", "labels", "model", "stripes")
 
 
-@click.command("evaluate")
+@click.command("evaluate", cls=GroupedCommand)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@click.option("--scans", is_flag=True, help="Evaluate the classes of single scans: given frames, or simulated scenes.")
-@click.option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.")
-@settings_options(
-    MapConfig, "ground", "crs", "force_crs", "z_unit", "local", local="Treat coordinates without a CRS as metres"
-)
-@click.option(
+@grouped_option("--scans", is_flag=True, help="Evaluate scans: given frames, or simulated scenes.", group="Input")
+@grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
+@settings_options(MapConfig, "ground", "crs", "force_crs", "z_unit", "local")
+@grouped_option(
     "--vehicle",
     multiple=True,
-    metavar="NAME_OR_FILE",
-    help="Name of an included vehicle, or a TOML file [default: warthog].",
+    metavar="NAME|FILE",
+    help="An included vehicle, or a TOML file [warthog].",
+    group="Vehicle",
 )
-@click.option("--calibration", multiple=True, type=PATH, metavar="FILE", help="Calibration file of your own vehicle.")
+@grouped_option(
+    "--calibration",
+    multiple=True,
+    type=PATH,
+    metavar="FILE",
+    help="Calibration file of your own vehicle.",
+    group="Vehicle",
+)
 @settings_options(EvaluateSettings)
+@settings_options(ScanEvaluateSettings, without=("seed",))
 @jobs_option
-@click.option(
-    "--labels",
-    metavar="NAME_OR_FILE",
-    help="With --scans: label set: kitti, semantic-kitti, rellis, or a file of ids and classes [default: by the ids].",
-)
-@settings_options(ScanEvaluateSettings, "scenes")
-@click.option("--model", type=PATH, metavar="FILE", help="With --scans: your own scan network.")
-@click.option("--stripes", type=PATH, metavar="FILE", help="With --scans: your own stripe classes.")
-@click.option("--overwrite", is_flag=True, help="Replace the report, and discard drives made with other settings.")
+@grouped_option("--labels", metavar="NAME|FILE", help="With --scans: label set [by the ids].", group="Input")
+@grouped_option("--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output")
+@config_options(EvaluateSettings, ScanEvaluateSettings)
 @output_options()
-def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -> None:
+def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, stored: dict[str, Any], **given: Any) -> None:
     """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
 
     With several vehicles, the report also compares their order; the first one determines the patches. To resume an
@@ -67,14 +71,14 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
     bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _refuse_other_options(places=bool(surveys), scans=scans)
+    _refuse_other_options(stored, places=bool(surveys), scans=scans)
     if scans:
-        _evaluate_scans(surveys, out, given)
+        _evaluate_scans(surveys, out, ScanEvaluateSettings(**_chosen(stored, ScanEvaluateSettings)), given)
         return
     if not surveys:
         raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     merge_settings({}, given_options(click.get_current_context().params), OF_CRS)
-    settings = EvaluateSettings(**_chosen(given, EvaluateSettings))
+    settings = EvaluateSettings(**_chosen(stored, EvaluateSettings))
     subjects = _subjects(given, settings.rating)
     from bumpymap.lab import (
         TrialOptions,
@@ -99,9 +103,9 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -
         _summary(findings, files)
 
 
-def _refuse_other_options(*, places: bool, scans: bool) -> None:
-    """Raise UsageError for options of the other evaluation, which would have no effect."""
-    given = given_options(click.get_current_context().params)
+def _refuse_other_options(stored: dict[str, Any], *, places: bool, scans: bool) -> None:
+    """Raise UsageError for settings of the other evaluation, which would have no effect."""
+    given = given_options(click.get_current_context().params) | stored
     for name in given:
         if scans and name not in (*_OF_ALL, *_OF_SCANS):
             raise UsageError(
@@ -110,7 +114,7 @@ def _refuse_other_options(*, places: bool, scans: bool) -> None:
         if not scans and name in _OF_SCANS:
             raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
     if scans and places and "scenes" in given:
-        raise UsageError("--scenes applies to simulated scenes: leave out --scenes or the frames")
+        raise UsageError("`scenes` applies to simulated scenes: leave it or the frames out")
     if scans and not places and "labels" in given:
         raise UsageError("--labels applies to frames: give frames, or leave it out")
 
@@ -126,7 +130,7 @@ def _is_text(out: Path, files: list[Path], given: dict[str, Any]) -> bool:
     return not (given["quiet"] or given["log_json"])
 
 
-def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
+def _evaluate_scans(places: tuple[Any, ...], out: Path, settings: ScanEvaluateSettings, given: dict[str, Any]) -> None:
     from bumpymap.lab import (
         ScanMethods,
         evaluate_scans,
@@ -139,9 +143,8 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any]) -
     from bumpymap.readers import find_frames
     from bumpymap.scan import ScanModel, load_stripes
 
-    settings = ScanEvaluateSettings(**_chosen(given, ScanEvaluateSettings))
-    network = ScanModel.load(given["model"]) if given["model"] else ScanModel.shipped()
-    methods = ScanMethods(load_stripes(given["stripes"]), network)
+    network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
+    methods = ScanMethods(load_stripes(settings.stripes), network)
     if not places:
         load_open3d("evaluate --scans without frames")
     frames = find_frames([Path(place) for place in places]) if places else []
@@ -156,10 +159,10 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, given: dict[str, Any]) -
         print_line(f"wrote {files[0]}")
 
 
-def _chosen(given: dict[str, Any], owner: type) -> dict[str, Any]:
-    """Return the options that were given and are settings of a class."""
+def _chosen(stored: dict[str, Any], owner: type) -> dict[str, Any]:
+    """Return the values of the settings of one class."""
     names = {field.name for field in fields(owner)}
-    return {name: value for name, value in given_options(given).items() if name in names}
+    return {name: value for name, value in stored.items() if name in names}
 
 
 def _subjects(given: dict[str, Any], rating: Rating) -> "list[Subject]":

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, given_options, output_options, settings_options
+from bumpymap.cli._options import (
+    PATH,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._text import option_name, print_json, print_line
 from bumpymap.core import UsageError
 from bumpymap.layers import ExportFormat, ExportSettings
@@ -36,17 +44,27 @@ _LOCAL_DATUM_M = 1e6
 """The same for a map without a CRS, whose frame may begin anywhere."""
 
 
-@click.command("export")
+@click.command("export", cls=GroupedCommand)
 @click.argument("layers", nargs=-1, required=True, type=PATH, metavar="LAYERS...")
-@click.option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.")
-@click.option(
-    "--around", metavar="POINT", help="Only the tiles around LON,LAT or X,Y in the survey's CRS [default: all]."
+@grouped_option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.", group="Output")
+@grouped_option(
+    "--around", metavar="POINT", help="Tiles around lon,lat or x,y in the survey's CRS [all].", group="Input"
 )
-@click.option("--datum", metavar="POINT", help="Origin of the local frame [default: a corner of a tile in the middle].")
+@grouped_option("--datum", metavar="POINT", help="Origin of the frame [a corner of a middle tile].", group="Output")
 @settings_options(ExportSettings, required=("to",))
-@click.option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.")
+@grouped_option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.", group="Output")
+@config_options(ExportSettings)
 @output_options("Print no summary.")
-def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
+def command(
+    layers: tuple[Path, ...],
+    out: Path,
+    *,
+    stored: dict[str, Any],
+    overwrite: bool,
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
+) -> None:
     """Write the map in LAYERS, folders of `bumpymap map`, in a format that robots read.
 
     \b
@@ -60,12 +78,13 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    options = given_options(given)
+    options = {**stored, **given_options(given)}
     _refuse_idle(options, given["to"])
     from bumpymap.layers import export_map, open_map
 
     # Settings that need no map are checked before it is opened.
-    settings = ExportSettings(**{name: value for name, value in options.items() if name not in _POINTS})
+    own = {name: value for name, value in given_options(given).items() if name not in _POINTS}
+    settings = ExportSettings(**{**stored, **own})
     route_map = open_map(layers)
     done = export_map(route_map, out, _placed(settings, given, route_map), overwrite=overwrite)
     if quiet:

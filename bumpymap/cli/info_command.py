@@ -9,10 +9,19 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import LOCATION, given_options, output_options, settings_options
+from bumpymap.cli._options import (
+    LOCATION,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    merge_settings,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import as_options, option_name, print_json, print_labelled, print_line, print_table
-from bumpymap.core import OF_CRS, Ground, MapConfig, count_text, refuse_clashes
+from bumpymap.cli._text import as_options, print_json, print_labelled, print_line, print_table
+from bumpymap.core import OF_CRS, Ground, MapConfig, count_text
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import Report
@@ -24,24 +33,36 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _BAD_INPUT = 3
-_OF_SIZE = ("tile_size", "pixels", "memory", "threads")
 
 
-@click.command("info")
+@click.command("info", cls=GroupedCommand)
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@settings_options(MapConfig, "crs", "force_crs", "z_unit", "trust_points", "tile_size", "pixels")
-@click.option(
-    "--ground", type=click.Choice(["auto", "all", "class"]), default="auto", help="As for map [default: auto]."
-)
 @settings_options(
-    MapConfig, "memory", "threads", memory="As for map, for the estimate", threads="As for map, for the estimate"
+    MapConfig,
+    *("crs", "force_crs", "z_unit", "trust_points", "tile_size", "pixels", "memory", "threads"),
+    moved=("tile_size", "memory", "threads"),
+)
+@grouped_option(
+    "--ground",
+    type=click.Choice(["auto", "all", "class"]),
+    metavar="KIND",
+    help="Points to use: auto, all or class [auto].",
+    group="Ground",
 )
 @click.option("--quick", is_flag=True, help="Read only the headers, no points.")
-@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@config_options(MapConfig)
 @output_options("Print no progress.")
 @click.pass_context
 def command(
-    ctx: click.Context, /, surveys: tuple[Path | str, ...], *, quick: bool, quiet: bool, log_json: bool, **given: Any
+    ctx: click.Context,
+    /,
+    surveys: tuple[Path | str, ...],
+    *,
+    stored: dict[str, Any],
+    quick: bool,
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
 ) -> None:
     """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
 
@@ -57,26 +78,25 @@ def command(
     from bumpymap.survey import Budget, with_memory
     from bumpytiles import Grid
 
-    refuse_clashes({name: given[name] for name in ("crs", "force_crs") if given[name] is not None}, OF_CRS, option_name)
+    settings = merge_settings(stored, given_options(given), OF_CRS)
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.
-    sizes = {name: value for name, value in given_options(given).items() if name in _OF_SIZE}
-    config = MapConfig(surveys, Path(), **sizes)
+    config = MapConfig(**{**settings, "surveys": surveys, "out": Path()})
     run = with_memory(config)
-    ground, as_json = given["ground"], given["as_json"]
+    ground = config.ground
     grid = Grid(run.tile_size, run.pixels)
     budget = Budget(memory_bytes(run.memory), run.threads)
     options = ReadOptions(
-        given["crs"], given["z_unit"], given["trust_points"], budget.memory, lines=True, force_crs=given["force_crs"]
+        config.crs, config.z_unit, config.trust_points, budget.memory, lines=True, force_crs=config.force_crs
     )
     paths = find_surveys(surveys)
-    with show_progress(quiet=quiet or as_json, as_json=log_json) as progress:
+    with show_progress(quiet=quiet or log_json, as_json=log_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
         look = partial(_inspect, options=options, ground=ground, grid=grid, progress=progress, whole=whole)
         reports = [look(path) for path in paths]
     why_not_together = _why_not_together(reports)
     forecast = None if why_not_together else estimated(reports, budget)
-    if as_json:
+    if log_json:
         record = {"files": [as_record(report) for report in reports], "together": " ".join(why_not_together)}
         sheets = {"sheets_km": sheets_for(grid, [report.bounds for report in reports])}
         print_json(record | sheets | {"run": forecast and run_record(forecast, budget)}, indent=1)
@@ -132,11 +152,11 @@ def _map_options(options: "ReadOptions", ground: Ground, place: "Georeference") 
         if flat is not None and own is not None and same_crs(flat, own):
             yield from ("--crs", options.crs)
     if options.force_crs is not None:
-        yield from ("--force-crs", options.force_crs)
+        yield from ("--set", f"force_crs={options.force_crs}")
     if options.z_unit is not None:
         yield from ("--z-unit", options.z_unit)
     if options.trust_points:
-        yield "--trust-points"
+        yield from ("--set", "trust_points=true")
     if ground != "auto":
         yield from ("--ground", ground)
 

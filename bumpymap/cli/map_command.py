@@ -10,14 +10,15 @@ import click
 
 from bumpymap.cli._options import (
     LOCATION,
-    config_option,
+    GroupedCommand,
+    config_options,
     given_options,
     merge_settings,
     output_options,
     settings_options,
 )
 from bumpymap.cli._progress import show_progress
-from bumpymap.core import CLASHES, MapConfig, Progress, UsageError, read_settings_file
+from bumpymap.core import CLASHES, MapConfig, Progress, UsageError
 
 __all__ = ["ImportsAhead", "command", "start_ahead"]
 
@@ -64,21 +65,21 @@ def _import() -> None:
 _PARTLY_DONE = 4
 
 
-@click.command("map")
+@click.command("map", cls=GroupedCommand)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @settings_options(MapConfig)
-@config_option
+@config_options(MapConfig)
 @output_options()
 @click.pass_context
-def command(ctx: click.Context, /, config_file: Path | None, *, quiet: bool, log_json: bool, **given: Any) -> None:
+def command(ctx: click.Context, /, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:
     """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
 
     \b
     bumpymap map site.laz --out site_layers
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
+    bumpymap map site.laz --out layers --vehicle my_robot.toml --set pixels=21
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    from_file = read_settings_file(config_file, MapConfig) if config_file else {}
-    settings = merge_settings(from_file, given_options(given), CLASHES)
+    settings = merge_settings(stored, given_options(given), CLASHES)
     for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
         if name not in settings:
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")

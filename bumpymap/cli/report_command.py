@@ -5,19 +5,27 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._options import PATH, given_options, output_options
+from bumpymap.cli._options import PATH, GroupedCommand, given_options, grouped_option, output_options
 from bumpymap.cli._text import print_json, print_line
 from bumpymap.core import UsageError
 
 __all__ = ["command"]
 
 
-@click.command("report")
+@click.command("report", cls=GroupedCommand)
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
-@click.option("--out", type=PATH, metavar="FILE", help="File to write [default: LAYERS/report.html].")
-@click.option("--route", type=PATH, metavar="PATH", help="Draw ways: the folder of `bumpymap route`, or route.geojson.")
-@click.option("--check", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there.")
-@click.option("--overwrite", is_flag=True, help="Replace FILE if it exists.")
+@grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
+@grouped_option(
+    "--route",
+    group="Input",
+    type=PATH,
+    metavar="PATH",
+    help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
+)
+@grouped_option(
+    "--check", group="Input", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there."
+)
+@grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
 @output_options("Print nothing.")
 def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
     """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.

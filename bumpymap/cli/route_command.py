@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, given_options, output_options, settings_options
+from bumpymap.cli._options import PATH, GroupedCommand, config_options, given_options, output_options, settings_options
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import print_json, print_line, print_table
 from bumpymap.core import UsageError, count_text
@@ -135,24 +136,26 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     }
 
 
-@click.command("route")
+@click.command("route", cls=GroupedCommand)
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
 @settings_options(RouteConfig)
-@settings_options(CostSettings)
+@settings_options(CostSettings, table="cost")
+@config_options(RouteConfig)
 @output_options()
-def command(*, quiet: bool, log_json: bool, **given: Any) -> None:
+def command(*, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:
     """Find the cheapest way over the ground that `bumpymap map` wrote to LAYERS.
 
     \b
     bumpymap route layers --from 11.5001,48.2003 --to 11.5034,48.2011 --out way
     bumpymap route layers --from 434100,5411200 --out reach --isochrones 1,2,5
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    settings = given_options(given)
+    settings = {**stored, **given_options(given)}
     if not settings.get("layers"):
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.route import plan_routes
 
-    cost = CostSettings(**{name: settings.pop(name) for name in CostSettings.__dataclass_fields__ if name in settings})
+    own = {name: settings.pop(name) for name in CostSettings.__dataclass_fields__ if name in settings}
+    cost = replace(settings.pop("cost", CostSettings()), **own)
     config = RouteConfig(cost=cost, **settings)
     with show_progress(quiet=quiet, as_json=log_json) as progress:
         result = plan_routes(config, progress)

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, config_option, given_options, merge_settings, output_options, settings_options
+from bumpymap.cli._options import (
+    PATH,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    merge_settings,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import option_name, print_json, print_line, print_table
 from bumpymap.core import (
@@ -15,7 +24,6 @@ from bumpymap.core import (
     Robot,
     UsageError,
     count_text,
-    read_settings_file,
     settings_with_options,
     shares_text,
 )
@@ -134,7 +142,6 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
 _PARTLY_DONE = 4
 _OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
 _NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
-_TABLES = (PolarSettings.__dataclass_fields__, Robot.__dataclass_fields__)
 
 
 class _EveryNth(click.types.IntParamType):
@@ -148,25 +155,28 @@ class _EveryNth(click.types.IntParamType):
             self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
 
 
-@click.command("scan")
+@click.command("scan", cls=GroupedCommand)
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
 @settings_options(ScanConfig)
-@settings_options(PolarSettings)
-@settings_options(Robot)
-@click.option(
-    "--fit",
-    type=PATH,
-    metavar="FILE",
-    help="Fit the stripe classes of the filter to the frames and write only this file.",
+@settings_options(PolarSettings, table="polar")
+@settings_options(Robot, table="robot")
+@grouped_option(
+    "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes and write only them.", group="Output"
 )
-@click.option(
-    "--pictures", type=_EveryNth(), is_flag=False, flag_value=1, metavar="N", help="Draw all frames, or every Nth one."
+@grouped_option(
+    "--pictures",
+    type=_EveryNth(),
+    is_flag=False,
+    flag_value=1,
+    metavar="N",
+    help="Draw all frames, or every Nth one.",
+    group="Output",
 )
-@config_option
+@config_options(ScanConfig)
 @output_options()
 @click.pass_context
 def command(
-    ctx: click.Context, /, config_file: Path | None, fit: Path | None, *, quiet: bool, log_json: bool, **given: Any
+    ctx: click.Context, /, fit: Path | None, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any
 ) -> None:
     """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
@@ -179,7 +189,7 @@ def command(
     from bumpymap.layers import import_without_pandas
     from bumpymap.scan import fit_frames, scan_frames
 
-    config = _config(config_file, fit, given)
+    config = _config(stored, fit, given)
     if ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with show_progress(quiet=quiet, as_json=log_json) as progress:
@@ -196,23 +206,15 @@ def command(
         ctx.exit(_PARTLY_DONE)
 
 
-def _config(config_file: Path | None, fit: Path | None, given: dict[str, Any]) -> ScanConfig:
+def _config(stored: dict[str, Any], fit: Path | None, given: dict[str, Any]) -> ScanConfig:
     """Merge the settings of the file and of the command line, which override them."""
-    from dataclasses import replace
-
     options = given_options(given)
     if fit is not None and (wrong := [name for name in _NOT_OF_A_FIT if name in options]):
         raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
-    settings = read_settings_file(config_file, ScanConfig) if config_file else {}
-    polar, robot = ({name: options.pop(name) for name in declared if name in options} for declared in _TABLES)
-    settings = merge_settings(settings, options, [VEHICLE_OR_CALIBRATION])
+    settings = merge_settings(stored, options, [VEHICLE_OR_CALIBRATION])
     if fit is not None:
         settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
     for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):
         if not settings.get(name):
             raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
-    if "zone_starts_m" in polar:  # the option lists the outer border of the last zone too
-        *starts, end = polar["zone_starts_m"]
-        polar |= {"zone_starts_m": tuple(starts), "end_m": end}
-    config = ScanConfig(**settings)
-    return replace(config, polar=replace(config.polar, **polar), robot=replace(config.robot, **robot))
+    return ScanConfig(**settings)

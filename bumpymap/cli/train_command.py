@@ -2,14 +2,22 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import FILE, given_options, output_options, settings_options
+from bumpymap.cli._options import (
+    FILE,
+    GroupedCommand,
+    config_options,
+    given_options,
+    grouped_option,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._text import interrupt_note, option_name, print_json, print_line
 from bumpymap.core import OutputError, Progress, UsageError
@@ -23,30 +31,33 @@ __all__ = ["command"]
 _log = logging.getLogger(__name__)
 
 _SIMULATED = "simulated"
-_OF_TEXTURES = ("patches_per_texture", "tile_size", "pixels")
-_OF_SCANS = ("scenes", "sectors_per_class")
 
 
-@click.command("train")
-@click.option(
-    "--out",
-    required=True,
-    type=FILE,
-    metavar="FILE",
-    help="ONNX file to write; the model card is written next to it (.md).",
-)
-@click.option(
+@click.command("train", cls=GroupedCommand)
+@grouped_option("--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output")
+@grouped_option(
     "--scans",
     metavar="simulated|DIR",
     help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
+    group="Input",
 )
 @settings_options(LoopSettings)
-@settings_options(TrainSettings, *_OF_TEXTURES)
-@settings_options(NetworkSettings, *_OF_TEXTURES)
-@settings_options(ScanTrainSettings, *_OF_SCANS)
-@click.option("--overwrite", is_flag=True, help="Replace the network of an earlier training.")
+@settings_options(TrainSettings, "patches_per_texture", "tile_size")
+@settings_options(NetworkSettings, "pixels", table="network")
+@settings_options(ScanTrainSettings, "scenes", "sectors_per_class")
+@grouped_option("--overwrite", is_flag=True, help="Replace the network of an earlier training.", group="Output")
+@config_options(TrainSettings, ScanTrainSettings)
 @output_options()
-def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_json: bool, **given: Any) -> None:
+def command(
+    *,
+    out: Path,
+    scans: str | None,
+    stored: dict[str, Any],
+    overwrite: bool,
+    quiet: bool,
+    log_json: bool,
+    **given: Any,
+) -> None:
     """Train the texture network on synthetic terrain and write it as ONNX; no survey is needed.
 
     With --scans, train the scan network instead. To resume an interrupted training after its last complete epoch, give
@@ -57,7 +68,7 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    options = given_options(given)
+    options = {**stored, **given_options(given)}
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
@@ -81,7 +92,9 @@ def command(*, out: Path, scans: str | None, overwrite: bool, quiet: bool, log_j
 
 def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
     """Raise UsageError for options of the other network, which would have no effect."""
-    foreign = [option_name(name) for name in (_OF_SCANS if scans is None else _OF_TEXTURES) if name in options]
+    names = {field.name for field in fields(TrainSettings if scans is None else ScanTrainSettings)}
+    own = names if scans is None else names - {"network"}  # the file's table is that of the texture network
+    foreign = [option_name(name) for name in options if name not in own]
     if foreign and scans is None:
         raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
     if foreign:
@@ -97,8 +110,7 @@ def _train_textures(
 ) -> "tuple[list[str], TrainedModel[Any]]":
     from bumpymap.lab import make_model
 
-    network = NetworkSettings(pixels=options.pop("pixels")) if "pixels" in options else NetworkSettings()
-    made = make_model(TrainSettings(**options, network=network), out, _Epochs(progress))
+    made = make_model(TrainSettings(**options), out, _Epochs(progress))
     scores = made.evaluation
     lines = [
         f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
@@ -117,7 +129,7 @@ def _train_scans(
     if folder is None:
         load_open3d("--scans simulated")
     elif "scenes" in options:
-        _log.warning("--scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
+        _log.warning("scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
     scores = made.evaluation
     even = 100 * scores.every.balanced_accuracy

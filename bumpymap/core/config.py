@@ -14,7 +14,6 @@ from bumpymap.core.settings import NameOrFile, Setting, check_settings
 __all__ = [
     "CLASHES",
     "OF_CRS",
-    "RESUME_OR_OVERWRITE",
     "VEHICLE_OR_CALIBRATION",
     "Align",
     "Clash",
@@ -41,10 +40,6 @@ Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
 ScanMethod = Literal["filter", "learned"]
 
-RESUME_OR_OVERWRITE = (
-    "`resume=True` continues an interrupted run, `overwrite=True` starts again: give one of them. A run that was "
-    "started with `overwrite=True` is resumed with just `resume=True`"
-)
 _MOST_SPEEDS = 16
 _MOST_SECTORS = 32_767
 """Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
@@ -152,73 +147,76 @@ class MapConfig:
 
     surveys: tuple[Path | str, ...]
     """Files and folders; strings are fsspec URLs."""
-    out: Annotated[Path, Setting("Folder for the layers", "DIR")]
-    tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m")] = 3.0
-    pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255)] = 15
-    ground: Annotated[Ground, Setting("Points to use")] = "auto"
+    out: Annotated[Path, Setting("Folder for the layers", "DIR", group="Output")]
+    tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
+    pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255, rare=True)] = 15
+    ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
     """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
-    align: Annotated[Align, Setting("Height steps of flight lines")] = "report"
+    align: Annotated[Align, Setting("Height steps of flight lines: off, report, on", "WHAT", group="Ground")] = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
     tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
-    rating: Annotated[Rating, Setting("How the ride cost is predicted")] = "ride"
+    rating: Annotated[Rating, Setting("How the ride cost is predicted", rare=True)] = "ride"
     """``ride`` rolls the vehicle over each tile; ``table`` looks up its texture and z range, as the paper does."""
-    compat: Annotated[Compat, Setting("paper: use the rules of the BumpyPatch paper", default="")] = "none"
-    vehicle: Annotated[NameOrFile, Setting("Name of an included vehicle, or a TOML file", "NAME_OR_FILE")] = "warthog"
+    compat: Annotated[Compat, Setting("paper: use the rules of the BumpyPatch paper", default="", rare=True)] = "none"
+    vehicle: Annotated[NameOrFile, Setting("An included vehicle, or a TOML file", "NAME|FILE", group="Vehicle")] = (
+        "warthog"
+    )
     """A vehicle that ships with bumpymap, or the TOML file of one, with its calibration file in the same folder."""
-    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE")] = None
+    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE", group="Vehicle")] = None
     """A calibration file, used instead of ``vehicle``."""
     speed: Annotated[
-        float | None, Setting("Speed to rate the ride at, in m/s", "SPEED", 0.01, 100.0, "m/s", default="the vehicle's")
+        float | None, Setting("Rated speed, m/s", "SPEED", 0.01, 100.0, "m/s", default="the vehicle's", group="Vehicle")
     ] = None
     """Speed that the ride is rated at, m/s; None: that of the vehicle's profile."""
     speeds: Annotated[
         tuple[float, ...] | None,
-        Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s"),
+        Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s", rare=True),
     ] = None
     """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
-    model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE")] = None
+    model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE", rare=True)] = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
-    crs: Annotated[str | None, Setting("CRS of surveys that have none, such as EPSG:32614", "CRS")] = None
-    force_crs: Annotated[str | None, Setting("CRS of all surveys, whatever they state", "CRS")] = None
-    z_unit: Annotated[ZUnit | None, Setting("Unit of heights if the CRS does not define it")] = None
+    crs: Annotated[str | None, Setting("CRS of surveys that have none: EPSG:32614", "CRS", group="Input")] = None
+    force_crs: Annotated[
+        str | None, Setting("CRS of all surveys, whatever they state", "CRS", group="Input", rare=True)
+    ] = None
+    z_unit: Annotated[
+        ZUnit | None, Setting("Unit of heights: m, ft or us-ft", "UNIT", default="of the CRS", group="Input")
+    ] = None
     """Unit of heights, if the survey's CRS does not state it or is wrong."""
-    local: Annotated[bool, Setting("Map surveys without a CRS in their own coordinates")] = False
-    trust_points: Annotated[bool, Setting("Accept files whose points contradict the extent in the header")] = False
-    skip_bad: Annotated[bool, Setting("Skip files that cannot be read (exit code 4)")] = False
+    local: Annotated[bool, Setting("Keep the coordinates of surveys without a CRS", group="Input")] = False
+    trust_points: Annotated[
+        bool, Setting("Accept files whose points contradict the extent in the header", rare=True)
+    ] = False
+    skip_bad: Annotated[bool, Setting("Skip files that cannot be read (exit code 4)", group="Input")] = False
     max_unknown: Annotated[
-        float | None, Setting("Fail (exit code 4) if more tiles are unknown: 50% or 0.5", "SHARE", 0.0, 1.0)
+        float | None, Setting("Fail (exit code 4) if more tiles are unknown: 50% or 0.5", "SHARE", 0.0, 1.0, rare=True)
     ] = None
     """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
     anyway."""
     sheets: Annotated[
         float | None,
-        Setting("Write a large site in square sheets of this side, in km", "KM", 0.001, 10_000.0, "km"),
+        Setting("Write square sheets of this side, in km", "KM", 0.001, 10_000.0, "km", group="Output"),
     ] = None
     """Side of the sheets that the layers are written in, km, each sheet to a folder of its own; None: one map. It is
     rounded to whole blocks of 16 x 16 tiles."""
-    overwrite: Annotated[bool, Setting("Replace the layers of an earlier run")] = False
-    resume: Annotated[bool, Setting("Continue an interrupted run")] = False
+    overwrite: Annotated[bool, Setting("Replace the layers of an earlier run", group="Output")] = False
     threads: Annotated[int, Setting("Number of threads", "N", 1, default="all cores")] = field(
         default_factory=lambda: os.cpu_count() or 1
     )
     """Number of threads on this machine."""
     memory: Annotated[
         str,
-        Setting(
-            "Memory limit in addition to the interpreter's, per worker",
-            "SIZE",
-            default="auto, a quarter of what is free",
-        ),
+        Setting("Memory beyond the interpreter's", "SIZE", default="a quarter of what is free"),
     ] = "auto"
     """Memory to use beyond that of the interpreter and its libraries, such as ``1GB``; for each worker of a
     ``scheduler``. ``auto``: a quarter of the memory that is free when the run starts, at least 512 MB and at most 8 GB,
     or 1 GB for each worker."""
     scratch: Annotated[
-        Path | None, Setting("Folder for points that exceed the memory limit", "DIR", default="in --out")
+        Path | None, Setting("Folder for points that exceed the memory limit", "DIR", default="in `out`", rare=True)
     ] = None
     """Folder for temporary files of points that do not fit in memory; None: in the output folder."""
-    scheduler: Annotated[str | None, Setting("Run on the workers of this dask scheduler", "ADDRESS")] = None
+    scheduler: Annotated[str | None, Setting("Run on the workers of this dask scheduler", "ADDRESS", rare=True)] = None
     """Address of a dask.distributed scheduler whose workers are used; None: everything runs in this process."""
     features: FeatureSettings = field(default_factory=FeatureSettings)
     csf: CsfSettings = field(default_factory=CsfSettings)
@@ -226,8 +224,6 @@ class MapConfig:
     def __post_init__(self) -> None:
         check_settings(self)
         self._check_speeds()
-        if self.resume and self.overwrite:
-            raise UsageError(RESUME_OR_OVERWRITE)
 
     def _check_speeds(self) -> None:
         """Raise UsageError if the speeds are no list of different speeds, or the rating cannot tell them."""
@@ -257,13 +253,21 @@ class PolarSettings:
 
     zone_starts_m: Annotated[
         tuple[float, ...],
-        Setting("Borders of the zones, m", "LIST", 0.0, unit="m", default="1,4,12,28,60,100", option="zones"),
+        Setting(
+            "Borders of the zones, m", "LIST", 0.0, unit="m", default="1,4,12,28,60,100", option="zones", rare=True
+        ),
     ] = (1.0, 4.0, 12.0, 28.0, 60.0)
     """Inner radius of each zone, horizontal distance from the sensor, m."""
     end_m: float = 100.0
     """Outer radius of the last zone, m."""
-    sectors: Annotated[tuple[int, ...], Setting("Sectors around each zone", "LIST", 3)] = (16, 24, 32, 48, 32)
-    rings: Annotated[tuple[int, ...], Setting("Rings of each zone", "LIST", 1)] = (2, 4, 4, 4, 2)
+    sectors: Annotated[tuple[int, ...], Setting("Sectors around each zone", "LIST", 3, rare=True)] = (
+        16,
+        24,
+        32,
+        48,
+        32,
+    )
+    rings: Annotated[tuple[int, ...], Setting("Rings of each zone", "LIST", 1, rare=True)] = (2, 4, 4, 4, 2)
     """Rings of each zone, of equal width."""
     least_points: Annotated[int, Setting(low=3)] = 30
     """A sector is judged if it has more points than this, and measured if it has ground."""
@@ -314,7 +318,10 @@ class Robot:
     """The region, in the sensor frame, in which returns are from the robot that carries the sensor."""
 
     radius_m: Annotated[
-        float, Setting("Exclude returns nearer than this, as on the robot", "M", 0.0, unit="m", option="robot-radius")
+        float,
+        Setting(
+            "Exclude returns nearer than this, as on the robot", "M", 0.0, unit="m", option="robot-radius", rare=True
+        ),
     ] = 0.5
     """Returns closer than this, horizontally, are on the robot; 0: none are. The default covers the robot's deck: from
     a roof or a mast, no beam hits the ground as close."""

@@ -1,7 +1,7 @@
 """The folder for the checkpoints of a run, ``.bumpymap-run`` inside the output folder, and the lock on that folder.
 
-A run that is killed leaves it behind, and ``--resume`` continues from it. Its files are written atomically, so every
-file in it is complete. It belongs to the user (mode 0700) and holds no symbolic links, so that nothing outside of it is
+A run that is killed leaves it behind, and the same command continues from it. Its files are written atomically, so
+every file in it is complete. It belongs to the user (mode 0700) and holds no symbolic links, so that nothing outside of it is
 written or deleted. The lock allows one run at a time in a folder and records who holds it; links are not followed.
 """
 
@@ -32,7 +32,6 @@ __all__ = [
     "Holder",
     "Kept",
     "RunFolder",
-    "check_interrupted",
     "clean_folder",
     "is_interrupted",
     "is_own_folder",
@@ -251,18 +250,6 @@ def is_interrupted(out: Path) -> bool:
     return not work_folder(out).is_symlink() and (work_folder(out) / _RUN_SPEC).exists()
 
 
-def check_interrupted(out: Path, *, resume: bool, overwrite: bool) -> bool:
-    """Return whether ``out`` holds an interrupted run; raise OutputError if it does and no option says what to do."""
-    if not is_interrupted(out):
-        return False
-    if resume or overwrite:
-        return True
-    raise OutputError(
-        f"{out} holds an interrupted run. Pass `resume=True` to continue it, `overwrite=True` to start again, or "
-        "choose another `out`"
-    )
-
-
 def what_to_keep(end: BaseException) -> Kept:
     """Return which checkpoints to keep after a run that ended with this exception.
 
@@ -294,13 +281,13 @@ class RunFolder:
         out: Path,
         run_spec: Mapping[str, Any],
         *,
-        resume: bool,
+        overwrite: bool,
         finished: Callable[[Path], bool],
         advice: str,
         keep: Collection[str] = (),
         decide: Callable[[BaseException], Kept] = what_to_keep,
     ) -> Iterator["RunFolder"]:
-        """Open the checkpoint folder of an interrupted run, or create a new one. The caller holds the lock of ``out``.
+        """Continue an interrupted run, or begin a new one in a new folder. The caller holds the lock of ``out``.
 
         The folder is removed if the body succeeds. If the body fails, it is removed if there is nothing ``finished``
         or ``decide`` returns ``Kept.NOTHING``; otherwise ``advice`` is added to the exception as a note.
@@ -311,8 +298,8 @@ class RunFolder:
             Output folder of the run.
         run_spec : mapping
             Inputs and settings of the run; see `RunFolder.run_spec`.
-        resume : bool
-            Whether to continue an interrupted run.
+        overwrite : bool
+            Whether to discard an interrupted run that had other inputs or settings.
         finished : callable
             Return whether the folder holds finished work.
         advice : str
@@ -332,11 +319,16 @@ class RunFolder:
         path = work_folder(out)
         with writing_to(path):
             _make_own(path)
-            before = read_record(path / _RUN_SPEC) if resume else None
+            before = read_record(path / _RUN_SPEC)
             if shape_fault(before, _SPEC_SHAPE):
                 before = None  # damaged, as one that cannot be parsed: what is there cannot be trusted
             if before is not None:
-                refuse_other(before, run_spec, out)
+                try:
+                    refuse_other(before, run_spec, out)
+                except UsageError:
+                    if not overwrite:
+                        raise
+                    before = None
             record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))
             clean_folder(path, everything=before is None, keep=keep)
             if before is None:
@@ -354,13 +346,13 @@ class RunFolder:
 
 
 def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -> None:
-    """Raise UsageError if an interrupted run had other inputs or settings than the run that shall resume it."""
+    """Raise UsageError if an interrupted run had other inputs or settings than the run that would continue it."""
     found = differences(before, json.loads(json.dumps(dict(now))))
     if found:
         raise UsageError(
-            f"the run in {out} cannot be resumed, because it was started with other inputs or settings:",
+            f"{out} holds an interrupted run that was started with other inputs or settings:",
             *(f"  {difference}" for difference in found),
-            "Use the same inputs and settings, or pass `overwrite=True` instead of `resume=True` to start again",
+            "Use the same to continue it, choose another `out`, or pass `overwrite=True` to discard it",
         )
 
 

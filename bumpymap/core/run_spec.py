@@ -226,7 +226,7 @@ def join_checksums(checksums: Iterable[str]) -> str:
     return f"{_SET_METHOD}:{blake3(lines.encode()).hexdigest()}"
 
 
-_OF_THE_MACHINE = {"out", "threads", "memory", "scratch", "scheduler", "resume", "overwrite"}
+_OF_THE_MACHINE = {"out", "threads", "memory", "scratch", "scheduler", "overwrite"}
 """Settings that say where and how a run is carried out: they change no result, so no manifest repeats them."""
 
 _MOST_LISTED = 8

@@ -9,13 +9,15 @@ and 0.4 GB. Everything else that was tried grows linearly (nested lists the fast
 suffice: the size of the file, and the number of parts of a key.
 """
 
+import json
 import math
 import os
 import re
 import tomllib
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from functools import cache
+from itertools import pairwise
 from numbers import Integral, Real
 from pathlib import Path
 from reprlib import Repr
@@ -30,6 +32,7 @@ __all__ = [
     "FieldRule",
     "NameOrFile",
     "Setting",
+    "assigned_settings",
     "brief_repr",
     "check_settings",
     "field_rule",
@@ -43,6 +46,7 @@ __all__ = [
     "refuse_faults",
     "refuse_unknown",
     "settings_of_call",
+    "settings_template",
     "settings_with_options",
     "short_names",
     "short_repr",
@@ -194,6 +198,10 @@ class Setting:
     """The default as the option's text shows it; None: that of the field; empty: none is shown."""
     option: str = ""
     """Name of the option, without dashes, where it is not that of the field."""
+    group: str = "Run"
+    """Heading of the help page that the option stands under."""
+    rare: bool = False
+    """True: no option of its own; it is set in a settings file, or with ``--set``."""
 
     def holds(self, value: float) -> bool:
         """Return whether a number is finite and within the bounds."""
@@ -241,8 +249,79 @@ def _declared(owner: type) -> tuple[Declared, ...]:
 
 
 def settings_with_options(owner: type) -> tuple[Declared, ...]:
-    """Return the fields of a settings class that are options of a command, in their order."""
+    """Return the fields of a settings class that the command line knows by name, in their order; also rare ones."""
     return tuple(each for each in _declared(owner) if each.setting.help)
+
+
+def settings_template(command: str, owners: Sequence[type]) -> str:
+    """Return a TOML file with every setting of some classes, its description and its default, all commented out."""
+    lines = [
+        f"# Settings of `bumpymap {command}`, with their defaults. Remove the # before a line to set it, and give the",
+        "# file with --config. Options of the command line override it; paths are relative to this file.",
+    ]
+    tables: list[tuple[str, Any]] = [("", owner) for owner in owners]
+    written: set[str] = set()
+    while tables:
+        table, owner = tables.pop(0)
+        lines += ["", f"#[{table}]"] if table else []
+        declared, notes = {each.name: each for each in _declared(owner)}, _notes(owner)
+        for each in fields(owner):
+            kind, full = _plain_type(each.type), f"{table}.{each.name}"
+            if not each.init or full in written or _is_required(each) or _unreadable(kind):
+                continue
+            written.add(full)
+            if is_dataclass(kind):
+                tables.append((each.name, kind))
+                continue
+            setting = declared[each.name].setting if each.name in declared else Setting()
+            note = notes.get(each.name) or (setting.help and f"{setting.help}.")
+            default = f" [default: {setting.default}]" * bool(setting.default)
+            allowed = _allowed(each.type, each.name)
+            lines += ["", *_comment(f"{note} {allowed[0].upper()}{allowed[1:]}{default}.".strip())]
+            lines.append(f"#{each.name} ={_toml(None if default else _default_of(each))}")
+    return "\n".join(lines) + "\n"
+
+
+def _unreadable(kind: Any) -> bool:
+    """Return whether a settings file cannot hold a value of this type, which only Python calls give."""
+    return isinstance(kind, str) or get_origin(kind) not in (None, tuple, Literal, Annotated, Union, UnionType)
+
+
+def _notes(owner: type) -> dict[str, str]:
+    """Return the docstrings under the fields of a class; empty where its source is not at hand."""
+    import ast
+    import inspect
+
+    try:
+        body = ast.parse(inspect.cleandoc("\n" + inspect.getsource(owner))).body[0]
+    except (OSError, SyntaxError):
+        return {}
+    items = body.body if isinstance(body, ast.ClassDef) else []
+    return {
+        field.target.id: " ".join(note.value.value.split())
+        for field, note in pairwise(items)
+        if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name)
+        if isinstance(note, ast.Expr) and isinstance(note.value, ast.Constant) and isinstance(note.value.value, str)
+    }
+
+
+def _comment(text: str) -> list[str]:
+    from textwrap import wrap
+
+    return [f"# {line}" for line in wrap(text.replace("``", ""), 100)]
+
+
+def _default_of(field: "Field[Any]") -> Any:
+    return field.default if field.default_factory is MISSING else field.default_factory()
+
+
+def _toml(value: Any) -> str:
+    """Return a value as it stands in a TOML file after the equals sign; nothing for None."""
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return f" [{', '.join(_toml(item).strip() for item in value)}]"
+    return f" {str(value).lower() if isinstance(value, bool) else json.dumps(value, default=str)}"
 
 
 def check_settings(settings: object) -> None:
@@ -279,29 +358,84 @@ def names_a_file(text: str) -> bool:
     return text.endswith((".toml", ".csv")) or "/" in text
 
 
-def read_settings_file(path: Path, owner: type) -> dict[str, Any]:
+def read_settings_file(path: Path, *owners: type) -> dict[str, Any]:
     """Read settings from a TOML file.
 
     Parameters
     ----------
     path : Path
         Path of the file. Relative paths in the file start at its folder.
-    owner : type
-        Dataclass that the settings are for; see `parse_record`.
+    *owners : type
+        Dataclasses that the settings are for; see `parse_record`.
 
     Returns
     -------
     dict
-        Arguments of ``owner`` for the fields that the file sets.
+        Arguments of ``owners`` for the fields that the file sets.
 
     Raises
     ------
     UsageError
         No such file, not TOML, an unknown key, a value of the wrong type or out of range; the message lists all faults.
     """
-    arguments, faults = parse_record(read_toml(path, "settings", UsageError), owner, path.parent)
+    arguments, faults = parse_record(read_toml(path, "settings", UsageError), owners, path.parent)
     refuse_faults(faults, str(path), UsageError)
     return arguments
+
+
+def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *owners: type) -> dict[str, Any]:
+    """Read settings that are given as ``KEY=VALUE``, a table's as ``TABLE.KEY=VALUE``.
+
+    Parameters
+    ----------
+    assignments : iterable of str
+        The value is TOML; quotes of a text and brackets of a list may be left out.
+    before : mapping
+        Settings that these override; a table keeps its other values.
+    *owners : type
+        Dataclasses that the settings are for; see `parse_record`.
+
+    Returns
+    -------
+    dict
+        Arguments of ``owners`` for the fields that are set.
+
+    Raises
+    ------
+    UsageError
+        Not of this form, an unknown key, a value of the wrong type or out of range; the message lists all faults.
+    """
+    record: dict[str, Any] = {}
+    for text in assignments:
+        key, equals, value = text.partition("=")
+        *table, name = key.strip().split(".")
+        if not equals or len(table) > 1 or not name:
+            raise UsageError(f"--set {short_repr(text)[1:-1]}: give KEY=VALUE, such as --set pixels=21")
+        place = record.setdefault(table[0], {}) if table else record
+        if not isinstance(place, dict):
+            raise UsageError(f"--set gives {table[0]} both as a value and as a table")
+        place[name] = _assigned(value.strip())
+    known = _fields_of(owners)
+    tables = {name: _plain_type(known[name].type) for name, value in record.items() if name in known and value != {}}
+    parser, arguments = _Parser(Path()), {}
+    for name, kind in tables.items():
+        if isinstance(record[name], dict) and is_dataclass(kind):
+            own = parser.table(record.pop(name), (kind,), name, complete=False)  # type: ignore[arg-type]
+            base = before.get(name) or _default_of(known[name])
+            arguments[name] = base if parser.faults else replace(base, **own)
+    arguments |= parser.table(record, owners, "", complete=False)
+    refuse_faults(parser.faults, "--set", UsageError)
+    return arguments
+
+
+def _assigned(text: str) -> Any:
+    """Return a value of TOML, of which quotes and brackets may be left out."""
+    for toml in (text, f"[{text}]") if "," in text else (text,):
+        try:
+            return tomllib.loads(_checked(f"value = {toml}"))["value"]
+        except (ValueError, RecursionError):
+            continue
+    return [part.strip() for part in text.split(",")] if "," in text else text
 
 
 def settings_of_call(
@@ -374,17 +508,19 @@ def _plain(value: Any) -> Any:
     return int(value) if isinstance(value, Integral) else float(value)  # NumPy scalars too
 
 
-def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = False) -> tuple[dict[str, Any], list[str]]:
+def parse_record(
+    record: Any, owner: type | tuple[type, ...], folder: Path, *, complete: bool = False
+) -> tuple[dict[str, Any], list[str]]:
     """Turn nested dictionaries into the arguments of a dataclass.
 
     Parameters
     ----------
     record : dict
         As read from a TOML or JSON file.
-    owner : type
-        Dataclass. A field may be a bool, a number, a str, a Path, a ``Path | str`` (a URL stays a str), a
-        ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass (a table in the file), any of them or
-        None, or any of them ``Annotated`` with a `FieldRule`.
+    owner : type or tuple of type
+        Dataclass, or several whose fields stand side by side. A field may be a bool, a number, a str, a Path, a
+        ``Path | str`` (a URL stays a str), a ``NameOrFile``, a Literal of strings, a tuple of one of these, a dataclass
+        (a table in the file), any of them or None, or any of them ``Annotated`` with a `FieldRule`.
     folder : Path
         Folder at which relative paths start.
     complete : bool
@@ -397,10 +533,10 @@ def parse_record(record: Any, owner: type, folder: Path, *, complete: bool = Fal
     faults : list of str
         Each names the key, its value and what is allowed.
     """
-    parser = _Parser(folder)
+    parser, owners = _Parser(folder), owner if isinstance(owner, tuple) else (owner,)
     if not isinstance(record, dict):
-        return {}, [f"it holds {short_repr(record)}; it must hold a table with {_names(owner)}"]
-    return parser.table(record, owner, "", complete=complete), parser.faults
+        return {}, [f"it holds {short_repr(record)}; it must hold a table with {', '.join(_fields_of(owners))}"]
+    return parser.table(record, owners, "", complete=complete), parser.faults
 
 
 def refuse_faults(faults: list[str], origin: str, error: type[BumpymapError], more: str = "") -> None:
@@ -425,9 +561,9 @@ class _Parser:
         self._folder = folder
         self.faults: list[str] = []
 
-    def table(self, record: dict[str, Any], owner: type, table: str, *, complete: bool) -> dict[str, Any]:
-        """Return the arguments of a dataclass; ``table`` is the name of its table, empty for the top level."""
-        known = {field.name: field for field in fields(owner)}
+    def table(self, record: dict[str, Any], owners: tuple[type, ...], table: str, *, complete: bool) -> dict[str, Any]:
+        """Return the arguments of dataclasses; ``table`` is the name of their table, empty for the top level."""
+        known = _fields_of(owners)
         unknown = sorted(set(record) - set(known))
         if unknown:
             where = f"[{table}]: " if table else ""
@@ -476,7 +612,7 @@ class _Parser:
     def _built(self, record: dict[str, Any], kind: Any, name: str) -> Any:
         """Create the dataclass of a table."""
         before = len(self.faults)
-        arguments = self.table(record, kind, name, complete=True)
+        arguments = self.table(record, (kind,), name, complete=True)
         if len(self.faults) > before:
             return _WRONG_TYPE
         try:
@@ -537,6 +673,11 @@ def _fits(value: Any, items: tuple[Any, ...]) -> bool:
 
 def _is_required(field: "Field[Any]") -> bool:
     return field.default is MISSING and field.default_factory is MISSING
+
+
+def _fields_of(owners: tuple[type, ...]) -> "dict[str, Field[Any]]":
+    """Return the fields of dataclasses by name; of one that several have, that of the first."""
+    return {field.name: field for owner in reversed(owners) for field in fields(owner)}
 
 
 def _names(owner: Any) -> str:

@@ -4,6 +4,7 @@ import platform
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from bumpymap.core import FeatureSettings, Rating, Setting, UsageError, check_settings
@@ -53,17 +54,19 @@ class CalibrationSettings:
     """All settings that affect the numbers of a calibration."""
 
     profile: "Vehicle"
-    seed: Annotated[int, Setting("Random seed", "N", 0)] = 1
-    patches: Annotated[int, Setting("Patches per texture and z range", "N", 2, default="8; quick: 4")] = 8
+    seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 1
+    patches: Annotated[int, Setting("Patches per texture and z range", "N", 2, default="8; quick: 4", rare=True)] = 8
     """Patches per cell of the table (texture and z range)."""
-    starts: Annotated[int, Setting("Drives per patch", "N", 1, default="3; quick: 1")] = 3
+    starts: Annotated[int, Setting("Drives per patch", "N", 1, default="3; quick: 1", rare=True)] = 3
     """Drives per patch of the table, each with its own start and heading."""
     z_range: tuple[float, ...] = log_spaced(0.02, 2.5, 14)
     """max - min of the table's plane-removed patches, m."""
-    terrains: Annotated[int, Setting("Library terrains of each kind", "N", 1, default="24; quick: 16")] = 24
-    terrain_starts: Annotated[int, Setting("Drives per terrain", "N", 2, default="8; quick: 4")] = 8
-    tile_size: Annotated[float, Setting("Patch size in metres", "M", 0.0, unit="m", exclusive=True)] = 3.0
-    pixels: Annotated[int, Setting("Heightmap pixels along a side of a patch", "N", 4)] = 15
+    terrains: Annotated[int, Setting("Library terrains of each kind", "N", 1, default="24; quick: 16", rare=True)] = 24
+    terrain_starts: Annotated[int, Setting("Drives per terrain", "N", 2, default="8; quick: 4", rare=True)] = 8
+    tile_size: Annotated[float, Setting("Patch size in metres", "M", 0.0, unit="m", exclusive=True, group="Ground")] = (
+        3.0
+    )
+    pixels: Annotated[int, Setting("Heightmap pixels along a side of a patch", "N", 4, rare=True)] = 15
     drive: "DriveSettings" = field(default_factory=_drive_settings)
 
     def __post_init__(self) -> None:
@@ -145,12 +148,12 @@ class LibraryJob:
 class EvaluateSettings:
     """All settings that affect the numbers, apart from survey and vehicles."""
 
-    total_patches: Annotated[int, Setting("Patches to drive over", "N", 10)] = 300
-    min_starts: Annotated[int, Setting("Minimum number of drives per patch", "N", 2)] = 16
-    max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N")] = 48
+    total_patches: Annotated[int, Setting("Patches to drive over", "N", 10, rare=True)] = 300
+    min_starts: Annotated[int, Setting("Minimum number of drives per patch", "N", 2, rare=True)] = 16
+    max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N", rare=True)] = 48
     """They stop once the standard error of the mean C_r is below 5 % of it."""
-    seed: Annotated[int, Setting("Random seed", "N", 0)] = 7
-    rating: Annotated[Rating, Setting("table: evaluate without the ride model")] = "ride"
+    seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
+    rating: Annotated[Rating, Setting("table: evaluate without the ride model", rare=True)] = "ride"
     """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
     drive: "DriveSettings" = field(default_factory=_drive_settings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
@@ -175,10 +178,12 @@ class EvaluateSettings:
 class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
-    scenes: Annotated[int, Setting("With --scans: number of simulated scenes", "N", 1)] = 44
+    scenes: Annotated[int, Setting("With --scans: number of simulated scenes", "N", 1, rare=True)] = 44
     """Number of synthetic scenes if no scans are given; none of them is used in training."""
-    seed: Annotated[int, Setting("Random seed", "N", 0)] = 7
+    seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
     """Seed of the scenes."""
+    model: Annotated[Path | None, Setting("With --scans: your own scan network", "FILE", rare=True)] = None
+    stripes: Annotated[Path | None, Setting("With --scans: your own stripe classes", "FILE", rare=True)] = None
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -188,12 +193,12 @@ class ScanEvaluateSettings:
 class LoopSettings:
     """Settings of the training loop."""
 
-    seed: Annotated[int, Setting("Random seed of the training data and initial weights", "N", 0)] = 1
-    epochs: Annotated[int, Setting("Number of epochs", "N", 1, default="30; with --scans 20")]
+    seed: Annotated[int, Setting("Random seed of the training data and initial weights", "N", 0, rare=True)] = 1
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1, default="30; with --scans 20", rare=True)]
     learning_rate: float
     """Peak, after the warm-up."""
     weight_decay: float
-    threads: Annotated[int, Setting("CPU threads; the last bits of the result depend on it", "N", 1)] = 1
+    threads: Annotated[int, Setting("CPU threads; last bits of the result depend on it", "N", 1)] = 1
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -203,7 +208,7 @@ class LoopSettings:
 class NetworkSettings:
     """Architecture of the network."""
 
-    pixels: Annotated[int, Setting("Texture network: pixels along a side of a tile", "N", 9)] = 15
+    pixels: Annotated[int, Setting("Texture network: pixels along a side of a tile", "N", 9, rare=True)] = 15
     channels: tuple[int, int, int, int] = (16, 32, 64, 96)
     """Filters of the four convolutions."""
     hidden: int = 128
@@ -218,31 +223,32 @@ class NetworkSettings:
 class TrainSettings(LoopSettings):
     """All settings that affect a training."""
 
-    epochs: Annotated[int, Setting("Number of epochs", "N", 1)] = 30
-    patches_per_texture: Annotated[int, Setting("Texture network: training patches per texture", "N", 1)] = 6534
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)] = 30
+    patches_per_texture: Annotated[int, Setting("Texture network: training patches per texture", "N", 1, rare=True)] = (
+        6534
+    )
     """As in the paper: 26,136 patches in total."""
     batch: Annotated[int, Setting(low=2)] = 256
     """Minimum number of patches per optimizer step; batches are as equal in size as possible."""
     learning_rate: float = 5e-3
     weight_decay: float = 1e-2
-    tile_size: Annotated[float, Setting("Texture network: tile size in metres", "M", 0.0, unit="m", exclusive=True)] = (
-        3.0
-    )
+    tile_size: Annotated[
+        float, Setting("Texture network: tile size in metres", "M", 0.0, unit="m", exclusive=True, group="Ground")
+    ] = 3.0
     """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
 
     @property
     def command(self) -> str:
         """The command line of this training, without ``--out``."""
-        options = {
+        rare = {
             "seed": self.seed,
             "epochs": self.epochs,
-            "patches-per-texture": self.patches_per_texture,
-            "tile-size": f"{self.tile_size:g}",
-            "pixels": self.network.pixels,
-            "threads": self.threads,
+            "patches_per_texture": self.patches_per_texture,
+            "network.pixels": self.network.pixels,
         }
-        return "bumpymap train " + " ".join(f"--{name} {value}" for name, value in options.items())
+        options = " ".join(f"--set {key}={value}" for key, value in rare.items())
+        return f"bumpymap train --tile-size {self.tile_size:g} --threads {self.threads} {options}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,12 +271,12 @@ class ScanNetSettings:
 class ScanTrainSettings(LoopSettings):
     """All settings that affect a training; the scans come in addition."""
 
-    epochs: Annotated[int, Setting("Number of epochs", "N", 1)] = 20
-    scenes: Annotated[int, Setting("With --scans simulated: training scenes", "N", 1)] = 440
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)] = 20
+    scenes: Annotated[int, Setting("With --scans simulated: training scenes", "N", 1, rare=True)] = 440
     """Number of synthetic training scenes; not used with a data set on disk."""
     turns: Annotated[int, Setting(low=0)] = 2
     """Number of additional cuts of each scan, each after a random rotation."""
-    sectors_per_class: Annotated[int, Setting("With --scans: sectors per class and epoch", "N", 1)] = 10_000
+    sectors_per_class: Annotated[int, Setting("With --scans: sectors per class and epoch", "N", 1, rare=True)] = 10_000
     batch: Annotated[int, Setting(low=1)] = 128
     learning_rate: float = 4e-3
     weight_decay: float = 2e-2
@@ -281,5 +287,5 @@ class ScanTrainSettings(LoopSettings):
     @property
     def options(self) -> str:
         """The options of the command that repeats this training."""
-        names = ("seed", "epochs", "scenes", "sectors_per_class", "threads")
-        return " ".join(f"--{name.replace('_', '-')} {getattr(self, name)}" for name in names)
+        names = ("seed", "epochs", "scenes", "sectors_per_class")
+        return " ".join(f"--set {name}={getattr(self, name)}" for name in names) + f" --threads {self.threads}"

@@ -300,7 +300,7 @@ def read_manifest(folder: Path) -> dict[str, Any]:
         if (folder / "scan.json").exists():
             hint = f"The map of this drive is in {folder / 'map'}"
         elif record is None and (folder / "sheets").is_dir():
-            hint = "Its sheets are not complete: map the survey again with `resume=True`"
+            hint = "Its sheets are not complete: run the same map command again to complete them"
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")

@@ -152,7 +152,7 @@ def sheets_in(folder: Path) -> list[str]:
     return sorted(path.name for path in found if path.is_dir() and not path.is_symlink())
 
 
-def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None:
+def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Check that the files of a run can be written to a folder; create the folder if it is missing.
 
     Half-written files of a killed run are removed; the caller holds the lock of the folder, so no other run is using
@@ -164,8 +164,6 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
         The output folder.
     overwrite : bool
         Allow files of any earlier run to be replaced.
-    resume : bool
-        Allow files of an incomplete run (without run.json) to be replaced.
 
     Raises
     ------
@@ -192,7 +190,7 @@ def check_folder(folder: Path, *, overwrite: bool, resume: bool = False) -> None
     refuse_blocked(folder, present)
     finished = MANIFEST_NAME in present
     present += [f"{len(sheets)} {SHEET_FOLDER}"] if sheets else []
-    if present and not overwrite and (finished or not resume):
+    if present and not overwrite:
         unfinished = "" if finished else " of a run that did not end"
         raise OutputError(
             f"{folder} already holds {', '.join(present)}{unfinished}. Choose another `out`, "

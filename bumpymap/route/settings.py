@@ -18,19 +18,19 @@ class CostSettings:
 
     risk: Annotated[
         float | None,
-        Setting("Detour that one certain failure is worth", "M", 0.0, _MOST_COST, "m", default="profile"),
+        Setting("Detour that one failure is worth", "M", 0.0, _MOST_COST, "m", default="profile", group="Vehicle"),
     ] = None
     """m; None: the ``fail_weight`` of the vehicle profile."""
-    robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r")] = False
+    robust: Annotated[bool, Setting("Plan on the upper end of the interval of c_r", rare=True)] = False
     unknown: Annotated[
-        float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, _MOST_COST)
+        float | None, Setting("Cross unknown ground at this cost per metre", "COST", 1.0, _MOST_COST, group="Ground")
     ] = None
     """Cost per metre of unknown ground; None: it is not crossed."""
-    avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE")] = None
-    only: Annotated[Path | None, Setting("Polygons that are not left", "FILE")] = None
-    allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map")] = False
+    avoid: Annotated[Path | None, Setting("Polygons that are not entered", "FILE", group="Ground")] = None
+    only: Annotated[Path | None, Setting("Polygons that are not left", "FILE", group="Ground")] = None
+    allow_outside: Annotated[bool, Setting("It is no error if a polygon lies off the map", rare=True)] = False
     """It is no error that a polygon of ``avoid`` or ``only`` lies off the map."""
-    through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way")] = False
+    through_obstacles: Annotated[bool, Setting("Touch obstacles where there is no other way", group="Ground")] = False
     """Where there is no other way, touch obstacles: for those that the map takes for solid and the driver does not."""
 
     def __post_init__(self) -> None:
@@ -43,34 +43,42 @@ class RouteConfig:
 
     layers: tuple[Path, ...]
     """Folders that ``bumpymap map`` wrote; several are sheets of one map."""
-    start: Annotated[str | None, Setting("Start: lon,lat or x,y in the survey's CRS", "POINT", option="from")] = None
-    goal: Annotated[str | None, Setting("Goal; without one, map what can be reached", "POINT", option="to")] = None
+    start: Annotated[
+        str | None, Setting("Start: lon,lat or x,y in the survey's CRS", "POINT", option="from", group="Way")
+    ] = None
+    goal: Annotated[
+        str | None, Setting("Goal; without one, map what can be reached", "POINT", option="to", group="Way")
+    ] = None
     """The same; None: what can be reached from the start."""
-    via: Annotated[tuple[str, ...], Setting("Point to pass on the way; may be given several times", "POINT")] = ()
+    via: Annotated[tuple[str, ...], Setting("Point to pass; may be given several times", "POINT", group="Way")] = ()
     """Points to pass on the way, in order."""
-    points: Annotated[Path | None, Setting("Start, points to pass and goal (GeoJSON, GPX, CSV)", "FILE")] = None
+    points: Annotated[Path | None, Setting("Start, points and goal (GeoJSON, GPX, CSV)", "FILE", group="Way")] = None
     """File of points (GeoJSON, GPX, CSV), instead of the three above: start, points to pass, goal."""
-    visit: Annotated[bool, Setting("Pass the points in the best order")] = False
+    visit: Annotated[bool, Setting("Pass the points in the best order", group="Way")] = False
     """Pass the points in the best order instead of the given one; start and goal keep their
     places (on a round trip, only the start)."""
-    round_trip: Annotated[bool, Setting("Return to the start", option="return")] = False
-    alternatives: Annotated[int, Setting("Number of ways to propose", "N", 1, 10)] = 1
-    compare: Annotated[tuple[Path, ...], Setting("Layers of the site for another vehicle", "DIR")] = ()
+    round_trip: Annotated[bool, Setting("Return to the start", option="return", group="Way")] = False
+    alternatives: Annotated[int, Setting("Number of ways to propose", "N", 1, 10, group="Way")] = 1
+    compare: Annotated[tuple[Path, ...], Setting("Layers of the site for another vehicle", "DIR", group="Vehicle")] = ()
     """Maps of the same site for other vehicles: each plans its own way between the same points."""
-    snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m")] = 0.0
+    snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m", group="Way")] = 0.0
     """A start, goal or point to pass on ground that cannot be used is moved by this much at most, m."""
     isochrones: Annotated[
         tuple[float, ...],
-        Setting("Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True),
+        Setting(
+            "Outlines of what is reached in so many minutes", "LIST", 0.0, unit="minutes", exclusive=True, group="Way"
+        ),
     ] = ()
     isocosts: Annotated[
         tuple[float, ...],
-        Setting("Outlines of what is reached at these costs, m", "LIST", 0.0, unit="m", exclusive=True),
+        Setting("Outlines of what is reached at these costs, m", "LIST", 0.0, unit="m", exclusive=True, rare=True),
     ] = ()
-    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH")] = None
+    out: Annotated[Path | None, Setting("Folder, or a .geojson, .gpx, .csv or .png file", "PATH", group="Output")] = (
+        None
+    )
     """Folder, or file of a format that its suffix names; None: only the summary."""
-    overwrite: Annotated[bool, Setting("Replace the files of an earlier run")] = False
-    memory: Annotated[str, Setting("Memory limit of the search", "SIZE", default="auto, a quarter of what is free")] = (
+    overwrite: Annotated[bool, Setting("Replace the files of an earlier run", group="Output")] = False
+    memory: Annotated[str, Setting("Memory of the search", "SIZE", default="a quarter of what is free", rare=True)] = (
         "auto"
     )
     """Memory that the search may use, such as ``1GB``; ``auto``: a quarter of what is free, 512 MB to 8 GB."""

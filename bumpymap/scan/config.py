@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from bumpymap.core import (
-    RESUME_OR_OVERWRITE,
     Compat,
     GridSettings,
     NameOrFile,
@@ -33,55 +32,67 @@ class ScanConfig:
 
     frames: tuple[Path, ...]
     """Files of scans, folders of them, or bags."""
-    out: Annotated[Path, Setting("Folder for the output", "DIR")]
+    out: Annotated[Path, Setting("Folder for the output", "DIR", group="Output")]
     """Folder for the products; of a fit, the file for the stripe classes."""
-    topic: Annotated[str | None, Setting("Topic of the scans in a bag", "NAME", default="the only PointCloud2")] = None
-    odometry: Annotated[
-        str | None, Setting("Topic of the poses in a bag", "NAME", default="the only Odometry, or tf")
+    topic: Annotated[
+        str | None, Setting("Topic of the scans in a bag", "NAME", default="the only one", group="Input")
     ] = None
-    bag: Annotated[Path | None, Setting("Write grids of all frames to this bag of ROS 2 (.mcap)", "FILE")] = None
-    poses: Annotated[Path | None, Setting("Poses of the frames, to merge and map them like a survey", "FILE")] = None
-    """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
-    crs: Annotated[str | None, Setting("CRS of the poses, such as EPSG:32614", "CRS", default="none, local metres")] = (
+    odometry: Annotated[
+        str | None, Setting("Topic of the poses in a bag", "NAME", default="the only one, or tf", group="Input")
+    ] = None
+    bag: Annotated[Path | None, Setting("Write the grids of all frames to a bag (.mcap)", "FILE", group="Output")] = (
         None
     )
-    deskew: Annotated[bool, Setting("Keep points as measured in motion", option="no-deskew")] = True
+    poses: Annotated[Path | None, Setting("Poses of the frames, to map them like a survey", "FILE", group="Input")] = (
+        None
+    )
+    """File with the pose of the sensor at each frame; the frames are then merged and mapped like a survey."""
+    crs: Annotated[
+        str | None, Setting("CRS of the poses: EPSG:32614", "CRS", default="local metres", group="Input")
+    ] = None
+    deskew: Annotated[bool, Setting("Keep points as measured in motion", option="no-deskew", rare=True)] = True
     """Move points to where they are seen at the time of the frame, if poses and points have times."""
     columns: Annotated[
-        Literal[4, 5, 6] | None, Setting("Columns of .bin files: 4, 5 or 6", "N", default="told from them")
+        Literal[4, 5, 6] | None,
+        Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True),
     ] = None
     """Number of float32 columns of ``.bin`` files; None: told from their values."""
     labels: Annotated[
         NameOrFile | None,
-        Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME_OR_FILE"),
+        Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME|FILE", rare=True),
     ] = None
     """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
-    method: Annotated[ScanMethod | None, Setting("How sectors are classified", default="learned if available")] = None
+    method: Annotated[
+        ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")
+    ] = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
-    model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE")] = None
+    model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE", rare=True)] = None
     """A scan network, instead of the included one."""
-    stripes: Annotated[Path | None, Setting("Your own stripe classes, from --fit (filter)", "FILE")] = None
+    stripes: Annotated[Path | None, Setting("Your own stripe classes, from --fit (filter)", "FILE", rare=True)] = None
     """Stripe classes of the filter method, instead of the included ones."""
-    compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="")] = "none"
+    compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="", rare=True)] = "none"
     """``paper``: fit the stripe classes in every scan, as the paper does."""
-    products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST")] = SCAN_PRODUCTS
+    products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST", rare=True)] = (
+        SCAN_PRODUCTS
+    )
     pictures: Annotated[int, Setting(low=0)] = 0
     """Draw a picture of every Nth frame; 0: of none."""
-    range_m: Annotated[float, Setting("A picture reaches as far as this", "M", 1.0, 1000.0, "m", option="range")] = 40.0
+    range_m: Annotated[
+        float, Setting("A picture reaches as far as this", "M", 1.0, 1000.0, "m", option="range", rare=True)
+    ] = 40.0
     """Distance from the sensor to the edge of a picture, m."""
-    threads: Annotated[int, Setting("Number of frames to work on at a time", "N", 1, default="all cores")] = field(
+    threads: Annotated[int, Setting("Frames to work on at a time", "N", 1, default="all cores")] = field(
         default_factory=lambda: os.cpu_count() or 1
     )
-    vehicle: Annotated[NameOrFile | None, Setting("Vehicle whose ride is rated: name or TOML file", "NAME_OR_FILE")] = (
-        None
-    )
+    vehicle: Annotated[
+        NameOrFile | None, Setting("Vehicle whose ride is rated: name or TOML file", "NAME|FILE", group="Vehicle")
+    ] = None
     """Vehicle whose ride on each sector is rated, and whose belly and height say what an obstacle is: a name or a TOML
     file, as for ``bumpymap map``. It is also that of the mapped layers; None: no ride, and the map of the default."""
-    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE")] = None
+    calibration: Annotated[Path | None, Setting("Calibration file of your own vehicle", "FILE", group="Vehicle")] = None
     """A calibration file, instead of ``vehicle``."""
-    skip_bad: Annotated[bool, Setting("Skip frames that cannot be read (exit code 4)")] = False
-    overwrite: Annotated[bool, Setting("Replace the output of an earlier run")] = False
-    resume: Annotated[bool, Setting("Continue an interrupted run")] = False
+    skip_bad: Annotated[bool, Setting("Skip frames that cannot be read (exit code 4)", group="Input")] = False
+    overwrite: Annotated[bool, Setting("Replace the output of an earlier run", group="Output")] = False
     polar: PolarSettings = field(default_factory=PolarSettings)
     robot: Robot = field(default_factory=Robot)
     grid: GridSettings = field(default_factory=GridSettings)
@@ -94,8 +105,6 @@ class ScanConfig:
                 "Pictures of frames are drawn with `pictures`"
             )
         check_settings(self)
-        if self.resume and self.overwrite:
-            raise UsageError(RESUME_OR_OVERWRITE)
         learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
         if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
             raise UsageError(

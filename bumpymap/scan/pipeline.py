@@ -19,10 +19,10 @@ from bumpymap.core import (
     SilentProgress,
     Stopwatch,
     UsageError,
-    check_interrupted,
     differences,
     flat_settings,
     in_threads,
+    is_interrupted,
     locked,
     parse_crs,
     recorded_settings,
@@ -98,7 +98,7 @@ __all__ = [
     "scan_manifest",
 ]
 
-_WITHOUT_EFFECT = {"frames", "out", "overwrite", "resume", "skip_bad", "threads", "poses"}
+_WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses"}
 """Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
 input."""
 
@@ -269,7 +269,6 @@ def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | N
         calibration=config.calibration,
         local=config.crs is None,
         overwrite=config.overwrite,
-        resume=config.resume,
         **own,  # type: ignore[arg-type]
     )
     calibration = find_calibration(drive.vehicle, drive.calibration)
@@ -295,7 +294,7 @@ def map_drive(drive: MapConfig, accumulated: Mapping[str, Any], progress: Progre
         return map_surveys(drive, progress)
     except BaseException as end:
         note = "The products of the frames are complete; the map of the drive is missing."
-        end.__notes__ = [note + (" Pass `resume=True` to make it." if what_to_keep(end) is not Kept.NOTHING else "")]
+        end.__notes__ = [note + (" Run the same again to make it." if what_to_keep(end) is not Kept.NOTHING else "")]
         raise
 
 
@@ -314,13 +313,12 @@ def classify_frames(
     or a full disk; products in ``config.out`` are replaced when all new ones are complete.
     """
     out, reader = config.out, FrameReader(config)
-    how = "in the place of `overwrite=True`" if config.overwrite else "to the same command"
     run_folder = RunFolder.opened(
         out,
         run_spec,
-        resume=config.resume,
+        overwrite=config.overwrite,
         finished=has_finished_parts,
-        advice=f"Pass `resume=True` {how} to continue from the finished frames.",
+        advice="Run the same again to continue from the finished frames.",
         decide=lambda end: Kept.NOTHING if isinstance(end, WrongPosesError) else Kept.ALL,
     )
     with run_folder as run, output_errors(out), utf8_path(staging_folder(run.path, frames)) as staged:
@@ -391,7 +389,7 @@ def scan_frames(config: ScanConfig, progress: Progress | None = None) -> ScanRun
 def _scan(config: ScanConfig, progress: Progress) -> ScanRun:
     clock = Stopwatch()
     with clock.stage("prepare"):
-        unfinished = check_interrupted(config.out, resume=config.resume, overwrite=config.overwrite)
+        unfinished = is_interrupted(config.out)
         is_done = not (unfinished or config.overwrite) and is_complete(config.out, SCAN_MANIFEST_NAME)
         method = choose_method(config)
         crs = crs_of_poses(config)

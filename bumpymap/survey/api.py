@@ -66,8 +66,6 @@ class EachSettings(TypedDict, total=False):
 class MapSettings(EachSettings, total=False):
     """Settings of `map_survey`: the fields of ``MapConfig``, as it describes them."""
 
-    resume: bool
-
 
 def map_survey(
     surveys: PathLike | Iterable[PathLike], out: PathLike | None = None, **settings: Unpack[MapSettings]
@@ -84,7 +82,7 @@ def map_survey(
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
         ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``,
-        ``resume``, ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
+        ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
         of a settings file.
 
     Returns
@@ -125,7 +123,7 @@ def map_survey(
     except BaseException as end:
         shutil.rmtree(folder, ignore_errors=True)
         end.__notes__ = [
-            note for note in getattr(end, "__notes__", []) if "`resume=True`" not in note
+            note for note in getattr(end, "__notes__", []) if "the same again" not in note
         ]  # the temporary folder is deleted, so there is nothing to resume
         raise
 

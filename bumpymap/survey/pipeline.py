@@ -13,7 +13,7 @@ from bumpymap.core import (
     Progress,
     SilentProgress,
     Stopwatch,
-    check_interrupted,
+    is_interrupted,
     locked,
     memory_bytes,
     rated_columns,
@@ -23,7 +23,6 @@ from bumpymap.core import (
 from bumpymap.layers import MapSummary, check_folder, is_complete, remove_sheets
 from bumpymap.patches import close_filter
 from bumpymap.survey.engine import (
-    ADVICE,
     BlockWork,
     Budget,
     ClusterExecutor,
@@ -58,7 +57,7 @@ def write_layers(
     table: CostTable,
     config: MapConfig,
     inputs: SurveyInputs,
-    run_spec: Mapping[str, Any],
+    space: Workspace,
     manifest: Mapping[str, Any],
     progress: Progress,
 ) -> tuple[tuple[Path, ...], MapSummary, int]:
@@ -84,9 +83,9 @@ def write_layers(
         )
         return {**manifest, "inputs": [file for file in manifest["inputs"] if _meets(extents[str(file["path"])], near)]}
 
-    compared = json.dumps({name: run_spec[name] for name in _COMPARED}, sort_keys=True)
+    compared = json.dumps({name: space.run_spec[name] for name in _COMPARED}, sort_keys=True)
     key = hashlib.sha256(compared.encode("utf-8", "backslashreplace")).hexdigest()
-    run = SheetRun(inputs.sheets, key, config.resume, manifest_of)
+    run = SheetRun(inputs.sheets, key, space.resumed, manifest_of)
     files, summary = write_sheets(table, config.out, run, local=config.local, manifest=manifest, progress=progress)
     return tuple(files), summary, len(inputs.sheets.places(table.tiles))
 
@@ -137,11 +136,10 @@ def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapR
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
     work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground)
-    advice = ADVICE.replace("to the same command", "in the place of `overwrite=True`") if config.overwrite else ADVICE
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,
-        Workspace.opened(config.out, config.scratch, run_spec, resume=config.resume, advice=advice) as space,
+        Workspace.opened(config.out, config.scratch, run_spec, overwrite=config.overwrite) as space,
     ):
         aligned = AlignedInputs.of(config, inputs, progress, clock)
         executor: Executor = LocalExecutor(work, space, budget, progress)
@@ -155,7 +153,7 @@ def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapR
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):
-            files, summary, sheets = write_layers(table, config, inputs, run_spec, manifest, progress)
+            files, summary, sheets = write_layers(table, config, inputs, space, manifest, progress)
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
     return MapResult(files, summary, points, only, inputs.skipped, clock.seconds, lines, thin, sheets)
@@ -190,10 +188,10 @@ def _prepare(
 
 def _check_out(config: MapConfig) -> bool:
     """Check that the layers can be written; return True if a complete run is there and is to be kept."""
-    unfinished = check_interrupted(config.out, resume=config.resume, overwrite=config.overwrite)
+    unfinished = is_interrupted(config.out)
     if not (unfinished or config.overwrite) and is_complete(config.out):
         return True
-    # A resumed run may replace what it could replace when it began: if it was killed between moving its layers to
+    # A continued run may replace what it could replace when it began: if it was killed between moving its layers to
     # their places and clearing up, they are its own.
-    check_folder(config.out, overwrite=config.overwrite or unfinished, resume=config.resume)
+    check_folder(config.out, overwrite=config.overwrite or unfinished)
     return False

@@ -170,7 +170,6 @@ _WITHOUT_EFFECT = {
     "surveys",
     "out",
     "max_unknown",
-    "resume",
     "overwrite",
     "threads",
     "memory",

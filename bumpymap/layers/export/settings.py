@@ -21,35 +21,39 @@ NodeSquare = Literal[1, 3, 9, 27]
 class ExportSettings:
     """What to export, and how."""
 
-    to: Annotated[ExportFormat, Setting("Format; see above", default="")] = "nav2"
+    to: Annotated[ExportFormat, Setting("Format; see above", "FORMAT", default="", group="Output")] = "nav2"
     around: tuple[float, float] | None = None
     """Easting and northing on the grid, m: export the tiles within ``radius`` to each side of it; else all."""
-    radius: Annotated[float, Setting("How far around, to each side, in metres", "M", 0.0, unit="m", exclusive=True)] = (
-        100.0
-    )
+    radius: Annotated[
+        float, Setting("How far around, to each side, m", "M", 0.0, unit="m", exclusive=True, group="Input")
+    ] = 100.0
     datum: tuple[float, float] | None = None
     """Easting and northing of the local frame's origin, m; else a corner of a tile near the middle."""
     resolution: Annotated[
-        ExportResolution, Setting("nav2, gridmap: one cell a tile, or a pixel (0.2 m) with obstacles")
+        ExportResolution, Setting("nav2, gridmap: a cell is a tile or a pixel", "SIZE", group="Output")
     ] = "tile"
     comfort: Annotated[
         float,
-        Setting("nav2: most pitch motion for the speed mask, rad/s", "RAD_S", 0.0, unit="rad/s", exclusive=True),
+        Setting(
+            "nav2: most pitch motion for the speed mask, rad/s", "RAD_S", 0.0, unit="rad/s", exclusive=True, rare=True
+        ),
     ] = 0.3
     dearest: Annotated[
         float | None,
-        Setting("nav2: cost per metre of the highest value", "COST", 1.0, exclusive=True, default="the highest"),
+        Setting(
+            "nav2: cost per metre of the highest value", "COST", 1.0, exclusive=True, default="the highest", rare=True
+        ),
     ] = None
     """nav2: cost per metre of the highest value; else that of the dearest passable tile of the area."""
     every: Annotated[
-        NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto")
+        NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto", rare=True)
     ] = None
     """graph: side of the largest squares of tiles with one node each; else by the size of the area."""
-    route: Annotated[Path | None, Setting("plan: folder of the route, or a GeoJSON file", "PATH", default="LAYERS")] = (
-        None
-    )
+    route: Annotated[
+        Path | None, Setting("plan: folder or GeoJSON of a route", "PATH", default="LAYERS", group="Input")
+    ] = None
     """plan: folder that ``bumpymap route`` wrote, or GeoJSON file of a route; else the first folder of the map."""
-    through_obstacles: Annotated[bool, Setting("plan: take a route that touches obstacles too")] = False
+    through_obstacles: Annotated[bool, Setting("plan: take a route that touches obstacles too", group="Input")] = False
 
     def __post_init__(self) -> None:
         check_settings(self)

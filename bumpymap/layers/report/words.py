@@ -113,7 +113,7 @@ def degrees_line(median_c_r: Sequence[float]) -> str:
 
 
 _PRIVATE = {
-    *("surveys", "out", "threads", "memory", "scratch", "scheduler", "overwrite", "resume"),
+    *("surveys", "out", "threads", "memory", "scratch", "scheduler", "overwrite"),
     *("features", "csf"),
 }
 """Settings that do not change the layers, or that are tables of their own."""

@@ -57,8 +57,6 @@ from bumpytiles import compile_loaded
 __all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
 
 _MOST_WAIT_S = 5.0
-_NOT_RESUME = " instead of `resume=True`"
-"""In messages of a map: a batch has no such setting, it always resumes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,11 +197,11 @@ def _run(task: MapTask) -> MapResult:
     """
     out, progress = task.config.out, _Begun()
     run = partial(map_surveys, progress=progress, crs_must_agree=False)
-    resume = is_interrupted(out)
+    unfinished = is_interrupted(out)
     try:
-        return run(replace(task.config, resume=resume))
+        return run(task.config)
     except (OutputError, UsageError) as error:
-        no_layers = resume and isinstance(error, UsageError) and not is_complete(out)
+        no_layers = unfinished and isinstance(error, UsageError) and not is_complete(out)
         # Before its first stage a run has only compared itself with what is there; after that, the error is another.
         if progress.begun or not (task.overwrite or no_layers):
             raise
@@ -236,7 +234,6 @@ def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
     if full and not isinstance(error, BumpymapError):
         message = f"{message} ({full})"
-    message = message.replace(_NOT_RESUME, "")
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
     return SurveyRow(task.name, "failed", message, seconds=seconds, survey=_survey(task))

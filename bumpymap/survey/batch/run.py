@@ -420,7 +420,7 @@ def map_batch(
     report : callable, optional
         Called with the `SurveyRow` of each survey when it has ended.
     **settings
-        ``survey_per`` and ``jobs``, and those of `map_survey` but ``resume``, for all surveys. They override the
+        ``survey_per`` and ``jobs``, and those of `map_survey` for all surveys. They override the
         columns of a CSV.
 
     Returns

@@ -32,7 +32,6 @@ SurveyPer: TypeAlias = Literal["file", "folder"]
 OWN_SETTINGS = (
     "surveys",
     "out",
-    "resume",
     "overwrite",
     "threads",
     "memory",
@@ -40,7 +39,7 @@ OWN_SETTINGS = (
     "scheduler",
 )
 """Settings of a map that a batch decides for each survey, or shares out."""
-_NOT_IN_A_FILE = ("surveys", "out", "resume")
+_NOT_IN_A_FILE = ("surveys", "out")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +50,18 @@ class BatchConfig:
     """A folder of surveys, a text file with a path in each line, or a CSV."""
     out: Annotated[
         Path | str,
-        Setting("Folder for the layers, a folder for each survey; or a URL, such as s3://bucket/night", "DIR"),
+        Setting("Gets a folder of layers for each survey; may be a URL", "DIR", group="Output"),
     ]
     """Folder that gets a folder of layers for each survey; a string is an fsspec URL such as ``s3://bucket/night``."""
     given: Mapping[str, Any] = field(default_factory=dict)
     """Settings of `MapConfig` for all surveys; they override those of the CSV."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
     """The same, of a settings file; the CSV overrides them."""
-    survey_per: Annotated[SurveyPer, Setting("What in the folder SOURCE is one survey")] = "file"
+    survey_per: Annotated[SurveyPer, Setting("What in SOURCE is one survey: file or folder", "WHAT", group="Input")] = (
+        "file"
+    )
     """``file``: each file of the source folder is a survey; ``folder``: each folder in it."""
-    jobs: Annotated[int, Setting("Number of surveys mapped at a time", "N", 1)] = 1
+    jobs: Annotated[int, Setting("Surveys mapped at a time", "N", 1)] = 1
 
     def __post_init__(self) -> None:
         check_settings(self)

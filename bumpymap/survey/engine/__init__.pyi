@@ -5,7 +5,6 @@ from .block_work import (
     engine_errors as engine_errors,
 )
 from .budget import (
-    ADVICE as ADVICE,
     Budget as Budget,
     Workspace as Workspace,
     with_memory as with_memory,

@@ -43,7 +43,6 @@ from bumpymap.readers import SurveyInfo
 from bumpytiles import BLOCK_TILES, Bounds, Grid, Pack, PackError
 
 __all__ = [
-    "ADVICE",
     "FLOAT_POINT_BYTES",
     "POINT_BYTES",
     "Budget",
@@ -55,7 +54,7 @@ __all__ = [
     "with_memory",
 ]
 
-ADVICE = "Pass `resume=True` to the same command to continue from the finished tiles."
+_ADVICE = "Run the same again to continue from the finished tiles."
 _READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
 _POINTS, _NEW_TILES = "points", "new-tiles"
 _PREFIX = "bumpymap-"
@@ -72,13 +71,15 @@ class Workspace:
     run_spec: dict[str, Any]
     """Everything that the results depend on, see `RunFolder`; and ``cut``, how files are cut into chunks: a resumed run
     uses that of the earlier one."""
+    resumed: bool = False
+    """True: the work of an interrupted run is continued."""
 
     @classmethod
     @contextmanager
     def opened(
-        cls, out: Path, scratch: Path | None, run_spec: Mapping[str, Any], *, resume: bool, advice: str = ADVICE
+        cls, out: Path, scratch: Path | None, run_spec: Mapping[str, Any], *, overwrite: bool
     ) -> Iterator["Workspace"]:
-        """Resume the work of an earlier run, or start a new one. The caller holds the lock of ``out``.
+        """Continue the work of an interrupted run, or start anew. The caller holds the lock of ``out``.
 
         All files are deleted if the body succeeds. If it fails, they are kept as `what_is_kept` says, provided that
         tiles are finished or chunks are read.
@@ -93,9 +94,9 @@ class Workspace:
         with RunFolder.opened(
             out,
             run_spec,
-            resume=resume,
+            overwrite=overwrite,
             finished=lambda path: _holds_work(path, out),
-            advice=advice,
+            advice=_ADVICE,
             keep=(_SCRATCH,),
         ) as run:
             for path in _tiles(run.path):
@@ -108,7 +109,7 @@ class Workspace:
                 # A signal between making a folder and noting its name would leave the folder behind.
                 with shielded(), writing_to(scratch or run.path, "`out` or `scratch`"):
                     waiting = _choose_points_folder(run, out, scratch)
-                space = cls(run.path, waiting, run.run_spec)
+                space = cls(run.path, waiting, run.run_spec, run.resumed)
                 shutil.rmtree(space.new_tiles, ignore_errors=True)  # leftovers of an earlier run
                 for folder in (space.new_tiles, space.points_folder):
                     folder.mkdir(mode=0o700, exist_ok=True)

@@ -1,0 +1,57 @@
+"""``bumpymap settings``: print every setting of a command, with its description and default, as a TOML file."""
+
+import click
+
+from bumpymap.cli._text import print_line
+from bumpymap.core import settings_template
+
+__all__ = ["command"]
+
+
+def _owners() -> dict[str, tuple[type, ...]]:
+    from bumpymap.change import DiffConfig
+    from bumpymap.check import CheckConfig
+    from bumpymap.core import MapConfig
+    from bumpymap.lab import (
+        CalibrationSettings,
+        EvaluateSettings,
+        ScanEvaluateSettings,
+        ScanTrainSettings,
+        TrainSettings,
+    )
+    from bumpymap.layers import ExportSettings
+    from bumpymap.route import RouteConfig
+    from bumpymap.scan import ScanConfig
+
+    return {
+        "map": (MapConfig,),
+        "batch": (MapConfig,),
+        "scan": (ScanConfig,),
+        "route": (RouteConfig,),
+        "check": (CheckConfig,),
+        "diff": (DiffConfig,),
+        "export": (ExportSettings,),
+        "calibrate": (CalibrationSettings,),
+        "evaluate": (EvaluateSettings, ScanEvaluateSettings),
+        "train": (TrainSettings, ScanTrainSettings),
+    }
+
+
+_COMMANDS = ("map", "batch", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
+
+
+@click.command("settings")
+@click.argument("command_name", type=click.Choice(_COMMANDS), metavar="COMMAND")
+def command(command_name: str) -> None:
+    """Print a settings file of COMMAND: every setting with its description and default, commented out.
+
+    Remove the # before a line to set it, and give the file with --config. One setting alone is given with --set
+    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE.
+
+    \b
+    bumpymap settings map > map.toml
+    bumpymap map site.laz --out layers --config map.toml
+    bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    for line in settings_template(command_name, _owners()[command_name]).splitlines():
+        print_line(line)
