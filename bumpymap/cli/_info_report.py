@@ -309,7 +309,9 @@ def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
 def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
     """Return the needs of a run as (name, text)."""
     unknown = "unknown until the points are read: run without --quick"
-    scratch = f"at most {decimal(forecast.scratch)} in --scratch; less if blocks are complete early"
+    scratch = (
+        f"at most {decimal(forecast.scratch)} in the folder for points (scratch); less if blocks are complete early"
+    )
     out = None if forecast.out is None else f"at most {decimal(forecast.out)} in --out: finished tiles, and the layers"
     return [
         ("points", f"{forecast.points:,}"),

@@ -33,6 +33,7 @@ __all__ = [
     "jobs_option",
     "merge_settings",
     "output_options",
+    "resume_option",
     "settings_options",
 ]
 
@@ -178,15 +179,23 @@ def output_options(what: str = "Print no progress and no summary.") -> Callable[
             return command(*values, **options)
 
         log_json = click.option("--json", "log_json", is_flag=True, help="Print result, events and errors as JSON.")
-        old = click.option("--log-json", is_flag=True, hidden=True, expose_value=False, callback=_renamed)
+        old = gone_option("--log-json", "give --json, as to every command")
         return click.option("--quiet", is_flag=True, help=what)(old(log_json(run)))
 
     return add
 
 
-def _renamed(_context: click.Context, _option: click.Parameter, value: bool) -> None:
-    if value:
-        raise UsageError("--log-json is --json now, for every command")
+def gone_option(name: str, instead: str) -> Callable[[_Command], _Command]:
+    """Add an option that there was, which only says what to do ``instead``."""
+
+    def refuse(_ctx: click.Context, _option: click.Parameter, value: bool) -> None:
+        if value:
+            raise UsageError(f"{name} is gone: {instead}")
+
+    return click.option(name, is_flag=True, hidden=True, expose_value=False, callback=refuse)
+
+
+resume_option = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
 
 
 def jobs_option(command: _Command) -> _Command:

@@ -124,7 +124,7 @@ def _progress(given: dict[str, Any]) -> AbstractContextManager[Progress]:
 
 
 def _is_text(out: Path, files: list[Path], given: dict[str, Any]) -> bool:
-    """Return whether to print a summary as text; with ``--log-json``, the list of files is printed as JSON."""
+    """Return whether to print a summary as text; with ``--json``, the list of files is printed as JSON."""
     if given["log_json"] and not given["quiet"]:
         print_json({"out": str(out), "files": [path.name for path in files]})
     return not (given["quiet"] or given["log_json"])

@@ -15,6 +15,7 @@ from bumpymap.cli._options import (
     given_options,
     merge_settings,
     output_options,
+    resume_option,
     settings_options,
 )
 from bumpymap.cli._progress import show_progress
@@ -69,6 +70,7 @@ _PARTLY_DONE = 4
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @settings_options(MapConfig)
 @config_options(MapConfig)
+@resume_option
 @output_options()
 @click.pass_context
 def command(ctx: click.Context, /, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:

@@ -14,6 +14,7 @@ from bumpymap.cli._options import (
     grouped_option,
     merge_settings,
     output_options,
+    resume_option,
     settings_options,
 )
 from bumpymap.cli._progress import show_progress
@@ -107,7 +108,7 @@ def show_fit(model: "StripeModel", config: ScanConfig, skipped: dict[str, str], 
         f"class 0 to 2: {centres} stripes, from {count_text(model.sectors, 'sector')} of "
         f"{count_text(model.scans, 'frame')}"
     )
-    print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --stripes {config.out}")
+    print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --set stripes={config.out}")
 
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
@@ -173,6 +174,7 @@ class _EveryNth(click.types.IntParamType):
     group="Output",
 )
 @config_options(ScanConfig)
+@resume_option
 @output_options()
 @click.pass_context
 def command(

@@ -116,7 +116,7 @@ def _train_textures(
         f"accuracy on unseen seeds, all alterations:    {100 * scores.unseen.accuracy:.2f} %",
         f"accuracy on altered copies (as in the paper): {100 * scores.augmented_copies.accuracy:.2f} %",
         f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
-        f"use it with: bumpymap map SURVEY --out DIR --model {made.model}",
+        f"use it with: bumpymap map SURVEY --out DIR --set model={made.model}",
     ]
     return lines, made
 
@@ -137,7 +137,7 @@ def _train_scans(
         f"accuracy on {scores.scans} unseen scans, classes weighted evenly: {even:.2f} %",
         f"accuracy on all {scores.every.count:,} of their sectors:        {100 * scores.every.accuracy:.2f} %",
         f"{made.model} ({made.parameters:,} trained numbers), {made.card}",
-        f"use it with: bumpymap scan FRAME --out DIR --model {made.model}",
+        f"use it with: bumpymap scan FRAME --out DIR --set model={made.model}",
     ]
     return lines, made
 

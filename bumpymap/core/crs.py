@@ -1,6 +1,6 @@
 """Determine the CRS and units of a file, and of the files of a run.
 
-A ``CrsStatement`` holds what a file states. ``--crs`` supplies what it does not state, ``--force-crs`` overrides it,
+A ``CrsStatement`` holds what a file states. ``--crs`` supplies what it does not state, ``force_crs`` overrides it,
 and ``--z-unit`` overrides every unit of height. The result keeps the vertical CRS.
 Degrees and Earth-centred coordinates are refused with a message that shows the command to reproject the file.
 """

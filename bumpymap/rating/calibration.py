@@ -214,7 +214,7 @@ class Calibration:
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
                 f"map has {tile_size:g} m with {pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
                 f"or make a calibration that drives over patches of your size: bumpymap calibrate --vehicle {vehicle} "
-                f"--tile-size {tile_size:g} --pixels {pixels} --out my.json; then pass `calibration='my.json'`"
+                f"--tile-size {tile_size:g} --set pixels={pixels} --out my.json; then pass `calibration='my.json'`"
             )
 
     def _hashed_text(self) -> str:

@@ -202,7 +202,7 @@ PAPER_TABLE: dict[str, tuple[tuple[float, int], ...]] = {
 
 
 def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference) -> CostMap:
-    """Rate tiles by texture and relief (``--rating table``).
+    """Rate tiles by texture and relief (``rating = "table"``).
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
 def rate_as_paper(
     patches: PatchStack, textures: TextureMap, calibration: Calibration, georeference: Georeference
 ) -> CostMap:
-    """Rate tiles by the paper's rules (``--compat paper``): raw z range of the points, its table, its 30 % rule.
+    """Rate tiles by the paper's rules (``compat = "paper"``): raw z range of the points, its table, its 30 % rule.
 
     Every tile with points gets a class; those that we would call unknown are class 3. ``c_r`` is the calibration's
     mean of the class, the interval is the class's own, ``confidence`` the probability of the winning texture.

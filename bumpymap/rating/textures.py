@@ -340,7 +340,7 @@ class TextureModel:
             raise UsageError(
                 f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
                 f"{self.tile_size:g} m with {self.pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
-                f"or train one: bumpymap train --tile-size {tile_size:g} --pixels {pixels} --out MODEL.onnx"
+                f"or train one: bumpymap train --tile-size {tile_size:g} --set network.pixels={pixels} --out MODEL.onnx"
             )
 
     @classmethod

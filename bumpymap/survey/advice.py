@@ -117,7 +117,7 @@ def models_for(grid: Grid) -> str:
 def size_options(grid: Grid) -> str:
     """Return the options of a grid; empty for the default one."""
     size = f"--tile-size {grid.tile_size:g}" if grid.tile_size != Grid().tile_size else ""
-    pixels = f"--pixels {grid.pixels}" if grid.pixels != Grid().pixels else ""
+    pixels = f"--set pixels={grid.pixels}" if grid.pixels != Grid().pixels else ""
     return " ".join(filter(None, (size, pixels)))
 
 
