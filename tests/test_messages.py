@@ -217,7 +217,7 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],
 )
-@pytest.mark.parametrize("style", [[], ["--log-json"]])
+@pytest.mark.parametrize("style", [[], ["--json"]])
 def test_the_command_line_reads_options(words, said, style, tmp_path):
     done = CliRunner().invoke(main, ["map", str(QUARRY), "--out", str(tmp_path / "out"), *words, *style])
     assert done.exit_code == 2

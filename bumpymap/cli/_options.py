@@ -1,6 +1,7 @@
 """Options of commands, made from the declaration of their settings, and which were given on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import MISSING, fields
 from functools import wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -15,7 +16,6 @@ from bumpymap.core import (
     UsageError,
     assigned_settings,
     override_settings,
-    parse_share,
     path_fault,
     read_settings_file,
     refuse_clashes,
@@ -27,6 +27,7 @@ __all__ = [
     "LOCATION",
     "PATH",
     "GroupedCommand",
+    "changed_settings",
     "config_options",
     "given_options",
     "grouped_option",
@@ -125,23 +126,6 @@ GROUPS = ("Input", "Way", "Ground", "Vehicle", "Output", "Run")
 """Headings of help pages, in their order."""
 
 
-class _Share(click.ParamType):  # type: ignore[type-arg]
-    """A share, as a number from 0 to 1 or as a percentage."""
-
-    name = "share"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Convert a string to a number from 0 to 1."""
-        share = parse_share(str(value))
-        if share is None:
-            self.fail(f"{value!r} is no share; give one such as 50% or 0.5", param, ctx)
-        return share
-
-
-SHARE = _Share()
-"""Type of a share on the command line."""
-
-
 class NumberList(click.ParamType):  # type: ignore[type-arg]
     """Numbers with commas between them."""
 
@@ -157,16 +141,6 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
         except ValueError:
             whole = "whole " if self._kind is int else ""
             self.fail(f"{value!r} is no list of {whole}numbers; give one such as 1,2,5", param, ctx)
-
-
-class WordList(click.ParamType):  # type: ignore[type-arg]
-    """Words with commas between them."""
-
-    name = "list"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, ...]:
-        """Convert a string to words."""
-        return tuple(word.strip() for word in str(value).split(",") if word.strip())
 
 
 def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
@@ -192,7 +166,8 @@ def gone_option(name: str, instead: str) -> Callable[[_Command], _Command]:
         if value:
             raise UsageError(f"{name} is gone: {instead}")
 
-    return click.option(name, is_flag=True, hidden=True, expose_value=False, callback=refuse)
+    dest = "gone" + name.replace("-", "_")
+    return click.option(name, dest, is_flag=True, hidden=True, expose_value=False, callback=refuse)
 
 
 resume_option = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
@@ -204,7 +179,7 @@ def jobs_option(command: _Command) -> _Command:
     return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
 
 
-def config_options(*owners: type) -> Callable[[_Command], _Command]:
+def config_options(*owners: type, clashes: Sequence[Clash] = ()) -> Callable[[_Command], _Command]:
     """Add ``--config`` and ``--set``, which set any field of the settings classes ``owners``.
 
     The command gets ``stored``: name -> value, with those of ``--set`` in the place of those of the file.
@@ -214,7 +189,8 @@ def config_options(*owners: type) -> Callable[[_Command], _Command]:
         @wraps(command)
         def run(*values: Any, config_file: Path | None, assigned: tuple[str, ...], **options: Any) -> Any:
             stored = read_settings_file(config_file, *owners) if config_file else {}
-            return command(*values, stored=stored | assigned_settings(assigned, stored, *owners), **options)
+            own = assigned_settings(assigned, stored, *owners)
+            return command(*values, stored=merge_settings(stored, own, clashes), **options)
 
         text = "Any setting of `bumpymap settings`, such as pixels=21"
         assign = click.option("--set", "assigned", multiple=True, metavar="KEY=VALUE", help=f"{text}.")
@@ -271,16 +247,16 @@ def _option(each: Declared, text: str, required: bool) -> Callable[[_Command], _
     if each.kind is bool:
         as_flag: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
         return grouped_option(spelled, each.name, help=shown, group=setting.group, **as_flag)
-    kind, several = _click_type(each.kind, setting.metavar)
+    kind, several = _click_type(each.kind)
     more: dict[str, Any] = {"multiple": several, "required": required, "metavar": setting.metavar}
     return grouped_option(spelled, each.name, type=kind, help=shown, group=setting.group, **more)
 
 
 def _moved(each: Declared, key: str) -> Callable[[_Command], _Command]:
     """Return a decorator that adds an option which is there only to say how this setting is given."""
-    more: dict[str, Any] = (
-        {"is_flag": True, "metavar": "false" if each.default else "true"} if each.kind is bool else {}
-    )
+    more: dict[str, Any] = {"metavar": each.setting.metavar}
+    if each.kind is bool:
+        more = {"is_flag": True, "metavar": "false" if each.default else "true"}
     return grouped_option(
         _spelled(each), each.name, group="Run", key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
     )
@@ -299,17 +275,13 @@ def _default_text(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _click_type(kind: Any, metavar: str | None) -> tuple[Any, bool]:
+def _click_type(kind: Any) -> tuple[Any, bool]:
     """Return the type of an option, and whether it may be given several times."""
     items = get_args(kind)
     if get_origin(kind) is Literal:
         return (click.Choice(items) if isinstance(items[0], str) else type(items[0])), False
     if get_origin(kind) is tuple:
-        if get_origin(items[0]) is Literal:
-            return WordList(), False
-        return (NumberList(items[0]), False) if items[0] in (int, float) else (_click_type(items[0], metavar)[0], True)
-    if kind is float and metavar == "SHARE":
-        return SHARE, False
+        return (NumberList(items[0]), False) if items[0] in (int, float) else (_click_type(items[0])[0], True)
     return {int: int, float: float, Path: PATH, Path | str: LOCATION}.get(kind), False
 
 
@@ -323,6 +295,17 @@ def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """
     source = click.get_current_context().get_parameter_source
     return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
+
+
+def changed_settings(stored: Mapping[str, Any], *owners: type) -> dict[str, Any]:
+    """Return the settings that differ from their defaults: a settings file may state those too."""
+    defaults = {field.name: field for owner in reversed(owners) for field in fields(owner)}
+    return {name: value for name, value in stored.items() if value not in _defaults(defaults[name])}
+
+
+def _defaults(field: Any) -> list[Any]:
+    made = [] if field.default_factory is MISSING else [field.default_factory()]
+    return [field.default, *made]
 
 
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:

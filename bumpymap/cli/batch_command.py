@@ -34,7 +34,7 @@ _MOST_LISTED = 20
     memory="Memory, shared by --jobs",
     overwrite="Replace layers of other inputs or settings",
 )
-@config_options(MapConfig)
+@config_options(MapConfig, clashes=CLASHES)
 @output_options()
 @click.pass_context
 def command(

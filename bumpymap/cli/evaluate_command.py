@@ -12,6 +12,7 @@ from bumpymap.cli._options import (
     LOCATION,
     PATH,
     GroupedCommand,
+    changed_settings,
     config_options,
     given_options,
     grouped_option,
@@ -22,7 +23,7 @@ from bumpymap.cli._options import (
 )
 from bumpymap.cli._progress import show_progress
 from bumpymap.cli._text import DRIVES_KEPT, interrupt_note, option_name, print_json, print_line
-from bumpymap.core import OF_CRS, MapConfig, OutputError, Progress, Rating, UsageError, locked
+from bumpymap.core import OF_CRS, MapConfig, OutputError, Progress, UsageError, locked
 from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 
 if TYPE_CHECKING:
@@ -36,7 +37,8 @@ _OF_SCANS = ("scenes", "labels", "model", "stripes")
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @grouped_option("--scans", is_flag=True, help="Evaluate scans: given frames, or simulated scenes.", group="Input")
 @grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
-@settings_options(MapConfig, "ground", "crs", "force_crs", "z_unit", "local")
+@settings_options(MapConfig, "ground", "crs", "z_unit", "local")
+@grouped_option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.", group="Input")
 @grouped_option(
     "--vehicle",
     multiple=True,
@@ -71,6 +73,7 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, stored: dict[st
     bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    stored = changed_settings(stored, EvaluateSettings, ScanEvaluateSettings)
     _refuse_other_options(stored, places=bool(surveys), scans=scans)
     if scans:
         _evaluate_scans(surveys, out, ScanEvaluateSettings(**_chosen(stored, ScanEvaluateSettings)), given)
@@ -79,7 +82,7 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, stored: dict[st
         raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     merge_settings({}, given_options(click.get_current_context().params), OF_CRS)
     settings = EvaluateSettings(**_chosen(stored, EvaluateSettings))
-    subjects = _subjects(given, settings.rating)
+    subjects = _subjects(given, settings)
     from bumpymap.lab import (
         TrialOptions,
         evaluate_survey,
@@ -165,7 +168,7 @@ def _chosen(stored: dict[str, Any], owner: type) -> dict[str, Any]:
     return {name: value for name, value in stored.items() if name in names}
 
 
-def _subjects(given: dict[str, Any], rating: Rating) -> "list[Subject]":
+def _subjects(given: dict[str, Any], settings: EvaluateSettings) -> "list[Subject]":
     from bumpymap.lab import Subject
     from bumpymap.rating import TextureModel, find_calibration
 
@@ -176,7 +179,7 @@ def _subjects(given: dict[str, Any], rating: Rating) -> "list[Subject]":
     if len(set(ids)) < len(ids):
         raise UsageError("the same calibration was given twice; give each vehicle once")
     textures = TextureModel.shipped()
-    return [Subject.of(calibration, textures, rating) for calibration in calibrations]
+    return [Subject.of(calibration, textures, settings.rating) for calibration in calibrations]
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:

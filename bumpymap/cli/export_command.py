@@ -10,6 +10,7 @@ import click
 from bumpymap.cli._options import (
     PATH,
     GroupedCommand,
+    changed_settings,
     config_options,
     given_options,
     grouped_option,
@@ -78,7 +79,7 @@ def command(
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    options = {**stored, **given_options(given)}
+    options = {**changed_settings(stored, ExportSettings), **given_options(given)}
     _refuse_idle(options, given["to"])
     from bumpymap.layers import export_map, open_map
 

@@ -69,7 +69,7 @@ _PARTLY_DONE = 4
 @click.command("map", cls=GroupedCommand)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
 @settings_options(MapConfig)
-@config_options(MapConfig)
+@config_options(MapConfig, clashes=CLASHES)
 @resume_option
 @output_options()
 @click.pass_context

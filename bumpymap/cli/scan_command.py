@@ -173,7 +173,7 @@ class _EveryNth(click.types.IntParamType):
     help="Draw all frames, or every Nth one.",
     group="Output",
 )
-@config_options(ScanConfig)
+@config_options(ScanConfig, clashes=[VEHICLE_OR_CALIBRATION])
 @resume_option
 @output_options()
 @click.pass_context

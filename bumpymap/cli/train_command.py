@@ -12,6 +12,7 @@ import click
 from bumpymap.cli._options import (
     FILE,
     GroupedCommand,
+    changed_settings,
     config_options,
     given_options,
     grouped_option,
@@ -68,6 +69,7 @@ def command(
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    stored = changed_settings(stored, *([] if scans is None else [ScanTrainSettings]), TrainSettings, ScanTrainSettings)
     options = {**stored, **given_options(given)}
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)

@@ -2,7 +2,7 @@
 
 A run that is killed leaves it behind, and the same command continues from it. Its files are written atomically, so
 every file in it is complete. It belongs to the user (mode 0700) and holds no symbolic links, so that nothing outside of
-it is written or deleted. The lock allows one run at a time in a folder and records who holds it; links are not followed.
+it is written or deleted. The lock allows one run at a time in a folder and records who holds it; it follows no links.
 """
 
 import errno

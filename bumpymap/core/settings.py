@@ -416,6 +416,9 @@ def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *ow
             raise UsageError(f"--set gives {table[0]} both as a value and as a table")
         place[name] = _assigned(value.strip())
     known = _fields_of(owners)
+    for name, field in known.items():
+        if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
+            record[name] = [record[name]]
     tables = {name: _plain_type(known[name].type) for name, value in record.items() if name in known and value != {}}
     parser, arguments = _Parser(Path()), {}
     for name, kind in tables.items():
@@ -429,7 +432,9 @@ def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *ow
 
 
 def _assigned(text: str) -> Any:
-    """Return a value of TOML, of which quotes and brackets may be left out."""
+    """Return a value of TOML, of which quotes and brackets may be left out; a percentage as a share."""
+    if text.endswith("%") and (share := parse_share(text)) is not None:
+        return share
     for toml in (text, f"[{text}]") if "," in text else (text,):
         try:
             return tomllib.loads(_checked(f"value = {toml}"))["value"]

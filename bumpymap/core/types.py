@@ -328,7 +328,7 @@ class CostRule:
     def barred(self, columns: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
         """Return why tiles are not passable as far as each tile alone tells: unknown, too steep, or drives fail.
 
-        At least ``FAIL_SHARE`` of the drives must fail. If the rating has no ``p_fail`` (NaN: ``compat = "paper"``), the
+        At least ``FAIL_SHARE`` of the drives must fail. If the rating has no ``p_fail`` (NaN: with ``compat``), the
         roughest class is not passable.
 
         Parameters

@@ -53,7 +53,7 @@ class KillTest:
         self._out, self._scratch = data / "layers", data / "scratch"
         bumpymap = str(Path(sys.executable).with_name("bumpymap"))
         self._command = [bumpymap, "map", *map(str, surveys), "--out", str(self._out)]
-        self._command += ["--scratch", str(self._scratch), "--quiet", *options]
+        self._command += ["--set", f"scratch={self._scratch}", "--quiet", *options]
         self._expected: dict[str, str] = {}
         self._orphans: list[Path] = []
 

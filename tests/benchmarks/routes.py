@@ -134,7 +134,7 @@ def main() -> int:
     if not folder.exists():
         make_layers(folder, given.side)
     start, goal = ends_of(folder, given.way * 1000.0)
-    command = [str(Path(sys.executable).with_name("bumpymap")), "route", str(folder), "--log-json"]
+    command = [str(Path(sys.executable).with_name("bumpymap")), "route", str(folder), "--json"]
     command += ["--from", f"crs:{start[0]},{start[1]}", "--to", f"crs:{goal[0]},{goal[1]}"]
     runs = [run_timed(command, memory=number == 0) for number in range(given.rounds + 1)]
     sys.stdout.write(f"{runs[0].exit_code} {runs[0].stderr_tail[-400:]}\n")

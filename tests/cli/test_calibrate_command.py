@@ -52,13 +52,13 @@ def calibrate(*words):
 
 def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
     out = tmp_path / "new" / "warthog.json"
-    result = calibrate("--out", out, "--quick", "--jobs", 1, "--seed", 9)
+    result = calibrate("--out", out, "--quick", "--jobs", 1, "--set", "seed=9")
     assert result.exit_code == 0, result.output
     calibration = Calibration.load(out)
     assert calibration.settings["seed"] == 9
     assert calibration.settings["command"] == (
-        "bumpymap calibrate --vehicle warthog --out warthog.json --seed 9 --patches 3 --starts 2 "
-        "--terrains 1 --terrain-starts 2 --tile-size 3 --pixels 15 --quick"
+        "bumpymap calibrate --vehicle warthog --out warthog.json --tile-size 3 --quick --set seed=9 --set patches=3 "
+        "--set starts=2 --set terrains=1 --set terrain_starts=2 --set pixels=15"
     )
     assert calibration.ride == {"terrains": 17}
     assert calibration.steps == {"seed": 9}

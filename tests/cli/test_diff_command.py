@@ -34,7 +34,7 @@ def test_tables_and_files(surveys, tmp_path):
 
 
 def test_a_record_for_machines(surveys):
-    done = run(*surveys, "--log-json", "--min-tiles", "3", "--fdr", "0.1")
+    done = run(*surveys, "--json", "--set", "min_tiles=3", "--set", "fdr=0.1")
     (line,) = [text for text in done.stdout.splitlines() if '"counts"' in text]
     record = json.loads(line)
     assert record["counts"]["changed"] >= 36
@@ -45,9 +45,9 @@ def test_a_record_for_machines(surveys):
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        (["--fdr", "2"], 2, "fdr"),
-        (["--min-tiles", "0"], 2, "min-tiles"),
-        (["--offset", "nan"], 2, "offset"),
+        (["--set", "fdr=2"], 2, "fdr"),
+        (["--set", "min_tiles=0"], 2, "min_tiles"),
+        (["--set", "offset=nan"], 2, "offset"),
     ],
 )
 def test_wrong_usage(surveys, words, code, told):

@@ -17,13 +17,13 @@ def evaluate(tmp_path, *words):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["site.laz", "--model", "m.onnx"], "--model applies to scans: add --scans"),
-        (["site.laz", "--stripes", "s.json"], "--stripes applies to scans: add --scans"),
-        (["site.laz", "--scenes", "35"], "--scenes applies to scans: add --scans"),
-        (["--scans", "--total-patches", "300"], "--total-patches applies to surveys and vehicles"),
+        (["site.laz", "--set", "model=m.onnx"], "--set model applies to scans: add --scans"),
+        (["site.laz", "--set", "stripes=s.json"], "--set stripes applies to scans: add --scans"),
+        (["site.laz", "--set", "scenes=35"], "--set scenes applies to scans: add --scans"),
+        (["--scans", "--set", "total_patches=200"], "--set total_patches applies to surveys and vehicles"),
         (["--scans", "--local"], "--local applies to surveys and vehicles"),
         (["--scans", "drive", "--vehicle", "car"], "--vehicle applies to surveys and vehicles"),
-        (["--scans", "drive", "--scenes", "5"], "--scenes applies to simulated scenes"),
+        (["--scans", "drive", "--set", "scenes=5"], "--set scenes applies to simulated scenes"),
         ([], "takes surveys"),
     ],
 )

@@ -77,7 +77,7 @@ def test_the_summary_of_a_map_for_nav2(layers, tmp_path):
 def test_a_crop_around_a_point_in_either_system(layers, tmp_path, place):
     lonlat = Transformer.from_crs(32614, 4326, always_xy=True).transform(330004.5, 2040004.5)
     words = ("--around", place.format(*lonlat), "--radius", 2, "--datum", "crs:330000,2040000", "--resolution", "pixel")
-    done = export(layers, "--to", "nav2", "--out", tmp_path / "out", *words, "--log-json")
+    done = export(layers, "--to", "nav2", "--out", tmp_path / "out", *words, "--json")
     assert done.exit_code == 0, done.output
     record = json.loads(done.stdout)
     assert record["area"] == {"west": 0.0, "south": 0.0, "east": 9.0, "north": 9.0}
@@ -87,7 +87,7 @@ def test_a_crop_around_a_point_in_either_system(layers, tmp_path, place):
 
 def test_the_other_formats(layers, tmp_path):
     pytest.importorskip("rosbags")
-    done = export(layers, "--to", "graph", "--every", 1, "--out", tmp_path / "graph")
+    done = export(layers, "--to", "graph", "--set", "every=1", "--out", tmp_path / "graph")
     assert done.stdout.splitlines()[2].startswith("35 nodes, ")
     done = export(layers, "--to", "gridmap", "--out", tmp_path / "bag")
     assert "grid_map on /grid_map: elevation, c_r, p_fail, class, obstacle" in done.stdout
@@ -104,10 +104,10 @@ def test_the_other_formats(layers, tmp_path):
     [
         (["--to", "rviz"], "'rviz' is not one of"),
         (["--to", "graph", "--resolution", "pixel"], "--resolution has no effect with --to graph"),
-        (["--to", "nav2", "--every", "2"], "--every has no effect with --to nav2, only with graph"),
+        (["--to", "nav2", "--set", "every=9"], "--set every has no effect with --to nav2, only with graph"),
         (["--to", "plan", "--around", "1,2"], "--around has no effect with --to plan"),
         (["--to", "nav2", "--radius", "20"], "--radius has no effect without --around"),
-        (["--to", "nav2", "--comfort", "0"], "--comfort is 0.0; it must be a finite number greater than 0"),
+        (["--to", "nav2", "--set", "comfort=0"], "comfort is 0; it must be a finite number greater than 0"),
         (["--to", "nav2", "--around", "here"], "'here' is not a point"),
         (["--to", "nav2", "--datum", ""], "'' is not a point"),
         ([], "Missing option '--to'"),

@@ -44,7 +44,7 @@ def test_the_classes_and_what_they_are_taken_for(info, tmp_path):
     classes = np.full(900, 2, np.uint8)
     classes[:90], classes[90:180], classes[180:270], classes[270:279] = 6, 4, 66, 7
     path = write(tmp_path / "a.laz", dense(), "EPSG:32614", classes)
-    found = json.loads(info(path, "--json").output)["files"][0]["classes"]
+    found = json.loads(info(path, "--json").stdout)["files"][0]["classes"]
     assert found == {"2": 621, "4": 90, "6": 90, "66": 90}  # noise is left out
     rows = {line[:18].strip(): line[18:].strip() for line in info(path).output.splitlines()}
     assert rows["as ground"].startswith("2 ground 69.7%")
@@ -162,10 +162,10 @@ def test_the_command_has_the_options_that_were_given(info, tmp_path):
 
 
 def test_tiles_of_another_size_want_a_calibration(info, tmp_path):
-    said = info(write(tmp_path / "a.laz", dense(), "EPSG:32614"), "--tile-size", "1.5", "--pixels", "30").output
+    said = info(write(tmp_path / "a.laz", dense(), "EPSG:32614"), "--set", "tile_size=1.5", "--set", "pixels=30").output
     assert "ready" not in said
     assert "need a calibration that drives patches of that size" in said
-    assert "bumpymap map --tile-size 1.5 --pixels 30 --calibration my.json" in said
+    assert "bumpymap map --tile-size 1.5 --set pixels=30 --calibration my.json" in said
     assert "bumpymap train" not in said
 
 

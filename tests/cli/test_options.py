@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.cli._options import given_options, settings_options
+from bumpymap.cli._options import GroupedCommand, config_options, given_options, settings_options
 from bumpymap.cli._text import as_options
 from bumpymap.core import Setting, check_settings
 
@@ -86,15 +86,18 @@ WORDS = {
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
-    ("evaluate", "seed", 0): lambda got: got[0]["seed"],
+    ("evaluate", "seed", 0): lambda got: got[1].seed,
     ("train", "seed", 0): lambda got: got[0].seed,
     ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
     ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,
+    ("map", "max_unknown", 0): lambda got: got[0].max_unknown,
+    ("batch", "max_unknown", 0): lambda got: got[0].given.get("max_unknown", got[0].defaults["max_unknown"]),
     ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
 }
+NUMERIC = {"SIZE", "LIST", "N", "M", "HZ", "COST", "SHARE", "KM", "RAD_S"}
 SCENES = {"scenes", "sectors_per_class"}
 """Numbers of scans; they have words of their own."""
 
@@ -103,7 +106,7 @@ def numbers():
     for name in COMMANDS:
         for option in options(name):
             known = option.type.name in {"integer", "float", "integer range", "float range"}
-            if known or (option.metavar in {"SIZE", "LIST"} and option.name not in {"products", "columns"}):
+            if known or (option.metavar in NUMERIC and option.name not in {"products", "columns"}):
                 # After an option that may stand alone, click takes a word with a dash for the next option.
                 for value in ("0", "nan") if option._flag_needs_value else ("0", "-1", "nan"):
                     yield pytest.param(name, option, value, id=f"{name} --{option.name} {value}")
@@ -113,7 +116,8 @@ def numbers():
 def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatch):
     """0 and -1 are refused with a message that names the option, or arrive as they are meant."""
     monkeypatch.chdir(tmp_path)
-    words = [name, *WORDS[name], f"{option.opts[0]}={value}"]
+    given = ("--set", f"{option.key}={value}") if getattr(option, "key", "") else (f"{option.opts[0]}={value}",)
+    words = [name, *WORDS[name], *given]
     if option.name in SCENES:
         words += ["--scans", "simulated"] if name == "train" else ["--scans"]
         if name == "evaluate":
@@ -127,7 +131,8 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         return
     assert result.exit_code == 2, (result.output, result.exception)
     _, _, message = result.stderr.rpartition("Error: ")
-    assert option.opts[0] in re.findall(r"--[a-z-]+", message), result.stderr
+    named = option.key if getattr(option, "key", "") else option.opts[0]
+    assert named in re.findall(r"--[a-z-]+|[a-z][a-z_.]+", message), result.stderr
     assert not reached
     assert list(tmp_path.iterdir()) == []
 
@@ -143,12 +148,14 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
             ["scan", "a.pcd", "--out", "o", "--poses", "p", "--calibration", "c.json", "--vehicle", "car"],
             "--calibration",
         ),
-        (["map", "a.laz", "--out", "o", "--compat", "paper", "--rating", "ride"], "--compat and --rating"),
+        (
+            ["map", "a.laz", "--out", "o", "--set", "compat=paper", "--set", "rating=ride"],
+            "--set compat and --set rating",
+        ),
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
-        (["info", "a.laz", "--crs", "EPSG:32614", "--force-crs", "EPSG:2"], "--crs and --force-crs"),
-        (["evaluate", "a.laz", "--out", "o", "--min-starts", "60"], "more than --max-starts, which is 48"),
-        (["calibrate", "--check", "--patches", "4"], "leave out --patches"),
+        (["evaluate", "a.laz", "--out", "o", "--set", "min_starts=60"], "more than --set max_starts, which is 48"),
+        (["calibrate", "--check", "--set", "patches=4"], "leave out --set patches"),
         (["calibrate", "--check", "--out", "c.json"], "leave out --out"),
     ],
 )
@@ -166,8 +173,8 @@ def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch
     [
         ('vehicle = "car"', ["--calibration", "c.json"], {"vehicle": "warthog", "calibration": "c.json"}),
         ('calibration = "c.json"', ["--vehicle", "car"], {"vehicle": "car", "calibration": "None"}),
-        ('rating = "table"', ["--compat", "paper"], {"rating": "ride", "compat": "paper"}),
-        ('compat = "paper"', ["--rating", "table"], {"rating": "table", "compat": "none"}),
+        ('rating = "table"', ["--set", "compat=paper"], {"rating": "ride", "compat": "paper"}),
+        ('compat = "paper"', ["--set", "rating=table"], {"rating": "table", "compat": "none"}),
         ("local = true", ["--crs", "EPSG:32614"], {"local": "False", "crs": "EPSG:32614"}),
         ("local = false", ["--crs", "EPSG:32614"], {"local": "False", "crs": "EPSG:32614"}),
     ],
@@ -194,9 +201,9 @@ def test_contradictions_of_a_file_are_refused(reached, tmp_path):
     [
         [],
         ["--quick"],
-        ["--quick", "--patches", "2"],
-        ["--patches", "8", "--quick"],
-        ["--seed", "0", "--tile-size", "3.123456789", "--pixels", "21", "--terrains", "3", "--starts", "1"],
+        ["--quick", "--set", "patches=2"],
+        ["--set", "patches=8", "--quick"],
+        ["--set=seed=0", "--tile-size=3.123456789", "--set=pixels=21", "--set=terrains=3", "--set=starts=1"],
     ],
 )
 def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatch):
@@ -204,8 +211,8 @@ def test_the_stored_command_repeats_the_run(words, reached, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     assert isinstance(run("calibrate", "--vehicle", "warthog", "--out", "c.json", *words).exception, Reached)
     settings, again = reached["calibrate"][0], reached["calibrate"][4]
-    if "--patches" in words:
-        assert settings.patches == int(words[words.index("--patches") + 1])
+    if "patches=2" in words:
+        assert settings.patches == 2
     assert isinstance(run(*again.split()[1:]).exception, Reached)
     assert reached["calibrate"][0] == settings
     assert reached["calibrate"][4] == again
@@ -219,6 +226,7 @@ class Walk:
     stops: Annotated[tuple[str, ...], Setting("Where to stop", "POINT")] = ()
     speeds: Annotated[tuple[float, ...], Setting("Speeds", "LIST", default="all")] = (1.0, 2.5)
     inner: Annotated[int, Setting(low=1)] = 1
+    depth: Annotated[int, Setting("Depth of the search", "N", 1, rare=True)] = 4
 
     def __post_init__(self):
         check_settings(self)
@@ -227,20 +235,27 @@ class Walk:
 def test_options_follow_from_the_declaration():
     walks = []
 
-    @click.command()
+    @click.command(cls=GroupedCommand)
     @settings_options(Walk, tile_size="Size")
-    def walk(**given):
-        walks.append(Walk(**given_options(given)))
+    @config_options(Walk)
+    def walk(stored, **given):
+        walks.append(Walk(**{**stored, **given_options(given)}))
 
     shown = CliRunner().invoke(walk, ["--help"]).output
     assert "--tile-size M" in shown
-    assert "Size [default: 3]." in shown
-    assert "Speeds [default: all]." in shown
+    assert "Size [3]." in shown
+    assert "Speeds [all]." in shown
     assert "inner" not in shown
+    assert "depth" not in shown
     assert CliRunner().invoke(walk, []).exit_code == 0
     words = ["--from-where=a", "--tile-size=1.5", "--no-deskew", "--stops=b", "--stops=c", "--speeds=1,2"]
     assert CliRunner().invoke(walk, words).exit_code == 0
     assert walks == [Walk(), Walk("a", 1.5, deskew=False, stops=("b", "c"), speeds=(1.0, 2.0))]
+    for words in (["--set", "depth=7", "--set", "origin=b"], ["--set=depth = 7", "--from-where", "b"]):
+        assert CliRunner().invoke(walk, words).exit_code == 0
+        assert walks[-1] == Walk("b", depth=7)
+    moved = CliRunner().invoke(walk, ["--depth", "7"]).exception
+    assert "--depth is no option: write --set depth=7" in str(moved)
     refused = CliRunner().invoke(walk, ["--tile-size", "10"]).exception
     assert (
         as_options(f"{refused}: `origin`") == "--tile-size is 10.0; it must be a number from 0.5 to 9 m: --from-where"
@@ -258,20 +273,20 @@ def test_values_are_named_in_one_style(name):
     """Upper case, or the choices."""
     context = click.Context(command(name), info_name=name)
     for option in options(name):
-        if option.is_flag or isinstance(option.type, click.Choice) or option.name in {"help", "vehicle"}:
+        if option.hidden or option.is_flag or option.name in {"help", "vehicle"}:
             continue
-        assert re.fullmatch(r"[A-Z_]+(\.\.\.)?|simulated\|DIR", option.make_metavar(context)), option.name
+        assert re.fullmatch(r"[A-Z_]+(\|FILE)?|KEY=VALUE|simulated\|DIR", option.make_metavar(context)), option.name
         assert option.help, option.name
 
 
-LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group)]
+LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group) and name != "settings"]
 
 
 @pytest.mark.parametrize("name", LONG)
 def test_every_long_command_can_be_quiet_and_speak_json(name):
     given = {option.opts[0]: option.help for option in options(name)}
-    assert {"--quiet", "--log-json"} <= set(given)
-    assert given["--log-json"] == {option.opts[0]: option.help for option in options("map")}["--log-json"]
+    assert {"--quiet", "--json"} <= set(given)
+    assert given["--json"] == {option.opts[0]: option.help for option in options("map")}["--json"]
 
 
 @pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "--out", "o"]])
@@ -283,3 +298,54 @@ def test_a_url_where_none_can_be_is_not_taken_for_a_folder(words, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(bumpymap.UsageError, match="out is s3://bucket/night, a URL"):
         bumpymap.map_survey("a.laz", "s3://bucket/night")
+
+
+@pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "compile", "demo", "report", "info"}])
+def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, monkeypatch, reached):
+    """Its lines without the # give what the command does without the file."""
+    monkeypatch.chdir(tmp_path)
+    text = run("settings", name).stdout
+    keys = {option.key.split(".")[-1] for option in options(name) if getattr(option, "key", "")}
+    assert keys <= set(re.findall(r"^#([a-z_]+) =", text, re.MULTILINE))
+    (tmp_path / "a.toml").write_text(re.sub(r"^#(?=[a-z_]+ = |\[)", "", text, flags=re.MULTILINE))
+    if name == "train":
+        pytest.importorskip("torch")
+    plain = run(name, *WORDS[name])
+    first = reached.get(name)
+    stated = run(name, *WORDS[name], "--config", tmp_path / "a.toml")
+    assert (plain.exit_code, plain.stderr) == (stated.exit_code, stated.stderr)
+    alike = [re.sub(" at 0x[0-9a-f]+", "", repr(got)) for got in (reached.get(name), first)]
+    assert alike[0] == alike[1]
+
+
+@pytest.mark.parametrize(
+    ("assigned", "expected"),
+    [
+        ("pixels", "give KEY=VALUE"),
+        ("pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
+        ("csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
+        ("resume=true", "the same run continues an interrupted one"),
+        ("a.b.c=4", "give KEY=VALUE"),
+    ],
+)
+def test_what_cannot_be_set_is_refused(assigned, expected, reached):
+    done = run("map", "a.laz", "--out", "o", "--set", assigned)
+    assert done.exit_code == 2
+    assert expected in done.stderr
+    assert not reached
+
+
+def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
+    (tmp_path / "a.toml").write_text("[csf]\nrigidness = 2\ncloth_resolution = 1.5\n[features]\nmin_points = 12")
+    words = ["--config", tmp_path / "a.toml", "--set", "csf.rigidness=1", "--set", "speeds=0.5,1"]
+    run("map", "a.laz", "--out", "o", *words)
+    config = reached["map"][0]
+    assert (config.csf.rigidness, config.csf.cloth_resolution, config.features.min_points) == (1, 1.5, 12)
+    assert config.speeds == (0.5, 1.0)
+    run("map", "a.laz", "--out", "o", "--set", "max_unknown=40%", "--set", "speeds=2")
+    assert (reached["map"][0].max_unknown, reached["map"][0].speeds) == (0.4, (2.0,))
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_a_help_page_fits_a_screen(name):
+    assert len(run(name, "--help").output.splitlines()) <= 40

@@ -1,6 +1,7 @@
 """Pipes instead of files: nothing waits for what nobody writes."""
 
 import os
+import re
 import signal
 from pathlib import Path
 from shutil import copytree
@@ -39,11 +40,21 @@ def given(tmp_path_factory):
 @pytest.mark.parametrize(
     "line",
     [
-        *(f"map survey.las --out out {option}" for option in ("--model p.onnx", "--config p.toml", "--vehicle p.toml")),
+        *(
+            f"map survey.las --out out {option}"
+            for option in ("--set model=p.onnx", "--config p.toml", "--vehicle p.toml")
+        ),
         *(f"{command} --out out --calibration p.json" for command in ("map survey.las", "scan frame.bin")),
         *("batch p.csv --out out", "batch p.txt --out out", "batch . --out out --config p.toml"),
-        *(f"scan frame.bin --out out {option}" for option in ("--model p.onnx", "--poses p.txt", "--labels p.csv")),
-        *("scan frame.bin --out out --method filter --stripes p.json", "scan p.mcap --out out", "scan p.db3 --out out"),
+        *(
+            f"scan frame.bin --out out {option}"
+            for option in ("--set model=p.onnx", "--poses p.txt", "--set labels=p.csv")
+        ),
+        *(
+            "scan frame.bin --out out --method filter --set stripes=p.json",
+            "scan p.mcap --out out",
+            "scan p.db3 --out out",
+        ),
         *(f"route layers --points p{suffix}" for suffix in (".csv", ".gpx", ".geojson")),
         *(f"route layers --from 1,1 --to 2,2 --avoid p{suffix}" for suffix in (".geojson", ".gpkg", ".shp")),
         *(f"check --drive p{suffix}" for suffix in (".csv", ".ulg", ".bag", ".mcap")),
@@ -55,7 +66,7 @@ def given(tmp_path_factory):
 def test_a_pipe_is_refused_and_not_waited_for(given, tmp_path, monkeypatch, line):
     monkeypatch.chdir(copytree(given, tmp_path / "here"))
     Path("piped").mkdir()
-    name = next((word for word in line.split() if word.startswith("p.")), "piped/run.json")
+    name = next((word for word in re.split("[ =]", line) if word.startswith("p.")), "piped/run.json")
     os.mkfifo(name)
     before = signal.signal(signal.SIGALRM, wait)
     signal.alarm(20)

@@ -192,7 +192,7 @@ def run(*words):
 
 
 def test_a_run_in_events(tmp_path):
-    result = run("map", QUARRY, "--out", tmp_path / "o", "--log-json")
+    result = run("map", QUARRY, "--out", tmp_path / "o", "--json")
     assert result.exit_code == 0
     found = events(result.stderr)
     assert [event["event"] for event in found if event["event"] not in {"info", "compiling"}] == [
@@ -203,14 +203,14 @@ def test_a_run_in_events(tmp_path):
         "stage",
         "done",
     ]
-    assert found[0]["arguments"] == ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]
+    assert found[0]["arguments"] == ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--json"]
     assert found[-1]["exit_code"] == 0
     assert json.loads(result.stdout)["tiles"] == 1426
 
 
 def test_inputs_that_were_skipped_in_events(tmp_path):
     (tmp_path / "b.laz").write_bytes(b"nothing")
-    result = run("map", QUARRY, tmp_path / "b.laz", "--out", tmp_path / "o", "--skip-bad", "--log-json", "--quiet")
+    result = run("map", QUARRY, tmp_path / "b.laz", "--out", tmp_path / "o", "--skip-bad", "--json", "--quiet")
     assert result.exit_code == 4
     found = events(result.stderr)
     assert {event["event"] for event in found} == {"start", "warning", "info", "done"}
@@ -221,13 +221,13 @@ def test_inputs_that_were_skipped_in_events(tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "kind"),
     [
-        (["map", "--none", "--log-json"], 2, "NoSuchOption"),
-        (["map", "a.laz", "--log-json"], 2, "UsageError"),
-        (["map", "a\x1b\n.laz", "--out", "o", "--log-json"], 3, "BadInputError"),
-        (["info", "a.laz", "--log-json"], 3, "BadInputError"),
-        (["train", "--log-json"], 2, "MissingParameter"),
-        (["calibrate", "--log-json"], 2, "UsageError"),
-        (["nothing", "--log-json"], 2, "NoSuchCommand"),
+        (["map", "--none", "--json"], 2, "NoSuchOption"),
+        (["map", "a.laz", "--json"], 2, "UsageError"),
+        (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
+        (["info", "a.laz", "--json"], 3, "BadInputError"),
+        (["train", "--json"], 2, "MissingParameter"),
+        (["calibrate", "--json"], 2, "UsageError"),
+        (["nothing", "--json"], 2, "NoSuchCommand"),
     ],
 )
 def test_the_last_event_of_a_failure(tmp_path, monkeypatch, words, code, kind):
@@ -244,7 +244,7 @@ def test_what_stands_after_two_dashes_is_no_option(tmp_path, capsys):
     def fail():
         raise BadInputError("no")
 
-    assert exit_code_of(fail, ["map", "--", "--log-json"]) == 3
+    assert exit_code_of(fail, ["map", "--", "--json"]) == 3
     assert capsys.readouterr().err == "Error: no\n"
 
 
@@ -254,7 +254,7 @@ def test_a_fault_is_an_event_with_its_traceback(capsys):
 
     with pytest.raises(KeyError):
         exit_code_of(fail, ["map"])
-    assert exit_code_of(fail, ["map", "--log-json"]) == 1
+    assert exit_code_of(fail, ["map", "--json"]) == 1
     last = events(capsys.readouterr().err)[-1]
     assert (last["event"], last["kind"]) == ("error", "KeyError")
     assert "Traceback" in last["traceback"]
@@ -272,7 +272,7 @@ main()
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_is_an_event(tmp_path):
-    words = ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--log-json"]
+    words = ["map", str(QUARRY), "--out", str(tmp_path / "o"), "--json"]
     done = subprocess.run(
         [sys.executable, "-c", ENDED, *words], capture_output=True, text=True, check=False, timeout=120
     )
@@ -284,6 +284,6 @@ def test_a_signal_is_an_event(tmp_path):
 def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):
     log = logging.getLogger("bumpymap")
     before = list(log.handlers), log.level, log.propagate
-    for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--log-json"], ["info", QUARRY, "--quick"]):
+    for words in (["info", tmp_path / "none.laz"], ["map", "a.laz", "--json"], ["info", QUARRY, "--quick"]):
         run(*words)
         assert (list(log.handlers), log.level, log.propagate) == before

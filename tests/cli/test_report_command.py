@@ -35,7 +35,7 @@ def test_two_maps_in_one_page(layers, tmp_path):
     out = tmp_path / "two.html"
     assert run(*layers, "--out", out).exit_code == 0
     assert "two maps compared" in out.read_text()
-    done = run(*layers, "--out", out, "--overwrite", "--log-json")
+    done = run(*layers, "--out", out, "--overwrite", "--json")
     assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(out), "bytes": out.stat().st_size}
 
 

@@ -37,7 +37,7 @@ def run(*words):
 
 
 def record(*words):
-    result = run(*words, "--log-json")
+    result = run(*words, "--json")
     assert result.exit_code == 0, result.output
     return json.loads(result.stdout)
 
@@ -80,10 +80,10 @@ def test_without_a_place_to_write_only_the_summary_is_printed(layers, tmp_path, 
         (["--from", place(5.5, 5.5)], "--out DIR"),
         (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--isochrones", "1"], "without a goal"),
         (
-            ["--from", place(5.5, 5.5), "--isochrones", "1", "--isocosts", "50", "--out", "o"],
-            "--isocosts are outlines",
+            ["--from", place(5.5, 5.5), "--isochrones", "1", "--set", "isocosts=50", "--out", "o"],
+            "--set isocosts are outlines",
         ),
-        (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--memory", "1MB"], "--memory is '1MB'"),
+        (["--from", place(5.5, 5.5), "--to", place(5.5, 9.5), "--set", "memory=1MB"], "--set memory is '1MB'"),
         (
             ["--from", place(5.5, 5.5), "--isochrones", "0", "--out", "o"],
             "--isochrones is 0.0; it must be a",
@@ -241,9 +241,9 @@ def test_what_can_be_reached_is_a_raster_and_outlines(layers, tmp_path):
 
 def test_a_reach_over_part_of_the_map_says_so(layers, tmp_path):
     words = [layers, "--from", place(20.5, 8.5), "--out", tmp_path / "reach", "--overwrite"]
-    part = run(*words, "--isocosts", 15)
+    part = run(*words, "--set", "isocosts=15")
     assert part.stdout.startswith("Within 15 m of the start to each side, ")
-    found = record(*words, "--isocosts", 15)["reach"]
+    found = record(*words, "--set", "isocosts=15")["reach"]
     assert f"{found['tiles']:,} tiles ({found['area_ha']:.2f} ha) can be reached, {found['share']:.1%}" in part.stdout
     assert found["limit_m"] == 15.0
     assert found["tiles"] < 150

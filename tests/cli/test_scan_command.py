@@ -89,9 +89,9 @@ def test_pictures_of_all_frames_or_of_every_nth_as_far_as_wanted(scan, tmp_path)
     drive.mkdir()
     for number in range(3):
         write_bin(drive / f"{number}.bin", site(seed=number))
-    words = (drive, "--method", "filter", "--products", "table", "--overwrite", "--pictures")
+    words = (drive, "--method", "filter", "--set", "products=table", "--overwrite", "--pictures")
     pictures = {}
-    for more in ((), ("2",), ("1", "--range", "10")):
+    for more in ((), ("2",), ("1", "--set", "range_m=10")):
         assert scan(*words, *more).exit_code == 0
         pictures[more] = {path.name: path.read_bytes() for path in (tmp_path / "out" / "frames").iterdir()}
     everyone, second, near = pictures.values()
@@ -114,8 +114,8 @@ def test_a_drive_for_machines(scan, tmp_path):
         write_bin(drive / f"{number}.bin", site(seed=number))
     poses = tmp_path / "poses.csv"
     poses.write_text("t,x,y,z,qx,qy,qz,qw\n0,0,0,1,0,0,0,1\n1,1,0,1,0,0,0,1\n")
-    words = ("--method", "filter", "--products", "table, cloud")
-    result = scan(drive, "--poses", poses, "--log-json", *words)
+    words = ("--method", "filter", "--set", "products=table, cloud")
+    result = scan(drive, "--poses", poses, "--json", *words)
     assert result.exit_code == 0, result.output
     record = json.loads(result.stdout)
     assert record["frames"] == 2
@@ -171,12 +171,12 @@ def a_strange_label(folder):
 
 def not_a_model(folder):
     (folder / "a.onnx").write_text("no")
-    return [write_ply(folder / "a.ply", site()), "--model", folder / "a.onnx"]
+    return [write_ply(folder / "a.ply", site()), "--set", f"model={folder / 'a.onnx'}"]
 
 
 def no_stripes(folder):
     (folder / "a.json").write_text("{}")
-    return [write_ply(folder / "a.ply", site()), "--stripes", folder / "a.json"]
+    return [write_ply(folder / "a.ply", site()), "--set", f"stripes={folder / 'a.json'}"]
 
 
 def no_calibration(folder):
@@ -218,12 +218,12 @@ def wrong_columns(folder):
 
 def labels_of_another_set(folder):
     labels = np.random.default_rng(1).choice([40, 48, 70, 72], 12_000).astype(np.uint16)
-    return [write_ply(folder / "a.ply", site(), label=labels), "--labels", "rellis"]
+    return [write_ply(folder / "a.ply", site(), label=labels), "--set", "labels=rellis"]
 
 
 def no_label_set(folder):
     (folder / "own.csv").write_text("id;class\n1;2\n")
-    return [write_ply(folder / "a.ply", site()), "--labels", folder / "own.csv"]
+    return [write_ply(folder / "a.ply", site()), "--set", f"labels={folder / 'own.csv'}"]
 
 
 @pytest.mark.parametrize(
@@ -232,10 +232,10 @@ def no_label_set(folder):
         (camera_poses, "put the sequence's calib.txt (with the line Tr:) beside it"),
         (a_world_of_a_camera, "Is the world that of a camera (y down)"),
         (another_clock, "poses of"),
-        (doubtful_columns, "its values do not tell which. Say it: --columns 4"),
+        (doubtful_columns, "its values do not tell which. Say it: --set columns=4"),
         (wrong_columns, "lie in 5 columns of float32, but its size"),
         (labels_of_another_set, "not those of the set rellis"),
-        (labels_of_another_set, "They fit --labels semantic-kitti"),
+        (labels_of_another_set, "They fit --set labels="),
         (no_label_set, "must be id,class"),
         (empty, "holds no points"),
         (no_bytes, "is empty (0 bytes)"),
@@ -266,9 +266,9 @@ def test_frames_without_labels_are_told_of_once(scan, tmp_path):
     folder.mkdir()
     for name in ("a.ply", "b.ply"):
         write_ply(folder / name, site())
-    result = scan(folder, "--labels", "kitti")
+    result = scan(folder, "--set", "labels=kitti")
     assert result.exit_code == 0, result.output
-    assert result.stderr.count("so --labels was not checked for them") == 1
+    assert result.stderr.count("so --set labels was not checked for them") == 1
 
 
 @pytest.mark.parametrize(
@@ -292,16 +292,19 @@ def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points,
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--sectors", "24,a"], "no list of whole numbers; give one such as 1,2,5"),
-        (["--rings", "1,2"], "--sectors and --rings must be for equally many"),
-        (["--zones", "1,4,12,8,60,100"], "grow outwards"),
-        (["--sectors", "2,2,2,2,2"], "--sectors is 2, 2, 2, 2, 2; it must be a list of whole numbers, at least 3"),
-        (["--rings", "9999,4,4,4,2"], "a polar grid has at most 32,767"),
-        (["--range", "0"], "--range is 0.0; it must be a number from 1 to 1000 m"),
-        (["--robot-radius", "-1"], "--robot-radius is -1.0"),
-        (["--products", "cloud,map"], "--products is cloud, map; give one or more of polygons, table, cloud"),
+        (["--set", "polar.sectors=24,a"], "value 2 of polar.sectors is 'a'; it must be a whole number"),
+        (["--set", "polar.rings=1,2"], "--set polar.sectors and --set polar.rings must be for equally many"),
+        (["--set", "polar.zone_starts_m=1,4,12,8,60"], "grow outwards"),
+        (
+            ["--set", "polar.sectors=2,2,2,2,2"],
+            "polar.sectors is [2, 2, 2, 2, 2]; it must be a list of whole numbers, at least 3",
+        ),
+        (["--set", "polar.rings=9999,4,4,4,2"], "a polar grid has at most 32,767"),
+        (["--set", "range_m=0"], "range_m is 0; it must be a number from 1 to 1000 m"),
+        (["--set", "robot.radius_m=-1"], "robot.radius_m is -1"),
+        (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
-        (["--compat", "paper", "--method", "learned"], "options of one"),
+        (["--set", "compat=paper", "--method", "learned"], "options of one"),
         (["--fit", "a.json", "--poses", "p.txt"], "leave out --poses"),
         (["--fit", "a.json", "--out", "x"], "leave out --out"),
         (["--nothing"], "No such option"),
@@ -351,11 +354,11 @@ def test_a_fit_and_its_use(scan, frame, tmp_path):
     own = tmp_path / "own.json"
     result = scan(frame, "--fit", own)
     assert result.exit_code == 0, result.output
-    assert f"--stripes {own}" in result.stdout
+    assert f"--set stripes={own}" in result.stdout
     assert scan(frame, "--fit", own).exit_code == 3
-    record = json.loads(scan(frame, "--fit", own, "--overwrite", "--log-json").stdout)
+    record = json.loads(scan(frame, "--fit", own, "--overwrite", "--json").stdout)
     assert record["centres"] == json.loads(own.read_text())["centres"]
-    assert scan(frame, "--stripes", own).exit_code == 0
+    assert scan(frame, "--set", f"stripes={own}").exit_code == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frame.ply", "out", "own.json"]
     basis = json.loads((tmp_path / "out" / "scan.json").read_text())["method"]
     assert basis["name"] == "filter"
@@ -370,7 +373,18 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
         "[robot]\nradius_m = 2.5\nbox_m = [-1, 0, -0.5, 0.5]\n"
     )
     result = CliRunner().invoke(
-        main, ["scan", "--config", str(config), "--out", str(tmp_path / "out"), "--rings", "2,2", "--zones", "3,6,12"]
+        main,
+        [
+            "scan",
+            "--config",
+            str(config),
+            "--out",
+            str(tmp_path / "out"),
+            "--set",
+            "polar.rings=2,2",
+            "--set=polar.zone_starts_m=3,6",
+            "--set=polar.end_m=12",
+        ],
     )
     assert result.exit_code == 0, result.output
     settings = json.loads((tmp_path / "out" / "scan.json").read_text())["settings"]

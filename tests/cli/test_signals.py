@@ -47,7 +47,17 @@ main()
 
 def ended(name, out, *, after_tiles):
     code = WITH_TILES.format(name=name, after_tiles=after_tiles)
-    command = [sys.executable, "-c", code, "map", str(QUARRY), "--out", str(out), "--scratch", str(out.parent / "tmp")]
+    command = [
+        sys.executable,
+        "-c",
+        code,
+        "map",
+        str(QUARRY),
+        "--out",
+        str(out),
+        "--set",
+        f"scratch={out.parent / 'tmp'}",
+    ]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
@@ -63,12 +73,12 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     late = ended(name, out, after_tiles=True)
     assert late.returncode == code, late.stderr
     assert late.stderr.strip() == (
-        f"{word} No file is half-written. Pass --resume to the same command to continue from the finished tiles."
+        f"{word} No file is half-written. Run the same again to continue from the finished tiles."
     )
     assert [path.name for path in out.iterdir()] == [".bumpymap-run"]
     assert list((tmp_path / "tmp").iterdir()) == []
     again = [sys.executable, "-c", "from bumpymap.cli import main; main()", "map", str(QUARRY), "--out", str(out)]
-    done = subprocess.run([*again, "--resume"], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(again, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert not (out / ".bumpymap-run").exists()
 
@@ -116,7 +126,7 @@ def child(at):
 
     if not at:
         atexit.register(lambda: (folder / "steps").write_text(str(seen)))
-    out = ["--out", str(folder / f"out_{at}"), "--scratch", str(folder / "tmp")]
+    out = ["--out", str(folder / f"out_{at}"), "--set", f"scratch={folder / 'tmp'}"]
     sys.argv = ["bumpymap", "map", survey, *out, "--quiet"]
     sys.setprofile(tick)
     run()
@@ -185,7 +195,7 @@ run()
 
 @pytest.mark.parametrize("when", ["made", "removed"])
 def test_no_folder_for_points_is_left_by_a_signal(tmp_path, when):
-    options = ["map", str(QUARRY), "--out", str(tmp_path / "out"), "--scratch", str(tmp_path / "tmp"), "--quiet"]
+    options = ["map", str(QUARRY), "--out", str(tmp_path / "out"), "--set", f"scratch={tmp_path / 'tmp'}", "--quiet"]
     command = [sys.executable, "-c", WITH_FOLDER, when, *options]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert run.returncode == 143, run.stderr

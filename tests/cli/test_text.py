@@ -149,9 +149,7 @@ needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is
 
 @pytest.mark.slow
 @needs_full
-@pytest.mark.parametrize(
-    "words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY], ["info", QUARRY, "--json"]]
-)
+@pytest.mark.parametrize("words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY]])
 def test_a_full_output_is_one_message(words):
     with Path("/dev/full").open("w") as full:
         done = piped(words, stdout=full, stderr=subprocess.PIPE)
@@ -173,12 +171,12 @@ def test_a_full_output_does_not_cost_the_layers(tmp_path):
         assert "Layers in" in done.stdout
         assert piped(["info", tmp_path / "none.laz"], stdout=full, stderr=full).returncode == 3
         assert piped(["info", "--none"], stderr=full).returncode == 2
-        events = piped(["map", QUARRY, "--out", tmp_path / "q", "--log-json"], stdout=subprocess.PIPE, stderr=full)
+        events = piped(["map", QUARRY, "--out", tmp_path / "q", "--json"], stdout=subprocess.PIPE, stderr=full)
         assert events.returncode == 0
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("words", [["--help"], ["info", QUARRY], ["info", QUARRY, "--json"]])
+@pytest.mark.parametrize("words", [["--help"], ["info", QUARRY]])
 def test_a_reader_that_leaves_is_no_error(words):
     reading, writing = os.pipe()
     os.close(reading)

@@ -9,12 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main, train_command
-from bumpymap.lab import ScanTrainSettings, TrainSettings
 
 pytestmark = pytest.mark.slow
 
 POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
-SHORT = ("--epochs", "2", "--sectors-per-class", "32")
+SHORT = ("--set", "epochs=2", "--set", "sectors_per_class=32")
 
 
 def train(*words):
@@ -51,7 +50,7 @@ def require_torch():
 def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     require_torch()
     out = tmp_path / "own.onnx"
-    result = train("--scans", folder, "--out", out, "--seed", 5, *SHORT)
+    result = train("--scans", folder, "--out", out, "--set", "seed=5", *SHORT)
     assert result.exit_code == 0, result.output
     assert [line.split(":")[0] for line in result.stderr.splitlines()] == ["epoch 1/2", "epoch 2/2"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.md", "own.onnx"]
@@ -60,12 +59,12 @@ def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     assert len(said) == 2
     assert all(f"{share} %" in card for share in said)
     frame = folder / "00000" / POINTS / "000002.bin"
-    used = CliRunner().invoke(main, ["scan", str(frame), "--out", str(tmp_path / "o"), "--model", str(out)])
+    used = CliRunner().invoke(main, ["scan", str(frame), "--out", str(tmp_path / "o"), "--set", f"model={out}"])
     assert used.exit_code == 0, used.output
-    assert f"bumpymap scan FRAME --out DIR --model {out}" in result.stdout
+    assert f"bumpymap scan FRAME --out DIR --set model={out}" in result.stdout
     before = out.read_bytes()
     out.write_text("an older one")
-    assert train("--scans", folder, "--out", out, "--seed", 5, *SHORT, "--overwrite").exit_code == 0
+    assert train("--scans", folder, "--out", out, "--set", "seed=5", *SHORT, "--overwrite").exit_code == 0
     assert out.read_bytes() == before
 
 
@@ -95,7 +94,11 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
     monkeypatch.setattr("bumpymap.lab.make_scan_model", instead)
     monkeypatch.setattr(train_command, "find_spec", lambda _: object())
     monkeypatch.setitem(sys.modules, "open3d", ModuleType("open3d"))
-    words = ("--seed", 3, "--epochs", 4, "--scenes", 5, "--sectors-per-class", 6, "--threads", 2)
+    words = (
+        *["--set", "seed=3", "--set", "epochs=4", "--set", "scenes=5", "--set", "sectors_per_class=6"],
+        "--threads",
+        2,
+    )
     simulated = train("--scans", "simulated", "--out", tmp_path / "a.onnx", *words)
     assert isinstance(simulated.exception, EnoughError)
     assert simulated.stderr == ""
@@ -103,7 +106,7 @@ def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatc
     assert settings.options == " ".join(map(str, words))
     assert (out, scans) == (tmp_path / "a.onnx", None)
     own = train("--scans", folder, "--out", tmp_path / "a.onnx", *words)
-    assert "--scenes applies to simulated scenes" in own.stderr  # the model's own command names it: not refused
+    assert "scenes applies to simulated scenes" in own.stderr  # the model's own command names it: not refused
     assert called[1] == (settings, out, folder)
 
 
@@ -132,14 +135,18 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (["--scenes", "9"], 2, "--scenes applies to scans: add --scans simulated"),
-        (["--sectors-per-class", "9"], 2, "--sectors-per-class applies to scans"),
-        (["--scans", "simulated", "--pixels", "15"], 2, "--pixels applies to the texture network"),
+        (["--set", "scenes=9"], 2, "--set scenes applies to scans: add --scans simulated"),
+        (["--set", "sectors_per_class=9"], 2, "--set sectors_per_class applies to scans"),
+        (["--scans", "simulated", "--set", "network.pixels=16"], 2, "--network applies to the texture network"),
         (["--scans", "simulated", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
-        (["--scans", "here", "--patches-per-texture", "9"], 2, "--patches-per-texture applies to the texture network"),
+        (
+            ["--scans", "here", "--set", "patches_per_texture=9"],
+            2,
+            "--set patches_per_texture applies to the texture network",
+        ),
         (["--scans", ""], 2, "--scans is empty"),
         (["--scans", "nowhere"], 3, "nowhere does not exist"),
-        (["--scans", ".", "--epochs", "0"], 2, "epochs is 0"),
+        (["--scans", ".", "--set", "epochs=0"], 2, "epochs is 0"),
         (["--scans", "."], 3, "holds no scans"),
     ],
 )
@@ -186,8 +193,3 @@ def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert "open3d, which is installed but cannot be loaded: libusb-1.0.so.0" in result.stderr
     assert "sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6" in result.stderr
-
-
-def test_the_help_names_the_epochs_of_both_networks():
-    help_of = {option.name: option.help for option in train_command.command.params}
-    assert f"[default: {TrainSettings().epochs}; with --scans {ScanTrainSettings().epochs}]" in help_of["epochs"]

@@ -44,11 +44,11 @@ def words(command, tmp_path):
     """What a user types."""
     if command == "scan":
         return ["scan", str(scan_frame(tmp_path)), "--out", str(tmp_path / "out")]
-    more = {"map": [], "map --rating table": ["--rating", "table"]}[command]
+    more = {"map": [], "map --set rating=table": ["--set", "rating=table"]}[command]
     return ["map", str(SURVEY), "--local", "--out", str(tmp_path / "out"), *more]
 
 
-COMMANDS = ["map", "map --rating table", "scan"]
+COMMANDS = ["map", "map --set rating=table", "scan"]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -75,7 +75,7 @@ def test_no_thread_is_left_that_could_send_something(home):
 
 @pytest.mark.namespaces
 @pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
-@pytest.mark.parametrize("command", ["map --rating table", "scan"])
+@pytest.mark.parametrize("command", ["map --set rating=table", "scan"])
 def test_a_run_without_a_network_never_asks_for_one(tmp_path, home, command):
     traced = ["unshare", "--net", "--", "strace", "--follow-forks", "--trace=network,%file", "--output", "trace"]
     line = [*traced, sys.executable, "-c", PROGRAM, *words(command, tmp_path), "--quiet"]

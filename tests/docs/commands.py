@@ -44,7 +44,7 @@ class Rule:
     """Options that the script adds; None: it cannot run there either."""
 
 
-_FEW = "--patches 2 --starts 2 --terrains 2 --terrain-starts 2"
+_FEW = "--set patches=2 --set starts=2 --set terrains=2 --set terrain_starts=2"
 RULES = (
     Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
@@ -80,12 +80,12 @@ RULES = (
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),
     Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),
-    Rule(r"^bumpymap evaluate --scans --scenes", "made-up scenes", "--scenes 2"),
+    Rule(r"^bumpymap evaluate --scans --scenes", "made-up scenes", "--set scenes=2"),
     Rule(r"^bumpymap evaluate --scans ", "takes some seconds for each frame", ""),
-    Rule(r"^bumpymap evaluate ", "an hour of drives", "--total-patches 10 --min-starts 2"),
+    Rule(r"^bumpymap evaluate ", "an hour of drives", "--set total_patches=10 --set min_starts=2"),
     Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
-    Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--scenes 2 --epochs 1 --overwrite"),
-    Rule(r"^bumpymap train ", "half an hour", "--patches-per-texture 30 --epochs 1"),
+    Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--set scenes=2 --set epochs=1 --overwrite"),
+    Rule(r"^bumpymap train ", "half an hour", "--set patches_per_texture=30 --set epochs=1"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives", None),
 )
 

@@ -147,7 +147,7 @@ def test_another_grid_is_refused_with_the_remedy(model, grid):
     relief = np.zeros((1, grid.pixels, grid.pixels))
     with pytest.raises(UsageError, match="trained for 3 m with 15") as refusal:
         classify(_stack(relief, grid=grid), model)
-    assert f"bumpymap train --tile-size {grid.tile_size:g} --pixels {grid.pixels}" in str(refusal.value)
+    assert f"bumpymap train --tile-size {grid.tile_size:g} --set pixels={grid.pixels}" in str(refusal.value)
 
 
 def test_shipped_file_says_where_it_comes_from(model):

@@ -315,7 +315,7 @@ def test_the_command_line(bag, tmp_path, words, code, said):
     place = ["--out", str(tmp_path / "out"), "--bag", str(tmp_path / "g.mcap")]
     if "--fit" in words:
         words = ["--fit", str(tmp_path / "own.json")]
-    done = CliRunner().invoke(main, ["scan", str(bag), *place, "--method", "filter", "--products", "table", *words])
+    done = CliRunner().invoke(main, ["scan", str(bag), *place, "--method", "filter", "--set", "products=table", *words])
     assert done.exit_code == code, done.output
     assert said in done.output
     assert (tmp_path / "g.mcap").exists() == (code == 0)

@@ -39,7 +39,7 @@ def run(*words):
 def foretold_and_found(out, *words):
     """Shares of the tiles that are unknown, and the sentences, of `info` and of `map`."""
     (record,) = run("info", *words, "--json")["files"]
-    mapped = run("map", *words, "--local", "--out", out, "--log-json")
+    mapped = run("map", *words, "--local", "--out", out, "--json")
     found = sum(mapped["unknown"].values()) / mapped["tiles"]
     return sum(record["unknown_tiles_about"].values()), found, record["needs"][-1], mapped["advice"]
 
@@ -91,9 +91,9 @@ def test_larger_tiles_are_advised_only_where_they_help(tmp_path):
 
 def test_a_rating_without_thin_tiles_states_the_rule_of_heightmaps(tmp_path):
     survey = write(tmp_path / "a.laz", 4.5)
-    mapped = run("map", survey, "--local", "--out", tmp_path / "out", "--rating", "table", "--log-json")
+    mapped = run("map", survey, "--local", "--out", tmp_path / "out", "--set", "rating=table", "--json")
     assert "less than 25% of the pixels with one" in mapped["advice"]
-    again = run("map", survey, "--local", "--out", tmp_path / "out", "--rating", "table", "--log-json")
+    again = run("map", survey, "--local", "--out", tmp_path / "out", "--set", "rating=table", "--json")
     assert again["already_done"]
     assert again["advice"] == mapped["advice"]
 

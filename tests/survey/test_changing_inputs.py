@@ -114,7 +114,7 @@ def test_map_on_a_cluster_refuses_one_that_changes_while_it_is_read(survey, tmp_
 
     monkeypatch.setattr(ResultCollector, "add", add)
     out = tmp_path / "layers"
-    refused(run("map", survey, "--out", out, "--scheduler", dask_scheduler), survey, out)
+    refused(run("map", survey, "--out", out, "--set", f"scheduler={dask_scheduler}"), survey, out)
 
 
 def test_info_refuses_it_too(lifted_when_read):

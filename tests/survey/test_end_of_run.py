@@ -57,7 +57,7 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
     words = ["map", str(QUARRY), "--out", str(out), "--quiet", "--max-unknown"]
     failed = CliRunner().invoke(main, [*words, "0.1%"])
     assert failed.exit_code == 4
-    assert "tiles are unknown (1.0%), more than the 0.1% that --max-unknown allows" in failed.output
+    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown=allows" in failed.output
     assert "mostly because of too many holes" in failed.output
     assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
     again = CliRunner().invoke(main, [*words, "50%"])  # the same run, already done
@@ -68,7 +68,7 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
 
 @pytest.mark.parametrize("share", ["-1", "101%", "1.01", "half", "nan"])
 def test_what_is_no_share_is_refused(share, tmp_path):
-    refused = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path), "--max-unknown", share])
+    refused = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path), "--set", f"max_unknown={share]}")
     assert refused.exit_code == 2
     with pytest.raises(UsageError, match="max_unknown"):
         MapConfig((), tmp_path, max_unknown=1.5)

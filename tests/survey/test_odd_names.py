@@ -86,14 +86,14 @@ def test_map(folder, tmp_path, locale):
 
 def test_map_for_machines_names_the_files(folder):
     survey, out = write_plain(folder / f"{NAME}.las"), folder / "out"
-    result = run("map", survey, "--out", out, "--log-json")
+    result = run("map", survey, "--out", out, "--json")
     ended(result, 0)
     assert Path(json.loads(result.stdout.splitlines()[-1])["out"]) == out
 
 
 def test_map_on_a_cluster_with_scratch(folder, dask_scheduler):
     survey, out = write_plain(folder / f"{NAME}.las"), folder / "out"
-    ended(run("map", survey, "--out", out, "--scheduler", dask_scheduler, "--scratch", folder / "scratch"), 0)
+    ended(run("map", survey, "--out", out, "--set", f"scheduler={dask_scheduler}", "--scratch", folder / "scratch"), 0)
     assert (out / "run.json").exists()
 
 
@@ -140,6 +140,6 @@ def test_scan(folder, locale):
 def test_a_name_that_looks_like_an_escaped_one_is_another_frame(folder):
     write_frame(folder / f"{NAME}.bin")
     write_frame(folder / "caf%E9.bin")
-    ended(run("scan", folder, "--method", "filter", "--products", "table", "--out", folder / "out"), 0)
+    ended(run("scan", folder, "--method", "filter", "--set", "products=table", "--out", folder / "out"), 0)
     record = json.loads((folder / "out" / "scan.json").read_text(encoding="utf-8"))
     assert len({frame["name"] for frame in record["frames"]}) == 2

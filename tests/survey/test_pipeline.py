@@ -159,7 +159,7 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert "Already done" in again.output
     assert "60,000 points, 100 tiles" in again.output
     assert inodes(layers) == before
-    first, second = (json.loads(run("map", survey, "--out", layers, *extra, "--log-json").stdout) for _ in range(2))
+    first, second = (json.loads(run("map", survey, "--out", layers, *extra, "--json").stdout) for _ in range(2))
     assert first["already_done"] is True
     assert first == second
     assert inodes(layers) == before

@@ -30,7 +30,7 @@ def survey(tmp_path_factory):
 def maps(survey, tmp_path_factory):
     """The map, the map with three speeds, and that at 2 m/s with them."""
     out = tmp_path_factory.mktemp("maps")
-    wanted = {"plain": (), "speeds": ("--speeds", "0.5,1,2"), "fast": ("--speed", 2, "--speeds", "0.5,1,2")}
+    wanted = {"plain": (), "speeds": ("--set", "speeds=0.5,1,2"), "fast": ("--speed", 2, "--set", "speeds=0.5,1,2")}
     for name, options in wanted.items():
         made = run("map", survey, "--out", out / name, *options)
         assert made.exit_code == 0, made.output
@@ -114,9 +114,9 @@ def test_they_open_in_python(maps):
 
 @pytest.mark.slow
 def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp_path):
-    assert run("map", survey, "--out", tmp_path / "out", "--speeds", "2").exit_code == 0
+    assert run("map", survey, "--out", tmp_path / "out", "--set", "speeds=2").exit_code == 0
     assert (tmp_path / "out" / "speeds.tif").exists()
-    again = run("map", survey, "--out", tmp_path / "out", "--speeds", "2")
+    again = run("map", survey, "--out", tmp_path / "out", "--set", "speeds=2")
     assert "Already done" in again.output
     other = run("map", survey, "--out", tmp_path / "out")
     assert other.exit_code != 0
@@ -127,14 +127,14 @@ def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp
 
 @pytest.mark.slow
 def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tmp_path):
-    made = run("map", survey, "--out", tmp_path / "out", "--speeds", "0.5,1,2", "--sheets", "0.048")
+    made = run("map", survey, "--out", tmp_path / "out", "--set", "speeds=0.5,1,2", "--sheets", "0.048")
     assert made.exit_code == 0, made.output
     assert "speeds.vrt" in made.output
     whole, sheets = bands(maps / "speeds" / "speeds.tif"), bands(tmp_path / "out" / "speeds.vrt")
     np.testing.assert_array_equal(whole["a_w_2"], sheets["a_w_2"])
     assert (
         "Already done"
-        in run("map", survey, "--out", tmp_path / "out", "--speeds", "0.5,1,2", "--sheets", "0.048").output
+        in run("map", survey, "--out", tmp_path / "out", "--set", "speeds=0.5,1,2", "--sheets", "0.048").output
     )
 
 
@@ -143,11 +143,11 @@ def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tm
     [
         (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
         (("--speed", "0"), "speed is 0.0; it must be a number from 0.01 to 100"),
-        (("--speeds", "1,1"), "1 to 16 different speeds"),
-        (("--speeds", "1,,2"), "is no list of numbers"),
-        (("--speeds", "0.5,nan"), "it must be a list of numbers from 0.01 to 100"),
-        (("--speeds", "1", "--rating", "table"), "--rating table knows no speed"),
-        (("--speed", "1", "--compat", "paper"), "--compat paper knows no speed"),
+        (("--set", "speeds=1,1"), "1 to 16 different speeds"),
+        (("--set", "speeds=1,,2"), "is no list of numbers"),
+        (("--set", "speeds=0.5,nan"), "it must be a list of numbers from 0.01 to 100"),
+        (("--set", "speeds=1", "--set", "rating=table"), "--rating table knows no speed"),
+        (("--speed", "1", "--set", "compat=paper"), "--compat paper knows no speed"),
     ],
 )
 def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):

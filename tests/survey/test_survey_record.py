@@ -115,7 +115,7 @@ def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(
 def test_a_cluster_changes_nothing_of_it(tmp_path, dask_scheduler):
     survey = dated(tmp_path / "site.laz", date(2021, 2, 28))
     records = []
-    for name, options in {"alone": (), "cluster": ("--scheduler", dask_scheduler)}.items():
+    for name, options in {"alone": (), "cluster": ("--set", f"scheduler={dask_scheduler}")}.items():
         result = CliRunner().invoke(main, ["map", str(survey), "--out", str(tmp_path / name), *options])
         assert result.exit_code == 0, result.output
         records.append(json.loads((tmp_path / name / "run.json").read_text()))

@@ -47,7 +47,7 @@ def viewed(mapped, tmp_path):
 
 def test_the_same_run_again_has_nothing_to_do(survey, viewed):
     before = {path.name: path.read_bytes() for path in viewed.iterdir()}
-    result = run("map", survey, "--out", viewed, "--log-json")
+    result = run("map", survey, "--out", viewed, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout.splitlines()[-1])["already_done"]
     assert {path.name: path.read_bytes() for path in viewed.iterdir()} == before
@@ -56,7 +56,7 @@ def test_the_same_run_again_has_nothing_to_do(survey, viewed):
 def test_views_that_were_deleted_are_not_missed(survey, viewed):
     for name in VIEW_NAMES:
         (viewed / name).unlink(missing_ok=True)
-    result = run("map", survey, "--out", viewed, "--log-json")
+    result = run("map", survey, "--out", viewed, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout.splitlines()[-1])["already_done"]
 

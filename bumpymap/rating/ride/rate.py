@@ -1,4 +1,4 @@
-"""Rate tiles by rolling the vehicle over them (``rating = "ride"``), after the scan noise of their heightmaps is removed.
+"""Rate tiles by rolling the vehicle over them (``rating="ride"``), after the scan noise of their heightmaps is removed.
 
 A pixel's height is the mean of its points. Their spread inside the pixel, less what the slope of the ground explains,
 tells the noise of a point; a mean of n points errs by its n-th part (as variance), whether the spread is the scanner's

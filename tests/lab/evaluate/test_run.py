@@ -81,7 +81,7 @@ def cli(*words):
 def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives):
     out, calibration = tmp_path / "trust", tmp_path / "own.json"
     calibration.write_text(subject.calibration.to_json())
-    words = [quarry, "--out", out, "--calibration", calibration, "--rating", "table", "--total-patches", "10"]
+    words = [quarry, "--out", out, "--calibration", calibration, "--set", "rating=table", "--set", "total_patches=10"]
     words += ["--jobs", "1"]
     result = cli(*words)
     assert result.exit_code == 0, result.output
@@ -99,8 +99,8 @@ def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_pa
     ("words", "said"),
     [
         ([], "takes surveys"),
-        (["site.laz", "--total-patches", "3"], "--total-patches is 3"),
-        (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--rating", "table"], "twice"),
+        (["site.laz", "--set", "total_patches=3"], "--total-patches is 3"),
+        (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--set", "rating=table"], "twice"),
     ],
 )
 def test_wrong_usage_is_said_before_anything_is_read(words, said, tmp_path):

@@ -157,10 +157,10 @@ def test_the_same_command_gives_the_same_bytes(tmp_path):
     ("options", "code", "message"),
     [
         (["--out", "m.pt"], 2, ".onnx"),
-        (["--out", "m.onnx", "--epochs", "0"], 2, "epochs is 0"),
-        (["--out", "m.onnx", "--pixels", "5"], 2, "at least 9"),
+        (["--out", "m.onnx", "--set", "epochs=0"], 2, "epochs is 0"),
+        (["--out", "m.onnx", "--set", "pixels=5"], 2, "at least 9"),
         (["--out", "m.onnx", "--tile-size", "nan"], 2, "--tile-size is nan"),
-        (["--out", "m.onnx", "--seed", "-1"], 2, "seed is -1"),
+        (["--out", "m.onnx", "--set", "seed=-1"], 2, "seed is -1"),
         (["--out", "nowhere/m.onnx"], 3, "nowhere"),
         ([], 2, "--out"),
     ],

@@ -187,7 +187,7 @@ def test_rows_of_a_table_have_their_own_settings(tmp_path):
     write_survey(tmp_path / "a.laz", epsg=None)
     (tmp_path / "bad.laz").touch()
     (tmp_path / "s.csv").write_text("survey,name,crs,local\na.laz,east,EPSG:32615,\nbad.laz,,,\n")
-    result = batch(tmp_path / "s.csv", "--out", tmp_path / "o", "--max-unknown", "0")
+    result = batch(tmp_path / "s.csv", "--out", tmp_path / "o", "--set", "max_unknown=0")
     assert result.exit_code == 4, result.output
     row = table(tmp_path / "o")["east"]
     assert (row["crs"], row["status"]) == ("EPSG:32615", "incomplete")
@@ -366,7 +366,7 @@ def test_surveys_on_a_cluster_have_the_layers_of_a_map(surveys, alone, tmp_path,
 
 
 def test_surveys_on_a_cluster_are_mapped_one_after_another(surveys, tmp_path):
-    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, "--scheduler", "tcp://a:1")
+    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, "--set", "scheduler=tcp://a:1")
     assert result.exit_code == 2
     assert "jobs is 2 and scheduler is" in result.stderr
     assert "Give --jobs 1, or no --scheduler" in result.stderr
@@ -375,7 +375,7 @@ def test_surveys_on_a_cluster_are_mapped_one_after_another(surveys, tmp_path):
 
 def test_nothing_begins_without_the_scheduler(surveys, tmp_path, monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 1.0)
-    result = batch(surveys, "--out", tmp_path / "o", "--scheduler", "tcp://127.0.0.1:9")
+    result = batch(surveys, "--out", tmp_path / "o", "--set", "scheduler=tcp://127.0.0.1:9")
     assert result.exit_code == 2
     assert "dask scheduler" in result.stderr
     assert not (tmp_path / "o").exists()
@@ -445,7 +445,7 @@ def test_wrong_settings_of_a_python_caller(surveys, tmp_path, settings, words):
 
 def test_events_and_quiet(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'broken.laz'}\n")
-    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--log-json")
+    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--json")
     said = json.loads(result.stdout)
     assert said["counts"] == {"done": 1, "failed": 1}
     assert list(said["failed"]) == ["broken"]

@@ -188,7 +188,7 @@ def test_a_whole_batch(tmp_path, survey):
     write_broken(tmp_path / "in" / "b.laz")
     there, scratch = tmp_path / "store" / "night", tmp_path / "scratch"
     there.parent.mkdir()
-    words = (tmp_path / "in", "--out", there.as_uri(), "--scratch", scratch)
+    words = (tmp_path / "in", "--out", there.as_uri(), "--set", f"scratch={scratch}")
     for number, status in enumerate(("done", "already done"), 1):
         result = batch(*words)
         assert result.exit_code == 4, result.output
@@ -231,7 +231,7 @@ def test_the_working_folder_is_the_same_at_every_start_and_is_not_a_link(tmp_pat
     elsewhere.mkdir()
     one.symlink_to(elsewhere)
     (tmp_path / "s.txt").write_text(f"{survey}\n")
-    result = batch(tmp_path / "s.txt", "--out", out, "--scratch", tmp_path)
+    result = batch(tmp_path / "s.txt", "--out", out, "--set", f"scratch={tmp_path}")
     assert result.exit_code == 3
     assert "is a link or belongs to another user" in result.stderr
     assert list(elsewhere.iterdir()) == []
@@ -239,7 +239,7 @@ def test_the_working_folder_is_the_same_at_every_start_and_is_not_a_link(tmp_pat
 
 def test_a_server_that_cannot_be_used_is_said(tmp_path, survey):
     (tmp_path / "s.txt").write_text(f"{survey}\n")
-    result = batch(tmp_path / "s.txt", "--out", "nowhere://bucket/night", "--scratch", tmp_path)
+    result = batch(tmp_path / "s.txt", "--out", "nowhere://bucket/night", "--set", f"scratch={tmp_path}")
     assert result.exit_code == 2
     assert "nowhere://bucket/night is not a URL that can be used" in result.stderr
 
@@ -249,7 +249,7 @@ def test_a_survey_is_not_uploaded_to_the_folder_of_another(server, tmp_path):
     source = tmp_path / "in"
     source.mkdir()
     write_survey(source / "site::b.laz")
-    refused = CliRunner().invoke(main, ["batch", str(source), "--out", "memory://night", "--scratch", str(tmp_path)])
+    refused = CliRunner().invoke(main, ["batch", str(source), "--out", "memory://night", "--set", f"scratch={tmp_path}"])
     assert refused.exit_code == 2
     assert "the folder site::b cannot be on a server" in refused.output
     assert not server.files.exists("/night")

@@ -153,7 +153,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     """A task reads a part of a file, or several files: then it has blocks that no other task reaches."""
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     out = tmp_path / "layers"
-    scratch = ("--scheduler", "here", "--scratch", tmp_path / "scratch")
+    scratch = ("--set", "scheduler=here", "--scratch", tmp_path / "scratch")
     result = run("map", surveys, "--out", out, "--ground", ground, *scratch)
     assert result.exit_code == 0, result.output
     assert layers_of(out) == layers_of(plain / ground)
@@ -171,7 +171,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
 def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
     file = shared_data / "zoo" / "las" / "loadersgl" / "copc_ellipsoid.copc.laz"
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", most)
-    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         result = run("map", file, "--out", tmp_path / name, "--local", *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
@@ -192,11 +192,11 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     lying[179:187] = np.float64(500_020).tobytes()  # max x: points lie outside, which the last of them may tell
     (tmp_path / "lying.las").write_bytes(lying)
     arguments = ("map", *sorted(tmp_path.glob("*.la?")), "--ground", ground)
-    refused = run(*arguments, "--out", tmp_path / "refused", "--scheduler", "here")
+    refused = run(*arguments, "--out", tmp_path / "refused", "--set", "scheduler=here")
     assert refused.exit_code == 3
     assert f"\n{refused.output}".count("\nError: ") == 1
     assert not (tmp_path / "refused").exists()
-    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         assert run(*arguments, "--out", tmp_path / name, "--skip-bad", *extra).exit_code == 4
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
     records = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("one", "many")]
@@ -211,12 +211,12 @@ def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
     x, y = (axis.ravel() for axis in np.meshgrid(side, side))
     columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
     noise = [write_part(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
-    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
         assert result.exit_code == 0, result.output
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
     words = ("map", *noise, "--out", tmp_path / "none", "--skip-bad")
-    refused = [run(*words), run(*words, "--scheduler", "here")]
+    refused = [run(*words), run(*words, "--set", "scheduler=here")]
     assert [result.exit_code for result in refused] == [3, 3]
     said = [result.output.splitlines()[-1] for result in refused]
     assert said[0] == said[1]
@@ -230,7 +230,7 @@ def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(survey
             file.seek(179)
             file.write(np.float64(500_020).tobytes())  # max x: points lie outside
     said = []
-    for name, extra in (("one", ()), ("many", ("--scheduler", "here"))):
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
         result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
         assert result.exit_code == 3
         said.append(result.output.splitlines()[-1])
@@ -241,7 +241,7 @@ def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(survey
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
     file = write_part(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
-    result = run("map", file, "--out", tmp_path / "layers", "--scheduler", "here", "--ground", "class")
+    result = run("map", file, "--out", tmp_path / "layers", "--set", "scheduler=here", "--ground", "class")
     assert result.exit_code == 3
     assert "no point of the survey has class 2" in result.output
 
@@ -270,7 +270,7 @@ def killed_at(place, out, left, monkeypatch, arguments):
     ],
 )
 def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, here, monkeypatch, place, finished):
-    arguments = ("map", surveys, "--scheduler", "here")
+    arguments = ("map", surveys, "--set", "scheduler=here")
     left = tmp_path / "left"
     killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
     here.done.clear()
@@ -292,11 +292,11 @@ def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here
         tmp_path / "a",
         tmp_path / "many",
         monkeypatch,
-        (*arguments, "--scheduler", "here"),
+        (*arguments, "--set", "scheduler=here"),
     )
     assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
     killed_at("run.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
-    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--scheduler", "here").exit_code == 0
+    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--set", "scheduler=here").exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")
         assert inputs_of(tmp_path / name) == inputs_of(plain / "auto")
@@ -480,7 +480,7 @@ def deadly(monkeypatch, mark, *, always=False):
 
 
 def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
-    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
     assert result.exit_code == 0, result.output
     assert not logging.getLogger("distributed.client").isEnabledFor(logging.WARNING)  # a lost worker is no news
     assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
@@ -494,7 +494,7 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
         monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 5_000)
     mark = tmp_path / "killed"
     with deadly(monkeypatch, mark):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler, "--ground", "all")
+        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}", "--ground", "all")
     assert result.exit_code == 0, result.output
     assert mark.exists()
     assert layers_of(tmp_path / "layers") == layers_of(plain / "all")
@@ -503,7 +503,7 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
 
 def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_path, scheduler, monkeypatch):
     with deadly(monkeypatch, tmp_path / "killed", always=True):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
     assert result.exit_code == 2
     assert "2 workers died one after the other over one task" in result.output
     assert "--memory" in result.output
@@ -512,7 +512,7 @@ def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_pat
 
 def test_a_bad_file_on_a_worker_is_a_bad_file_here(surveys, tmp_path, scheduler):
     (tmp_path / "cut.laz").write_bytes((surveys / "a.laz").read_bytes()[:-3000])
-    result = run("map", surveys, tmp_path / "cut.laz", "--out", tmp_path / "layers", "--scheduler", scheduler)
+    result = run("map", surveys, tmp_path / "cut.laz", "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
     assert result.exit_code == 3
     assert "cut.laz" in result.output
     assert f"\n{result.output}".count("\nError: ") == 1
@@ -524,7 +524,7 @@ def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler,
         raise KeyboardInterrupt
 
     monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", interrupted)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", scheduler)
+    result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
     assert result.exit_code == 130
     assert not (tmp_path / "layers").exists()
 
@@ -555,11 +555,11 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkey
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
     for address in ("tcp://127.0.0.1:9", "no such place", "ftp://a:1"):
-        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", address)
+        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={address}")
         assert result.exit_code == 2, (address, result.output, result.exception)
         assert f"no scheduler answers at {address}" in result.output
     with distributed.LocalCluster(n_workers=0, dashboard_address=":0", silence_logs=50) as empty:
-        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", empty.scheduler_address)
+        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={empty.scheduler_address}")
     assert result.exit_code == 2
     assert "has no workers" in result.output
     assert not (tmp_path / "layers").exists()
@@ -574,7 +574,7 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
         n_workers=1, threads_per_worker=1, dashboard_address=":0", memory_limit=0, silence_logs=50
     ) as cluster:
         monkeypatch.setattr("bumpymap.survey.engine.collector.ResultCollector.add", lambda *_: cluster.close())
-        result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", cluster.scheduler_address)
+        result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={cluster.scheduler_address}")
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
@@ -592,7 +592,7 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
             if len(here.done) >= 3:
                 raise ClusterError("the connection to the scheduler is lost")
 
-    arguments = ("map", surveys, "--out", out, "--scheduler", "here")
+    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here")
     with monkeypatch.context() as patch:
         patch.setattr(here, "run", lost_after_three)
         result = run(*arguments)
@@ -603,14 +603,14 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
     assert run(*arguments, "--resume").exit_code == 0
     ranges = here.done.count(read_ranges)
     here.done.clear()
-    assert run("map", surveys, "--out", tmp_path / "whole", "--scheduler", "here").exit_code == 0
+    assert run("map", surveys, "--out", tmp_path / "whole", "--set", "scheduler=here").exit_code == 0
     assert before + ranges == here.done.count(read_ranges)
     assert layers_of(out) == layers_of(plain / "auto")
 
 
 def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
     monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)  # chunks that must be read in order
-    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--scheduler", "here")
+    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--set", "scheduler=here")
     assert result.exit_code == 0, result.output
     assert here.done.count(read_ranges) == 1
 
@@ -639,7 +639,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
 
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     out = tmp_path / "layers"
-    arguments = ("map", surveys, "--out", out, "--scheduler", "here", "--scratch", tmp_path / "scratch")
+    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--scratch", tmp_path / "scratch")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")
@@ -668,6 +668,6 @@ def test_the_missing_package_is_named(surveys, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "bumpytiles._dask", raising=False)
     monkeypatch.delitem(vars(bumpytiles), "workers_at", raising=False)
-    result = run("map", surveys, "--out", tmp_path / "layers", "--scheduler", "tcp://127.0.0.1:9")
+    result = run("map", surveys, "--out", tmp_path / "layers", "--set", "scheduler=tcp://127.0.0.1:9")
     assert result.exit_code == 2
     assert "pip install 'bumpymap[dask]'" in result.output

@@ -39,11 +39,11 @@ def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(tm
         n_workers=1, threads_per_worker=1, security=security, dashboard_address=":0", memory_limit=0, silence_logs=50
     ) as cluster:
         address = cluster.scheduler_address
-        nobody = run(*map_line(tmp_path, "--scheduler", address))
+        nobody = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
         with dask.config.set(certificates_of(distributed.Security.temporary())):
-            stranger = run(*map_line(tmp_path, "--scheduler", address))
+            stranger = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
         with dask.config.set(certificates_of(security)):
-            taken = run(*map_line(tmp_path, "--scheduler", address))
+            taken = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
     for refused in (nobody, stranger):
         assert refused.exit_code == 2
         assert f"no scheduler answers at {address}" in refused.output
@@ -73,7 +73,7 @@ def test_a_scheduler_elsewhere_without_tls_is_warned_about(tmp_path, monkeypatch
         raise ClusterError("nobody")
 
     monkeypatch.setattr("bumpytiles.workers_at", nobody)
-    result = run(*map_line(tmp_path, "--scheduler", address))
+    result = run(*map_line(tmp_path, "--set", f"scheduler={address}"))
     assert result.exit_code == 2
     assert ("Warning: " in result.output) is warned
     assert ("can run programs as the user" in result.output) is warned

@@ -94,7 +94,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     monkeypatch.setattr("bumpymap.survey.engine.reading.requests_at_once", lambda *_: 1)
     after_tiles(lambda: monkeypatch.setattr(Child, "finish", kill))
     out, scratch = tmp_path / "out", tmp_path / "scratch"
-    result = run("map", surveys, "--out", out, "--scratch", scratch)
+    result = run("map", surveys, "--out", out, "--set", f"scratch={scratch}")
     assert result.exit_code == 2, result.output
     assert "the process that decodes LAZ was killed (SIGKILL)" in result.output
     assert "Traceback" not in result.output
@@ -102,7 +102,7 @@ def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, mon
     assert list(out.glob(".bumpymap-run/tiles-*.pack"))
     (waiting,) = scratch.iterdir()
     assert waiting.stat().st_mode & 0o777 == 0o700
-    goes_on(surveys, out, plain, monkeypatch, "--scratch", scratch)
+    goes_on(surveys, out, plain, monkeypatch, "--set", f"scratch={scratch}")
     assert list(scratch.iterdir()) == []
 
 
@@ -115,7 +115,7 @@ def test_a_full_disk_keeps_finished_tiles_and_gives_back_what_waits(surveys, pla
 
     after_tiles(fill)
     out, scratch = tmp_path / "out", tmp_path / "scratch"
-    result = run("map", surveys, "--out", out, "--scratch", scratch, "--overwrite")
+    result = run("map", surveys, "--out", out, "--set", f"scratch={scratch}", "--overwrite")
     assert result.exit_code == 3, result.output
     assert "No space left on device" in result.output
     assert result.output.endswith(f"\n{GO_ON.replace('to the same command', 'in the place of --overwrite')}\n")
