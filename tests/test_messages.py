@@ -22,7 +22,6 @@ from bumpymap.cli import main
 from bumpymap.cli._text import as_options
 from bumpymap.core import PolarSettings, Robot, Scan
 from bumpymap.core.config import MapConfig
-from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
 from bumpymap.route.pipeline import RouteSettings
 from bumpymap.scan import ScanConfig
@@ -30,6 +29,7 @@ from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig
 from bumpymap.survey.api import MapSettings
 from bumpymap.survey.batch.run import BatchSettings
+from bumpymap.views import ExportSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"

@@ -10,10 +10,11 @@ import click
 from bumpymap.cli._options import PATH, given_options, output_options, settings_options
 from bumpymap.cli._text import option_name, print_json, print_line
 from bumpymap.core import UsageError
-from bumpymap.layers import ExportFormat, ExportSettings
+from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
-    from bumpymap.layers import Export, RouteMap
+    from bumpymap.layers import RouteMap
+    from bumpymap.views import Export
 
 __all__ = ["command"]
 
@@ -62,7 +63,8 @@ def command(layers: tuple[Path, ...], out: Path, *, overwrite: bool, quiet: bool
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     options = given_options(given)
     _refuse_idle(options, given["to"])
-    from bumpymap.layers import export_map, open_map
+    from bumpymap.layers import open_map
+    from bumpymap.views import export_map
 
     # Settings that need no map are checked before it is opened.
     settings = ExportSettings(**{name: value for name, value in options.items() if name not in _POINTS})

@@ -16,9 +16,10 @@ from rasterio.enums import Resampling
 from rasterio.transform import from_origin
 
 from bumpymap.core import NO_CLASS, BadInputError, Barred
-from bumpymap.layers import SurveyRow, SurveyView, read_thumbnail
-from bumpymap.layers.batch_summary import index_page
+from bumpymap.layers import SurveyRow
 from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.views import SurveyView, read_thumbnail
+from bumpymap.views.page.batch_page import index_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(2)>"

@@ -21,7 +21,7 @@ from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.scan.frame import write_polygons
+from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig

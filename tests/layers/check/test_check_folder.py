@@ -10,9 +10,10 @@ from check_records import made_up_check
 from hypothesis import given, settings, strategies as st
 from route_records import MadeUpMap
 
+from bumpymap.check import write_check
 from bumpymap.core import BadInputError, CheckedDrive, OutputError, UsageError
-from bumpymap.layers import check_check_out, write_check
-from bumpymap.layers.check.record import (
+from bumpymap.layers import check_check_out
+from bumpymap.layers.check_record import (
     CHECK_MANIFEST_NAME,
     CHECK_NAMES,
     CHECK_VIEW_NAMES,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from check_records import made_up_check
 
-from bumpymap.layers import check_headline
-from bumpymap.layers.check.words import check_verdict, level_words
+from bumpymap.views import check_headline
+from bumpymap.views.page.words import check_verdict, level_words
 
 
 def judged(n=40, **figures):

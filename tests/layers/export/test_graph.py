@@ -14,8 +14,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
 from bumpymap.core import BadInputError
-from bumpymap.layers import ExportSettings, export_map, open_map
-from bumpymap.layers.export.graph import SQUARES, line_cost, make_lattice, make_squares
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.graph import SQUARES, line_cost, make_lattice, make_squares
 
 
 def load_graph(path):

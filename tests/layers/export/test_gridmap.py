@@ -13,8 +13,9 @@ import pytest
 import rasterio
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.layers import ExportSettings, export_map, open_map
-from bumpymap.layers.export.gridmap import _tile_means
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.gridmap import _tile_means
 
 pytest.importorskip("rosbags")
 

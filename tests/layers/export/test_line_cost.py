@@ -3,7 +3,7 @@ import pytest
 import shapely
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.layers.export.graph import line_cost
+from bumpymap.views.export.graph import line_cost
 
 CELL = st.integers(0, 11)
 

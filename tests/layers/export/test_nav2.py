@@ -15,9 +15,9 @@ import yaml
 from PIL import Image
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, UsageError
-from bumpymap.layers import ExportSettings, export_map
-from bumpymap.layers.export.area import CostScale, cost_values, keepout_values, speed_values
-from bumpymap.layers.export.nav2 import travel_multiplier
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.area import CostScale, cost_values, keepout_values, speed_values
+from bumpymap.views.export.nav2 import travel_multiplier
 
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
 

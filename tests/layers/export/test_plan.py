@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, Georeference
-from bumpymap.layers import ExportSettings, export_map, open_map
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
 
 NUMBER = (int, float)
 

@@ -5,7 +5,8 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 
-from bumpymap.layers import ExportSettings, export_map, open_map
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
 
 
 def part_of(record, kept):

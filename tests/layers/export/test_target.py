@@ -8,7 +8,8 @@ import pytest
 from pyproj import CRS, Geod
 
 from bumpymap.core import Georeference, OutputError
-from bumpymap.layers import ExportSettings, export_map, open_map
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
 
 GRAPH, NAV2 = ExportSettings(to="graph"), ExportSettings(to="nav2")
 

@@ -9,8 +9,8 @@ import pytest
 from check_records import made_up_check
 from route_records import MadeUpMap
 
-from bumpymap.layers import write_check
-from bumpymap.layers.check.offset import OFF_KINDS, MapOffset
+from bumpymap.check import write_check
+from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 
 SCRIPT = Path(__file__).with_name("load_in_qgis.py")

@@ -21,9 +21,9 @@ from bumpymap.core import (
 )
 from bumpymap.layers import write_products
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.gis.project import write_project
-from bumpymap.layers.gis.styles import write_styles
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.views.gis.project import write_project
+from bumpymap.views.gis.styles import write_styles
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}

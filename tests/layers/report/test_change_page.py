@@ -14,9 +14,9 @@ from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
-from bumpymap.layers import write_reports
-from bumpymap.layers.report.change_page import NOT_COMPARED, ChangeSite
-from bumpymap.layers.report.words import area
+from bumpymap.views import write_reports
+from bumpymap.views.page.change_page import NOT_COMPARED, ChangeSite
+from bumpymap.views.page.words import area
 
 
 def band(folder, name):

@@ -13,10 +13,12 @@ from page_outline import Outline
 from route_maps import copy_folder
 from route_records import MadeUpMap
 
+from bumpymap.check import write_check
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
-from bumpymap.layers import check_headline, open_map, write_check, write_reports
-from bumpymap.layers.check.offset import MapOffset
-from bumpymap.layers.report.charts import along_chart, drive_chart
+from bumpymap.layers import open_map
+from bumpymap.layers.check_vectors import MapOffset
+from bumpymap.views import check_headline, write_reports
+from bumpymap.views.page.charts import along_chart, drive_chart
 
 
 def on_site(result, site):

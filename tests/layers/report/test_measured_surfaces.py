@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from bumpymap.layers import degrees_line, report
-from bumpymap.layers.report.words import read_surfaces
+from bumpymap.layers import report
+from bumpymap.views import degrees_line
+from bumpymap.views.page.words import read_surfaces
 
 DATA = Path(report.__file__).with_name("data") / "surfaces.json"
 FOLDERS = {"ice": "ICE", "asphalt": "ASPHALT", "indoor floor": "FLOORING", "snow": "SNOW", "silty loam": "SANDY_LOAM"}

@@ -3,10 +3,10 @@
 import sys
 
 import pytest
+from bumpymap.layers.report import page
 
 from bumpymap.layers import SurveyRow
-from bumpymap.layers.batch_summary import index_page
-from bumpymap.layers.report import page
+from bumpymap.views.page.batch_page import index_page
 
 HOSTILE = "<b>'&\udce9\x1b[31m\u202e"
 

@@ -5,7 +5,8 @@ import pytest
 from route_maps import RUN, copy_folder
 
 from bumpymap.core import CostTable
-from bumpymap.layers import SheetLayout, SheetRun, write_reports, write_sheets
+from bumpymap.layers import SheetLayout, SheetRun, write_sheets
+from bumpymap.views import write_reports
 from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium

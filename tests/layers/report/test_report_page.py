@@ -19,11 +19,11 @@ from route_maps import VEHICLE, copy_folder, write_folder
 
 import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
-from bumpymap.layers import write_reports
 from bumpymap.layers.manifest import describe_file
-from bumpymap.layers.report.map_page import write_report
-from bumpymap.layers.report.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
-from bumpymap.layers.report.words import area, number, share
+from bumpymap.views import write_reports
+from bumpymap.views.page.map_page import write_report
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
+from bumpymap.views.page.words import area, number, share
 
 
 def raster(folder, name, band=1):

@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import rasterio
+from bumpymap.layers.route import drawing
 from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers.colours import CLASS_COLOURS, RideScale
-from bumpymap.layers.route import drawing
-from bumpymap.layers.route.drawing import (
+from bumpymap.views.pictures.drawing import (
     BARRED_SHADE,
     HATCH,
     NO_DATA,
@@ -23,7 +23,7 @@ from bumpymap.layers.route.drawing import (
     hatched,
     paint_ground,
 )
-from bumpymap.layers.route.picture import paint_route, write_route_picture
+from bumpymap.views.pictures.route_picture import paint_route, write_route_picture
 from bumpytiles import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

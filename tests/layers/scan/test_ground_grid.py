@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core import PolarSettings, Scan, UsageError, sector_bounds
-from bumpymap.layers import GroundGrid
-from bumpymap.layers.scan.grid_bag import sector_occupancy
 from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.views import GroundGrid
+from bumpymap.views.export.grid_bag import sector_occupancy
 
 GRIDS = [
     PolarSettings(),

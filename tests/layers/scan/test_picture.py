@@ -7,9 +7,9 @@ import pytest
 import rasterio
 
 from bumpymap.core import PolarSettings, Scan, sector_bounds
-from bumpymap.layers.scan.folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
-from bumpymap.layers.scan.frame import SIDE, paint as paint_image, write_picture
+from bumpymap.layers.scan_folder import SCAN_COLOURS, SECTOR_STATES, point_styles, sector_states
 from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.views.pictures.scan_picture import SIDE, paint as paint_image, write_picture
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 

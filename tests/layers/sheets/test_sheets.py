@@ -21,8 +21,8 @@ from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import check_folder, open_map, open_pair, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.sheet_folders import sheet_folders
 from bumpymap.layers.sheets import write as writing
-from bumpymap.layers.sheets.folders import sheet_folders
 from bumpytiles import BLOCK_TILES
 
 RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle", "passage")

@@ -10,6 +10,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from bumpymap.layers.report import site as pages
 from cost_maps import make_field, make_map
 from PIL import Image
 from route_maps import RUN
@@ -17,13 +18,13 @@ from sheet_maps import SMALL, write_in_sheets as write
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
-from bumpymap.layers import SheetLayout, read_thumbnail, remove_sheets, write_catalog, write_products, write_reports
+from bumpymap.layers import SheetLayout, remove_sheets, write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.report import site as pages
-from bumpymap.layers.report.map_page import write_maps
-from bumpymap.layers.report.site import Site
-from bumpymap.layers.sheets.folders import sheet_folders
-from bumpymap.layers.sheets.write import write_virtual
+from bumpymap.layers.sheet_folders import sheet_folders
+from bumpymap.layers.sheets import write_virtual
+from bumpymap.views import read_thumbnail, write_reports
+from bumpymap.views.page.map_page import write_maps
+from bumpymap.views.page.site import Site
 from bumpytiles import BLOCK_TILES
 
 

@@ -17,7 +17,7 @@ from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import write_products
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.layers.stac.item import write_item
+from bumpymap.layers.stac import write_item
 
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]}
 RUN = {
