@@ -236,7 +236,7 @@ def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
     assert other.folder != layers.folder
     del layers
     assert np.isfinite(other.dataset()["c_r"]).sum() > 30
-    monkeypatch.setattr("bumpymap.layers.opened._MOST_PICKLED", 10_000)
+    monkeypatch.setattr("bumpymap.api._MOST_PICKLED", 10_000)
     with pytest.raises(bumpymap.UsageError, match="out='DIR'"):
         copy.copy(other)
 
@@ -512,11 +512,11 @@ def test_wrong_settings_of_a_check_are_named(layers, settings, words):
 @pytest.mark.parametrize(
     "module",
     [
-        "bumpymap.survey.api",
+        "bumpymap.survey.pipeline",
         "bumpymap.survey.batch.run",
         "bumpymap.change.pipeline",
         "bumpymap.check.pipeline",
-        "bumpymap.layers.opened",
+        "bumpymap.api",
         "bumpymap.scan.classifier",
     ],
 )

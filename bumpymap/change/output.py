@@ -19,13 +19,13 @@ from bumpymap.layers import (
 )
 from bumpymap.views import write_change_report, write_change_style
 
-__all__ = ["check_change_out", "write_change"]
+__all__ = ["CHANGE_NAMES", "CHANGE_VIEW_NAMES", "check_change_out", "write_change"]
 
 _MANIFEST = "change.json"
-_FILES = ("change.tif", "change.geojson", _MANIFEST)
-_VIEWS = ("change.qml", REPORT_NAME)
+CHANGE_NAMES = ("change.tif", "change.geojson", _MANIFEST)
+CHANGE_VIEW_NAMES = ("change.qml", REPORT_NAME)
 """Files to look at the others with: a style, a page. GIS programs rewrite them, so they have no checksum."""
-_NAMES = (*_FILES, *_VIEWS)
+_NAMES = (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)
 _FORMAT = "bumpymap-change"
 _VERSION = 1
 
@@ -77,7 +77,7 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
     writers: dict[str, Callable[[Path], None]] = {
         "change.tif": partial(write_change_raster, field),
         "change.geojson": partial(write_change_regions, field),
-        _VIEWS[0]: partial(write_change_style, band=CHANGED_BAND),
+        CHANGE_VIEW_NAMES[0]: partial(write_change_style, band=CHANGED_BAND),
     }
-    write_own_folder(out, _NAMES, _MANIFEST, writers, describe, views=_VIEWS, overwrite=overwrite)
+    write_own_folder(out, _NAMES, _MANIFEST, writers, describe, views=CHANGE_VIEW_NAMES, overwrite=overwrite)
     return [out / name for name in _NAMES]

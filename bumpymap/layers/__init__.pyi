@@ -193,7 +193,7 @@ from .scan_table import (
     open_table as open_table,
     sector_rows as sector_rows,
 )
-from .sheet_folders import (
+from .sheet_paths import (
     raster_in as raster_in,
     remove_sheets as remove_sheets,
     sheet_folders as sheet_folders,

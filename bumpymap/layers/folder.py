@@ -41,7 +41,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.sheet_folders import remove_speeds
+from bumpymap.layers.sheet_paths import remove_speeds
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles

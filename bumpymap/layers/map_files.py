@@ -33,7 +33,7 @@ from bumpymap.core import (
     utf8_path,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
-from bumpymap.layers.sheet_folders import raster_in, sheets_of, virtual_name
+from bumpymap.layers.sheet_paths import raster_in, sheets_of, virtual_name
 
 if TYPE_CHECKING:
     import numpy as np

@@ -50,7 +50,7 @@ from bumpymap.layers.products import (
     SPEEDS_VIRTUAL_NAME,
     VIRTUAL_NAMES,
 )
-from bumpymap.layers.sheet_folders import (
+from bumpymap.layers.sheet_paths import (
     make_sheet_folder,
     remove_manifest,
     remove_map_files,

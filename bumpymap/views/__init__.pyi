@@ -33,15 +33,15 @@ from .page.map_page import (
 from .page.page import (
     compile_pages as compile_pages,
 )
-from .page.words import (
-    check_headline as check_headline,
-    columns_words as columns_words,
-    degrees_line as degrees_line,
-    warnings_of as warnings_of,
-)
 from .pictures.route_picture import (
     write_route_picture as write_route_picture,
 )
 from .pictures.scan_picture import (
     write_picture as write_picture,
+)
+from .words import (
+    check_headline as check_headline,
+    columns_words as columns_words,
+    degrees_line as degrees_line,
+    warnings_of as warnings_of,
 )

@@ -11,9 +11,9 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
+from bumpymap.change.output import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpymap.change.pipeline import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
-from bumpymap.layers.change import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid
 
 

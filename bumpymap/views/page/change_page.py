@@ -29,7 +29,7 @@ from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, open_layer, outl
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import jpeg
 from bumpymap.views.page.tiles import ByteGrid, packed
-from bumpymap.views.page.words import area, number, share, shares, signed, survey_name, whole
+from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
 
 __all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace", "is_comparison", "read_comparison", "write_change_report"]
 

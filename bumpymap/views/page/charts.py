@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from bumpymap.core import CheckResult, count_text
 from bumpymap.layers import OFF_COLOURS, MapOffset
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
-from bumpymap.views.page.words import share, shares, whole
 from bumpymap.views.pictures.drawing import tick_step
+from bumpymap.views.words import share, shares, whole
 
 __all__ = ["Chart", "along_chart", "c_r_chart", "drive_chart", "slope_chart"]
 

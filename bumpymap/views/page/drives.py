@@ -18,7 +18,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers import MANIFEST_NAME, MapOffset, describe_file, read_check
 from bumpymap.views.page.charts import Chart, along_chart, drive_chart
-from bumpymap.views.page.words import (
+from bumpymap.views.words import (
     DASH,
     check_headline,
     drive_notes,

@@ -39,7 +39,7 @@ from bumpymap.views.page.drives import DrawnCheck, read_drawn_check
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
-from bumpymap.views.page.words import (
+from bumpymap.views.words import (
     DASH,
     area,
     base_name,

@@ -31,7 +31,7 @@ from bumpymap.layers import (
     OFF_KINDS,
     REPORT_NAME,
 )
-from bumpymap.views.page.words import DASH, area, base_name, degrees, number, share, whole
+from bumpymap.views.words import DASH, area, base_name, degrees, number, share, whole
 
 if TYPE_CHECKING:
     import jinja2

@@ -42,7 +42,7 @@ from bumpymap.layers import (
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
-from bumpymap.views.page.words import survey_name
+from bumpymap.views.words import survey_name
 
 __all__ = [
     "WAY_FIGURES",

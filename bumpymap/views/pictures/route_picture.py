@@ -10,7 +10,6 @@ from PIL import Image
 
 from bumpymap.core import Route, atomic
 from bumpymap.layers import MapSource, RideScale, stop_roles
-from bumpymap.views.page.words import metres
 from bumpymap.views.pictures.drawing import (
     BARRED_SHADE,
     FAINT,
@@ -28,6 +27,7 @@ from bumpymap.views.pictures.drawing import (
     paint_ground,
     ticks,
 )
+from bumpymap.views.words import metres
 
 __all__ = ["ROUTE_COLOURS", "paint_route", "write_route_picture"]
 

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from bumpymap.layers.scan.frame import _numbers
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
 from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import name_frames, sample_evenly, write_frame
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan_frame import outlines, write_cloud, write_polygons
+from bumpymap.layers.scan_frame import _numbers, outlines, write_cloud, write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
 
 

@@ -10,7 +10,6 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from bumpymap.layers.report import site as pages
 from cost_maps import make_field, make_map
 from PIL import Image
 from route_maps import RUN
@@ -20,9 +19,10 @@ from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
 from bumpymap.layers import SheetLayout, remove_sheets, write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.sheet_folders import sheet_folders
+from bumpymap.layers.sheet_paths import sheet_folders
 from bumpymap.layers.sheets import write_virtual
-from bumpymap.views import read_thumbnail, write_reports
+from bumpymap.views import read_thumbnail, write_map_views, write_reports
+from bumpymap.views.page import site as pages
 from bumpymap.views.page.map_page import write_maps
 from bumpymap.views.page.site import Site
 from bumpytiles import BLOCK_TILES
@@ -181,7 +181,7 @@ def test_the_catalogue_of_a_batch_stays(whole, tmp_path):
 def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(sheets, folder)
-    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
+    write_products(CostTable.of(made), folder, views=write_map_views, local=False, manifest=RUN)
     remove_sheets(folder)
     names = {path.name for path in folder.iterdir()}
     assert names == {path.name for path in whole.iterdir()}

@@ -6,7 +6,7 @@ from route_maps import RUN, copy_folder
 
 from bumpymap.core import CostTable
 from bumpymap.layers import SheetLayout, SheetRun, write_sheets
-from bumpymap.views import write_reports
+from bumpymap.views import write_map_views, write_reports
 from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium
@@ -45,7 +45,7 @@ def pages(site, comparison, make_field, tmp_path_factory):
     table, sheets = CostTable.of(make_field(40, 30)), folder / "sheets"
     sheets.mkdir()
     run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
-    write_sheets(table, sheets, run, local=False, manifest=RUN)
+    write_sheets(table, sheets, run, views=write_map_views, local=False, manifest=RUN)
     return {
         "one": site / "report.html",
         "two": write_reports([site, odd], folder / "two.html"),

@@ -11,6 +11,7 @@ from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
 from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.views import write_map_views
 from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.qgis
@@ -37,7 +38,7 @@ RUN = {
 
 def seen_by_qgis(folder, cost_map, *, local=False):
     """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
-    write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN)
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN)
     tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
     tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
     return load(folder)
@@ -144,7 +145,9 @@ def test_the_project_opens_as_a_map(seen):
 
 
 def test_other_speeds_open_in_the_colours_of_the_map(tmp_path, at_two_speeds):
-    write_products(at_two_speeds, tmp_path, local=False, manifest=RUN | {"settings": {"speeds": (0.5, 2.0)}})
+    write_products(
+        at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=RUN | {"settings": {"speeds": (0.5, 2.0)}}
+    )
     seen = load(tmp_path)
     own, other = (seen["layers"][name] for name in ("roughness.tif", "speeds.tif"))
     assert (other["renderer"], other["bands"], other["shades"]) == (own["renderer"], [1], own["shades"])
@@ -172,7 +175,7 @@ def test_a_map_in_sheets_opens_as_one(tmp_path, cost_map):
     table = CostTable.of(cost_map)
     run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
     (tmp_path / "out").mkdir()
-    write_sheets(table, tmp_path / "out", run, local=False, manifest=RUN)
+    write_sheets(table, tmp_path / "out", run, views=write_map_views, local=False, manifest=RUN)
     seen = load(tmp_path / "out")
     assert len(list((tmp_path / "out" / "sheets").iterdir())) > 1
     expected = {name.replace(".tif", ".vrt"): kind for name, kind in RASTERS.items()}

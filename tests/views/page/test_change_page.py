@@ -16,7 +16,7 @@ import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
 from bumpymap.views import write_reports
 from bumpymap.views.page.change_page import NOT_COMPARED, ChangeSite
-from bumpymap.views.page.words import area
+from bumpymap.views.words import area
 
 
 def band(folder, name):
@@ -111,7 +111,7 @@ def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read
 
 @pytest.mark.parametrize("step", [2, 7])
 def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, step):
-    import bumpymap.layers.report.change_page as module
+    import bumpymap.views.page.change_page as module
 
     record = json.loads((comparison / "change.json").read_text())
     one = ChangeSite.read(comparison, record)

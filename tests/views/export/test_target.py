@@ -75,7 +75,7 @@ def test_a_failure_leaves_nothing(easy_map, tmp_path, monkeypatch, there):
     def fail(*_):
         raise OutputError("disk full")
 
-    monkeypatch.setattr("bumpymap.layers.export.nav2.params_text", fail)
+    monkeypatch.setattr("bumpymap.views.export.nav2.params_text", fail)
     with pytest.raises(OutputError, match="disk full"):
         export_map(easy_map, out, NAV2, overwrite=True)
     assert (snapshot(out) if there else None) == before

@@ -7,13 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from bumpymap.layers.route import folder as folder_module
 from route_records import CORNERS, UTM, MadeUpMap, make_route
 
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import ReachField
-from bumpymap.route import ReachLevels, check_reach_out, check_route_out, write_reach_files, write_routes
-from bumpymap.route.output import ROUTE_MANIFEST_NAME, ROUTE_NAMES
+from bumpymap.route import output as folder_module
+from bumpymap.route.output import (
+    ROUTE_MANIFEST_NAME,
+    ROUTE_NAMES,
+    ReachLevels,
+    check_reach_out,
+    check_route_out,
+    write_reach_files,
+    write_routes,
+)
 from bumpytiles import Grid, TileWindow
 
 FOUR = ["profile.csv", "route.geojson", "route.gpx", "route.json", "route.png"]

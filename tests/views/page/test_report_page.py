@@ -23,7 +23,7 @@ from bumpymap.layers.manifest import describe_file
 from bumpymap.views import write_reports
 from bumpymap.views.page.map_page import write_report
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
-from bumpymap.views.page.words import area, number, share
+from bumpymap.views.words import area, number, share
 
 
 def raster(folder, name, band=1):
@@ -129,7 +129,7 @@ def test_the_worst_tile_decides_a_pixel_of_several(site, step):
 
 
 def test_a_large_map_is_shown_in_larger_pixels_and_says_so(site, tmp_path, monkeypatch, read_page):
-    import bumpymap.layers.report.site as pages
+    import bumpymap.views.page.site as pages
 
     twin = shutil.copytree(site, tmp_path / "large")
     monkeypatch.setattr(pages, "_TILES", 100)

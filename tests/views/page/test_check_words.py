@@ -7,7 +7,7 @@ import pytest
 from check_records import made_up_check
 
 from bumpymap.views import check_headline
-from bumpymap.views.page.words import check_verdict, level_words
+from bumpymap.views.words import check_verdict, level_words
 
 
 def judged(n=40, **figures):

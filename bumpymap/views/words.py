@@ -100,7 +100,7 @@ def degrees(radians: float) -> str:
     return f"{math.degrees(radians):.1f}"
 
 
-_FILE = Path(__file__).with_name("data") / "surfaces.json"
+_FILE = Path(__file__).with_name("page") / "data" / "surfaces.json"
 _NAMED = ("asphalt", "snow", "silty loam")
 """Surfaces in a line of a summary, which everyone has walked on."""
 

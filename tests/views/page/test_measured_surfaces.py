@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from scipy.signal import butter, sosfiltfilt
 
-from bumpymap.layers import report
-from bumpymap.views import degrees_line
-from bumpymap.views.page.words import read_surfaces
+from bumpymap.views import degrees_line, page
+from bumpymap.views.words import read_surfaces
 
-DATA = Path(report.__file__).with_name("data") / "surfaces.json"
+DATA = Path(page.__file__).with_name("data") / "surfaces.json"
 FOLDERS = {"ice": "ICE", "asphalt": "ASPHALT", "indoor floor": "FLOORING", "snow": "SNOW", "silty loam": "SANDY_LOAM"}
 
 

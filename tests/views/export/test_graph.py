@@ -161,10 +161,10 @@ def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatc
     lone = open_map([write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone")])
     with pytest.raises(BadInputError, match="no two nodes are connected"):
         export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
-    monkeypatch.setattr("bumpymap.layers.export.graph._MAX_NODES", 10)
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_NODES", 10)
     with pytest.raises(BadInputError, match=r"`every=1`.*larger"):
         export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=1))
-    monkeypatch.setattr("bumpymap.layers.export.graph._MAX_TILES", 10)
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_TILES", 10)
     with pytest.raises(BadInputError, match="480 tiles"):
         export_map(easy_map, tmp_path / "out", ExportSettings(to="graph"))
     assert not (tmp_path / "out").exists()

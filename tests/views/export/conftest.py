@@ -7,6 +7,7 @@ import pytest
 
 from bumpymap.core import CANOPY, FREE, OBSTACLE, UNSEEN, CostTable, ObjectStack
 from bumpymap.layers import open_map, write_products
+from bumpymap.views import write_map_views
 
 RUN = {
     "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]},
@@ -29,7 +30,7 @@ def with_objects(cost_map, seed=9):
 
 def write_map(cost_map, folder, *, local=False):
     folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN)
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN)
     return folder
 
 

@@ -3,9 +3,9 @@
 import sys
 
 import pytest
-from bumpymap.layers.report import page
 
 from bumpymap.layers import SurveyRow
+from bumpymap.views.page import page
 from bumpymap.views.page.batch_page import index_page
 
 HOSTILE = "<b>'&\udce9\x1b[31m\u202e"

@@ -109,7 +109,7 @@ def test_the_same_map_has_the_same_bytes(route_map, tmp_path):
 
 
 def test_too_many_cells(route_map, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.layers.export.gridmap._MAX_CELLS", 1000)
+    monkeypatch.setattr("bumpymap.views.export.gridmap._MAX_CELLS", 1000)
     with pytest.raises(BadInputError, match="`resolution='tile'`"):
         export_map(route_map, tmp_path / "out", ExportSettings(to="gridmap", resolution="pixel"))
 

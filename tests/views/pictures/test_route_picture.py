@@ -7,12 +7,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import rasterio
-from bumpymap.layers.route import drawing
 from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred, RouteVehicle
 from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import (
     BARRED_SHADE,
     HATCH,

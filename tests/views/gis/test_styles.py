@@ -22,6 +22,7 @@ from bumpymap.core import (
 from bumpymap.layers import write_products
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
 
@@ -34,7 +35,9 @@ GIS_FILES = tuple(name for name in VIEW_NAMES if name.endswith((".qml", ".qgs"))
 @pytest.fixture(name="folder", scope="module")
 def folder_fixture(tmp_path_factory, cost_map):
     folder = tmp_path_factory.mktemp("site of a user")
-    write_products(CostTable.of(cost_map), folder, local=False, manifest={"calibration": CALIBRATION})
+    write_products(
+        CostTable.of(cost_map), folder, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
+    )
     return folder
 
 
@@ -113,7 +116,7 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
 
 
 def test_without_limits_the_ride_cost_of_the_map_sets_the_scale(tmp_path, cost_map):
-    write_products(CostTable.of(cost_map), tmp_path, local=False, manifest={})
+    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={})
     items = [float(item.get("value")) for item in read(tmp_path / "roughness.qml").iter("item")]
     assert items == pytest.approx([0.0, items[-1] / 3, 2 * items[-1] / 3, items[-1]])
     assert 0.1 <= items[-1] <= 2.0
@@ -167,7 +170,7 @@ def test_a_project_lists_what_is_there(folder):
 def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds):
     """Each with the colours of the map's own speed, under the tiles where drives fail; hidden when it is opened."""
     manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
-    files, _ = write_products(at_two_speeds, tmp_path, local=False, manifest=manifest)
+    files, _ = write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
     assert all(path.exists() for path in files)
     assert {"speeds.tif", "speeds.qml"} <= {path.name for path in files}
     own, other = (read(tmp_path / name).find("pipe/rasterrenderer") for name in ("roughness.qml", "speeds.qml"))
@@ -188,9 +191,11 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
 def test_a_map_without_other_speeds_removes_those_of_an_earlier_one(tmp_path, at_two_speeds, cost_map):
     speeds = {"speeds.tif", "speeds.qml"}
     manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
-    write_products(at_two_speeds, tmp_path, local=False, manifest=manifest)
+    write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
     assert speeds <= {path.name for path in tmp_path.iterdir()}
-    write_products(CostTable.of(cost_map), tmp_path, local=False, manifest={"calibration": CALIBRATION})
+    write_products(
+        CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
+    )
     assert not speeds & {path.name for path in tmp_path.iterdir()}
 
 
@@ -242,7 +247,13 @@ def test_a_project_has_the_crs_of_the_survey_and_shows_all_of_it(folder, cost_ma
 
 def test_a_compound_crs_is_split(tmp_path, make_field):
     georeference = Georeference(CRS.from_user_input("EPSG:32614+5703"))
-    write_products(CostTable.of(make_field(4, 4, georeference=georeference)), tmp_path, local=False, manifest={})
+    write_products(
+        CostTable.of(make_field(4, 4, georeference=georeference)),
+        tmp_path,
+        views=write_map_views,
+        local=False,
+        manifest={},
+    )
     for reference in read(tmp_path / "map.qgs").iter("spatialrefsys"):
         assert CRS.from_wkt(reference.find("wkt").text).to_epsg() == 32614
 
@@ -257,7 +268,7 @@ def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
 
 def test_a_project_without_a_crs_has_none(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
-    write_products(CostTable.of(cost_map), tmp_path, local=True, manifest={})
+    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=True, manifest={})
     root = read(tmp_path / "map.qgs")
     assert root.find("projectCrs") is None
     assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == "0"

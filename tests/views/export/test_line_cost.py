@@ -45,6 +45,6 @@ def test_a_line_of_many_tiles_in_parts(monkeypatch):
     start = np.random.default_rng(1).integers(0, 40, (300, 2))
     stop = np.random.default_rng(2).integers(0, 40, (300, 2))
     at_once = line_cost(factor, start, stop)
-    monkeypatch.setattr("bumpymap.layers.export.graph._CHUNK", 500)
+    monkeypatch.setattr("bumpymap.views.export.graph._CHUNK", 500)
     np.testing.assert_array_equal(line_cost(factor, start, stop), at_once)
     assert len(line_cost(factor, start[:0], stop[:0])) == 0
