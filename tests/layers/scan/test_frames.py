@@ -136,11 +136,10 @@ def test_what_nobody_knows_is_null(classed, tmp_path):
 
 
 def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
-    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "picture", "table"))
+    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "table"))
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [
         "nothing.json",
         "nothing.ply",
-        "nothing.png",
     ]
     assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
     assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0

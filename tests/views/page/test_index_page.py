@@ -218,7 +218,7 @@ def test_a_picture_is_as_small_as_asked(tmp_path):
 
 def test_a_damaged_layer_is_said(tmp_path):
     (tmp_path / "class.tif").write_bytes(b"nothing")
-    with pytest.raises(BadInputError, match=r"class\.tif cannot be read"):
+    with pytest.raises(BadInputError, match=r"cannot read .*class\.tif"):
         read_thumbnail(tmp_path, 10_000)
 
 
