@@ -8,20 +8,17 @@ two surveys, ``classify_scan`` and ``ScanClassifier`` classify the ground in the
 
 TYPE_CHECKING = False  # type checkers assume True; importing typing would take longer than the rest of this file
 if TYPE_CHECKING:
+    from bumpymap.api import Layers, map_survey, open_layers as open  # noqa: A004 (as bumpymap.open)
     from bumpymap.change import diff_surveys
     from bumpymap.check import check_drives
     from bumpymap.core import BadInputError, BumpymapError, OutputError, UsageError
-    from bumpymap.layers import (
-        GroundGrid,
-        Layers,
-        PlannedRoute,
-        open_layers as open,  # noqa: A004 (as bumpymap.open)
-    )
+    from bumpymap.layers import PlannedRoute
     from bumpymap.rating import Calibration, Vehicle
     from bumpymap.readers import points_of
     from bumpymap.route import find_routes, map_reach
     from bumpymap.scan import ScanClassifier, ScanResult, classify_scan
-    from bumpymap.survey import map_batch, map_survey
+    from bumpymap.survey import map_batch
+    from bumpymap.views import GroundGrid
 
     __version__: str
 
@@ -53,8 +50,8 @@ _EXPORTS = {
     "BadInputError": ("bumpymap.core", "BadInputError"),
     "BumpymapError": ("bumpymap.core", "BumpymapError"),
     "Calibration": ("bumpymap.rating", "Calibration"),
-    "GroundGrid": ("bumpymap.layers", "GroundGrid"),
-    "Layers": ("bumpymap.layers", "Layers"),
+    "GroundGrid": ("bumpymap.views", "GroundGrid"),
+    "Layers": ("bumpymap.api", "Layers"),
     "OutputError": ("bumpymap.core", "OutputError"),
     "PlannedRoute": ("bumpymap.layers", "PlannedRoute"),
     "ScanClassifier": ("bumpymap.scan", "ScanClassifier"),
@@ -67,8 +64,8 @@ _EXPORTS = {
     "find_routes": ("bumpymap.route", "find_routes"),
     "map_batch": ("bumpymap.survey", "map_batch"),
     "map_reach": ("bumpymap.route", "map_reach"),
-    "map_survey": ("bumpymap.survey", "map_survey"),
-    "open": ("bumpymap.layers", "open_layers"),
+    "map_survey": ("bumpymap.api", "map_survey"),
+    "open": ("bumpymap.api", "open_layers"),
     "points_of": ("bumpymap.readers", "points_of"),
 }
 """Public name: the module to import and the name in it."""

@@ -4,6 +4,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from hypothesis import settings
 
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
+from bumpymap.core.types import CostTable
 from bumpymap.lab.worlds.scans.lidar import load_open3d
 from bumpymap.patches.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
@@ -127,3 +129,31 @@ def dask_scheduler():
         with suppress(subprocess.TimeoutExpired):
             process.wait(30)
         process.kill()
+
+
+@pytest.fixture(scope="session")
+def cost_map(make_field):
+    return make_field(40, 30)
+
+
+@pytest.fixture(scope="session")
+def at_two_speeds(make_field):
+    """A table with the ride at 0.5 and 2 m/s."""
+    field = make_field(12, 10)
+    slow = np.stack([field.c_r, field.c_r, field.c_r / 4], axis=1)
+    motion = np.hstack([slow, 2 * slow]).astype(np.float32)
+    return replace(CostTable.of(replace(field, motion=motion)), speeds=(0.5, 2.0))
+
+
+@pytest.fixture(name="make_map", scope="session")
+def make_map_fixture():
+    from cost_maps import make_map
+
+    return make_map
+
+
+@pytest.fixture(name="make_field", scope="session")
+def make_field_fixture():
+    from cost_maps import make_field
+
+    return make_field

@@ -236,7 +236,7 @@ def test_layers_in_memory_are_pickled_with_their_files(monkeypatch):
     assert other.folder != layers.folder
     del layers
     assert np.isfinite(other.dataset()["c_r"]).sum() > 30
-    monkeypatch.setattr("bumpymap.layers.opened._MOST_PICKLED", 10_000)
+    monkeypatch.setattr("bumpymap.api._MOST_PICKLED", 10_000)
     with pytest.raises(bumpymap.UsageError, match="out='DIR'"):
         copy.copy(other)
 
@@ -330,7 +330,7 @@ def test_nothing_is_left_where_a_run_in_memory_fails(tmp_path, monkeypatch):
 def test_a_run_in_memory_that_ends_early_does_not_speak_of_going_on(tmp_path, monkeypatch):
     def end_early(config):
         error = bumpymap.OutputError("the disk is full")
-        error.add_note("Pass `resume=True` to the same command to go on from the finished tiles.")
+        error.add_note("Run the same again to continue from the finished tiles.")
         error.add_note("Look at it.")
         raise error
 
@@ -512,11 +512,11 @@ def test_wrong_settings_of_a_check_are_named(layers, settings, words):
 @pytest.mark.parametrize(
     "module",
     [
-        "bumpymap.survey.api",
+        "bumpymap.survey.pipeline",
         "bumpymap.survey.batch.run",
         "bumpymap.change.pipeline",
         "bumpymap.check.pipeline",
-        "bumpymap.layers.opened",
+        "bumpymap.api",
         "bumpymap.scan.classifier",
     ],
 )

@@ -22,7 +22,6 @@ from bumpymap.cli import main
 from bumpymap.cli._text import as_options
 from bumpymap.core import PolarSettings, Robot, Scan
 from bumpymap.core.config import MapConfig
-from bumpymap.layers import ExportSettings
 from bumpymap.route import CostSettings, RouteConfig
 from bumpymap.route.pipeline import RouteSettings
 from bumpymap.scan import ScanConfig
@@ -30,6 +29,7 @@ from bumpymap.scan.classifier import ClassifierSettings
 from bumpymap.survey import BatchConfig
 from bumpymap.survey.api import MapSettings
 from bumpymap.survey.batch.run import BatchSettings
+from bumpymap.views import ExportSettings
 
 ROOT = Path(__file__).resolve().parents[1]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -54,7 +54,7 @@ BAD = [
     ({"crs": "EPSG:1"}, "crs='EPSG:1'"),
     ({"crs": "EPSG:4326"}, "CRS"),
     ({"crs": "EPSG:32632", "local": True}, "crs and local"),
-    ({"resume": True, "overwrite": True}, "resume=True"),
+    ({"resume": True}, "the same run continues an interrupted one"),
     ({"memory": "lots"}, "memory"),
     ({"features": {"max_holes": 1}}, "max_holes"),
     ({"features": 3}, "features"),
@@ -212,8 +212,8 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
     ("words", "said"),
     [
         (["--crs", "EPSG:1"], "--crs EPSG:1 is not a coordinate reference system"),
-        (["--resume", "--overwrite"], "--resume continues an interrupted run, --overwrite starts again"),
-        (["--tile-size", "5"], "Use --tile-size 3, --pixels 15"),
+        (["--resume"], "--resume is gone: the same command continues an interrupted run"),
+        (["--tile-size", "5"], "Use --tile-size 3, --set pixels=15"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],
 )
@@ -256,7 +256,7 @@ def accepted(kind):
 
 SIGNATURES = [
     (MapSettings, [MapConfig], {"surveys", "out"}, bumpymap.map_survey),
-    (BatchSettings, [MapConfig, BatchConfig], {"surveys", "out", "resume", "source", "given", "defaults"}, None),
+    (BatchSettings, [MapConfig, BatchConfig], {"surveys", "out", "source", "given", "defaults"}, None),
     (
         RouteSettings,
         [RouteConfig, CostSettings],

@@ -23,6 +23,7 @@ from bumpymap.change.compare import (
     height_offset,
     ride_z,
 )
+from bumpymap.change.output import check_change_out, write_change
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
@@ -38,18 +39,7 @@ from bumpymap.core import (
     path_of_call,
     settings_of_call,
 )
-from bumpymap.layers import (
-    ChangeField,
-    Layers,
-    SurveyPair,
-    SurveyTiles,
-    change_regions,
-    check_change_out,
-    folder_of,
-    label,
-    open_pair,
-    write_change,
-)
+from bumpymap.layers import ChangeField, SurveyPair, SurveyTiles, change_regions, label, open_pair
 
 if TYPE_CHECKING:
     import geopandas
@@ -156,8 +146,8 @@ class ChangeResult:
 
 
 def diff_surveys(
-    before: "PathLike | Layers",
-    after: "PathLike | Layers",
+    before: PathLike,
+    after: PathLike,
     out: PathLike | None = None,
     **settings: Unpack[DiffSettings],
 ) -> ChangeResult:
@@ -202,7 +192,9 @@ def diff_surveys(
     """
     own = settings_of_call(settings, DiffConfig, "diff_surveys", DiffSettings.__annotations__)
     target = None if out is None else Path(path_of_call("out", out))
-    return find_changes(DiffConfig(folder_of("before", before), folder_of("after", after), target, **own))
+    return find_changes(
+        DiffConfig(Path(path_of_call("before", before)), Path(path_of_call("after", after)), target, **own)
+    )
 
 
 _CLASSES = len(CLASS_NAMES)

@@ -17,6 +17,7 @@ from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
+from bumpymap.check.output import write_check
 from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
@@ -47,7 +48,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import Layers, RouteMap, check_check_out, folder_of, open_map, write_check
+from bumpymap.layers import RouteMap, check_check_out, open_map
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
@@ -201,7 +202,7 @@ class CheckSettings(TypedDict, total=False):
 
 
 def check_drives(
-    layers: "PathLike | Layers | None",
+    layers: PathLike | None,
     drives: PathLike | Iterable[PathLike],
     out: PathLike | None = None,
     **settings: Unpack[CheckSettings],
@@ -259,7 +260,7 @@ def check_drives(
     if not isinstance(each, Iterable):
         raise UsageError(f"drives is {short_repr(drives)}; give the log of a drive, or a list of logs")
     named = tuple(path_of_call("drives", drive) for drive in each)
-    site = None if layers is None else folder_of("layers", layers)
+    site = None if layers is None else Path(path_of_call("layers", layers))
     target = None if out is None else Path(path_of_call("out", out))
     return run_check(CheckConfig(named, site, target, columns, **own))[0]
 

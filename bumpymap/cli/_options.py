@@ -189,7 +189,7 @@ def config_options(*owners: type, clashes: Sequence[Clash] = ()) -> Callable[[_C
         @wraps(command)
         def run(*values: Any, config_file: Path | None, assigned: tuple[str, ...], **options: Any) -> Any:
             stored = read_settings_file(config_file, *owners) if config_file else {}
-            own = assigned_settings(assigned, stored, *owners)
+            own = assigned_settings(assigned, stored, "--set", *owners)
             return command(*values, stored=merge_settings(stored, own, clashes), **options)
 
         text = "Any setting of `bumpymap settings`, such as pixels=21"

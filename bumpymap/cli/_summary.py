@@ -5,8 +5,9 @@ from collections.abc import Iterator
 
 from bumpymap.cli._text import as_options, print_json, print_line, print_table
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
-from bumpymap.layers import SHEET_FOLDER, MapSummary, degrees_line
+from bumpymap.layers import SHEET_FOLDER, MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
+from bumpymap.views import degrees_line
 
 __all__ = ["ALREADY_DONE", "show"]
 

@@ -52,7 +52,7 @@ def show(
     if as_json:
         print_json(_record(result, files, config) | ({} if refit is None else {"refit": refit}))
         return
-    from bumpymap.layers import check_headline, warnings_of
+    from bumpymap.views import check_headline, warnings_of
 
     for drive in result.drives:
         for line in _drive_lines(drive):
@@ -67,7 +67,7 @@ def show(
 
 
 def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
-    from bumpymap.layers import columns_words
+    from bumpymap.views import columns_words
 
     yield (
         f"{drive.name}: {drive.used_m:.0f} of {drive.way_m:.0f} m count, at {drive.speed_mps:.2f} m/s; rates up to "
@@ -117,7 +117,7 @@ def _percent(value: float) -> str:
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
-    from bumpymap.layers import check_headline
+    from bumpymap.views import check_headline
 
     return {
         "out": None if config.out is None else str(config.out),

@@ -13,7 +13,7 @@ __all__ = ["command"]
 @output_options()
 def command(*, quiet: bool, log_json: bool) -> None:
     """Compile the numerical kernels, and the templates of pages, now and once, not in the first run that needs them."""
-    from bumpymap.layers import compile_pages
+    from bumpymap.views import compile_pages
     from bumpytiles import compile_packages
 
     with show_progress(quiet=quiet, as_json=log_json):

@@ -19,10 +19,11 @@ from bumpymap.cli._options import (
 )
 from bumpymap.cli._text import option_name, print_json, print_line
 from bumpymap.core import UsageError
-from bumpymap.layers import ExportFormat, ExportSettings
+from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
-    from bumpymap.layers import Export, RouteMap
+    from bumpymap.layers import RouteMap
+    from bumpymap.views import Export
 
 __all__ = ["command"]
 
@@ -81,7 +82,8 @@ def command(
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     options = {**changed_settings(stored, ExportSettings), **given_options(given)}
     _refuse_idle(options, given["to"])
-    from bumpymap.layers import export_map, open_map
+    from bumpymap.layers import open_map
+    from bumpymap.views import export_map
 
     # Settings that need no map are checked before it is opened.
     own = {name: value for name, value in given_options(given).items() if name not in _POINTS}

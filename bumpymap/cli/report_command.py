@@ -39,7 +39,7 @@ def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: A
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     if not layers:
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
-    from bumpymap.layers import write_reports
+    from bumpymap.views import write_reports
 
     path = write_reports(layers, **given_options(given))
     if quiet:

@@ -19,9 +19,9 @@ def _owners() -> dict[str, tuple[type, ...]]:
         ScanTrainSettings,
         TrainSettings,
     )
-    from bumpymap.layers import ExportSettings
     from bumpymap.route import RouteConfig
     from bumpymap.scan import ScanConfig
+    from bumpymap.views import ExportSettings
 
     return {
         "map": (MapConfig,),
@@ -53,5 +53,10 @@ def command(command_name: str) -> None:
     bumpymap map site.laz --out layers --config map.toml
     bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    for line in settings_template(command_name, _owners()[command_name]).splitlines():
+    print_line(
+        f"# Settings of `bumpymap {command_name}`, with their defaults. Remove the # before a line to set it, and give"
+    )
+    print_line("# the file with --config. Options override it; paths are relative to this file.")
+    print_line()
+    for line in settings_template(_owners()[command_name]).splitlines():
         print_line(line)

@@ -253,12 +253,9 @@ def settings_with_options(owner: type) -> tuple[Declared, ...]:
     return tuple(each for each in _declared(owner) if each.setting.help)
 
 
-def settings_template(command: str, owners: Sequence[type]) -> str:
+def settings_template(owners: Sequence[type]) -> str:
     """Return a TOML file with every setting of some classes, its description and its default, all commented out."""
-    lines = [
-        f"# Settings of `bumpymap {command}`, with their defaults. Remove the # before a line to set it, and give the",
-        "# file with --config. Options of the command line override it; paths are relative to this file.",
-    ]
+    lines: list[str] = []
     tables: list[tuple[str, Any]] = [("", owner) for owner in owners]
     written: set[str] = set()
     while tables:
@@ -279,7 +276,7 @@ def settings_template(command: str, owners: Sequence[type]) -> str:
             allowed = _allowed(each.type, each.name)
             lines += ["", *_comment(f"{note} {allowed[0].upper()}{allowed[1:]}{default}.".strip())]
             lines.append(f"#{each.name} ={_toml(None if default else _default_of(each))}")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines[1:]) + "\n"
 
 
 def _unreadable(kind: Any) -> bool:
@@ -383,7 +380,9 @@ def read_settings_file(path: Path, *owners: type) -> dict[str, Any]:
     return arguments
 
 
-def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *owners: type) -> dict[str, Any]:
+def assigned_settings(
+    assignments: Iterable[str], before: Mapping[str, Any], origin: str, *owners: type
+) -> dict[str, Any]:
     """Read settings that are given as ``KEY=VALUE``, a table's as ``TABLE.KEY=VALUE``.
 
     Parameters
@@ -392,6 +391,8 @@ def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *ow
         The value is TOML; quotes of a text and brackets of a list may be left out.
     before : mapping
         Settings that these override; a table keeps its other values.
+    origin : str
+        Where they come from, for messages.
     *owners : type
         Dataclasses that the settings are for; see `parse_record`.
 
@@ -410,10 +411,10 @@ def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *ow
         key, equals, value = text.partition("=")
         *table, name = key.strip().split(".")
         if not equals or len(table) > 1 or not name:
-            raise UsageError(f"--set {short_repr(text)[1:-1]}: give KEY=VALUE, such as --set pixels=21")
+            raise UsageError(f"{origin} {short_repr(text)[1:-1]}: give KEY=VALUE, such as pixels=21")
         place = record.setdefault(table[0], {}) if table else record
         if not isinstance(place, dict):
-            raise UsageError(f"--set gives {table[0]} both as a value and as a table")
+            raise UsageError(f"{origin} gives {table[0]} both as a value and as a table")
         place[name] = _assigned(value.strip())
     known = _fields_of(owners)
     for name, field in known.items():
@@ -427,7 +428,7 @@ def assigned_settings(assignments: Iterable[str], before: Mapping[str, Any], *ow
             base = before.get(name) or _default_of(known[name])
             arguments[name] = base if parser.faults else replace(base, **own)
     arguments |= parser.table(record, owners, "", complete=False)
-    refuse_faults(parser.faults, "--set", UsageError)
+    refuse_faults(parser.faults, origin, UsageError)
     return arguments
 
 

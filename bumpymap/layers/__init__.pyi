@@ -1,42 +1,62 @@
+from ._cog import (
+    write_cog as write_cog,
+)
 from ._imports import (
+    import_notebook as import_notebook,
     import_without_pandas as import_without_pandas,
 )
-from .batch_summary import (
+from .batch import (
     BATCH_LOG as BATCH_LOG,
     BATCH_NAMES as BATCH_NAMES,
     SurveyRow as SurveyRow,
     SurveyStatus as SurveyStatus,
-    SurveyView as SurveyView,
     check_batch_out as check_batch_out,
     map_facts as map_facts,
-    read_thumbnail as read_thumbnail,
     write_batch_summary as write_batch_summary,
 )
 from .change import (
+    CHANGED_BAND as CHANGED_BAND,
     ChangeField as ChangeField,
     SurveyPair as SurveyPair,
     SurveyTiles as SurveyTiles,
     change_regions as change_regions,
-    check_change_out as check_change_out,
     open_pair as open_pair,
-    write_change as write_change,
+    write_change_raster as write_change_raster,
+    write_change_regions as write_change_regions,
 )
-from .check.record import (
+from .check_record import (
+    CHECK_FORMAT as CHECK_FORMAT,
+    CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
+    CHECK_NAMES as CHECK_NAMES,
+    CHECK_VIEW_NAMES as CHECK_VIEW_NAMES,
     check_check_out as check_check_out,
+    check_entries as check_entries,
+    read_check as read_check,
 )
-from .check.words import (
-    check_headline as check_headline,
-    columns_words as columns_words,
-    warnings_of as warnings_of,
+from .check_vectors import (
+    OFF_KINDS as OFF_KINDS,
+    CheckGround as CheckGround,
+    CheckPlaces as CheckPlaces,
+    MapOffset as MapOffset,
+    write_driven_tiles as write_driven_tiles,
+    write_stretch_table as write_stretch_table,
+    write_stretches as write_stretches,
 )
-from .check_files import write_check as write_check
-from .export.settings import (
-    ExportFormat as ExportFormat,
-    ExportSettings as ExportSettings,
-)
-from .export.write import (
-    Export as Export,
-    export_map as export_map,
+from .colours import (
+    BARRED_COLOURS as BARRED_COLOURS,
+    CHANGE_COLOURS as CHANGE_COLOURS,
+    CLASS_COLOURS as CLASS_COLOURS,
+    COST_COLOURS as COST_COLOURS,
+    OBJECT_COLOURS as OBJECT_COLOURS,
+    OFF_COLOURS as OFF_COLOURS,
+    OR_FAILS as OR_FAILS,
+    PASSAGE_COLOURS as PASSAGE_COLOURS,
+    PASSAGE_NAMES as PASSAGE_NAMES,
+    REASON_COLOURS as REASON_COLOURS,
+    UNKNOWN_OBJECT as UNKNOWN_OBJECT,
+    RideScale as RideScale,
+    class_limits as class_limits,
+    class_ranges as class_ranges,
 )
 from .folder import (
     is_complete as is_complete,
@@ -44,78 +64,108 @@ from .folder import (
     verified_record as verified_record,
     write_products as write_products,
 )
+from .geotiff import (
+    box_sum as box_sum,
+)
+from .lazy_raster import (
+    lazy_values as lazy_values,
+)
 from .manifest import (
+    COUNT as COUNT,
     MANIFEST_NAME as MANIFEST_NAME,
+    PLACE_SHAPE as PLACE_SHAPE,
     describe_file as describe_file,
     describe_input as describe_input,
+    place_entries as place_entries,
+    plain_manifest as plain_manifest,
+    read_manifest as read_manifest,
     software_versions as software_versions,
     write_manifest as write_manifest,
 )
-from .map_files import RemoteFolder as RemoteFolder
-from .opened import (
-    Layers as Layers,
-    folder_of as folder_of,
-    open_layers as open_layers,
-    temporary_folder as temporary_folder,
+from .map_files import (
+    RemoteFolder as RemoteFolder,
+    open_layer as open_layer,
+    open_raster as open_raster,
+    read_averaged as read_averaged,
+    read_features as read_features,
+    require_format as require_format,
+    require_map_written as require_map_written,
+    require_written as require_written,
 )
 from .placement import (
     MAX_TILES as MAX_TILES,
+    BandSpec as BandSpec,
+    Placement as Placement,
+    RasterSpec as RasterSpec,
+    RasterWindow as RasterWindow,
     check_extent as check_extent,
     fits_one_map as fits_one_map,
 )
+from .planned_route import (
+    PlannedRoute as PlannedRoute,
+    reach_dataset as reach_dataset,
+)
 from .products import (
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
+    OTHER_FILES as OTHER_FILES,
     REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,
+    SHEET_TABLE_NAME as SHEET_TABLE_NAME,
     check_folder as check_folder,
+    check_own_folder as check_own_folder,
+    refuse_present as refuse_present,
+    require_folder as require_folder,
+    write_own_folder as write_own_folder,
+)
+from .reach import (
+    ReachField as ReachField,
+    write_isochrones as write_isochrones,
+    write_reach as write_reach,
+    write_reach_back as write_reach_back,
 )
 from .regions import (
     label as label,
 )
-from .report.map_page import (
-    write_reports as write_reports,
-)
-from .report.page import compile_pages as compile_pages
-from .report.words import degrees_line as degrees_line
-from .route.folder import (
-    ReachLevels as ReachLevels,
-    write_reach_files as write_reach_files,
-    write_routes as write_routes,
-)
-from .route.lines import (
-    route_properties as route_properties,
-)
-from .route.picture import (
-    check_reach_out as check_reach_out,
-    check_route_out as check_route_out,
-)
-from .route.planned import (
-    PlannedRoute as PlannedRoute,
-    reach_dataset as reach_dataset,
-)
-from .route.reach import (
-    ReachField as ReachField,
-)
 from .route_inputs import (
+    geojson_features as geojson_features,
+    line_parts as line_parts,
     read_areas as read_areas,
     read_points as read_points,
     tiles_in as tiles_in,
     tiles_within as tiles_within,
 )
+from .route_lines import (
+    MapSource as MapSource,
+    RouteCoordinates as RouteCoordinates,
+    route_properties as route_properties,
+    stop_names as stop_names,
+    stop_roles as stop_roles,
+    write_gpx as write_gpx,
+    write_profile as write_profile,
+    write_route_geojson as write_route_geojson,
+)
 from .route_map import (
     RouteMap as RouteMap,
     open_map as open_map,
 )
-from .scan.folder import (
+from .route_sheet import (
+    common_window as common_window,
+)
+from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
     FRAME_FOLDER as FRAME_FOLDER,
     MAP_FOLDER as MAP_FOLDER,
+    OBSTACLE_POINT as OBSTACLE_POINT,
+    OTHER_POINT as OTHER_POINT,
+    SCAN_CLASS_NAMES as SCAN_CLASS_NAMES,
+    SCAN_COLOURS as SCAN_COLOURS,
     SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
     Frame as Frame,
     FramePart as FramePart,
     FrameReport as FrameReport,
     check_scan_folder as check_scan_folder,
+    class_index as class_index,
     explain_empty_scan as explain_empty_scan,
     file_sizes as file_sizes,
     has_finished_parts as has_finished_parts,
@@ -123,6 +173,7 @@ from .scan.folder import (
     name_frames as name_frames,
     output_errors as output_errors,
     part_path as part_path,
+    point_styles as point_styles,
     remove_stale_products as remove_stale_products,
     report_frame as report_frame,
     sample_evenly as sample_evenly,
@@ -130,27 +181,26 @@ from .scan.folder import (
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,
 )
-from .scan.frame import (
+from .scan_frame import (
     frame_files as frame_files,
     has_files as has_files,
     write_frame as write_frame,
 )
-from .scan.grid_bag import (
-    GridBag as GridBag,
-    GroundGrid as GroundGrid,
-    check_bag_file as check_bag_file,
-)
-from .scan.table import (
+from .scan_table import (
     AccumulatedSurvey as AccumulatedSurvey,
     SectorTable as SectorTable,
     open_accumulated as open_accumulated,
     open_table as open_table,
     sector_rows as sector_rows,
 )
-from .sheets.folders import (
+from .sheet_paths import (
+    raster_in as raster_in,
     remove_sheets as remove_sheets,
+    sheet_folders as sheet_folders,
+    sheets_of as sheets_of,
+    virtual_name as virtual_name,
 )
-from .sheets.write import (
+from .sheets import (
     SheetLayout as SheetLayout,
     SheetRun as SheetRun,
     made_names as made_names,
@@ -158,9 +208,16 @@ from .sheets.write import (
     suggested_sheets as suggested_sheets,
     write_sheets as write_sheets,
 )
-from .stac.item import (
+from .stac import (
     write_catalog as write_catalog,
 )
 from .summary import (
+    LITTLE_SEEN as LITTLE_SEEN,
     MapSummary as MapSummary,
+)
+from .tile_table import (
+    read_tiles as read_tiles,
+)
+from .vector import (
+    outline_of as outline_of,
 )

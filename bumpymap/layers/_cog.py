@@ -35,7 +35,7 @@ from rasterio.windows import Window
 
 from bumpymap.core import atomic
 from bumpymap.layers._sparse_cog import Pieces, write_sparse_cog
-from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, open_raster
+from bumpymap.layers.placement import SCRATCH_BLOCK, BandSpec, Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import BLOCK_TILES
 
 __all__ = [
@@ -251,7 +251,7 @@ def write_cog(
                 temporary.write_bytes(layer.getbuffer())
         elif sparse and pieces is not None:
             with _gdal, MemoryFile(ext=".tif") as scratch:
-                open_raster(scratch.name, placement, spec, (1, 1)).close()
+                create_raster(scratch.name, placement, spec, (1, 1)).close()
                 _copy_side_file(scratch.name, temporary)
             for values in write_sparse_cog(temporary, placement, spec, pieces, _gdal):
                 _count(values, spec, counts)
@@ -377,7 +377,7 @@ def _write_scratch(
     """Fill the scratch raster window by window; yield each window that was written, and its pixels."""
     pixels = spec.pixels
     size = (placement.window.cols * pixels, placement.window.rows * pixels)
-    with open_raster(scratch, placement, spec, size) as file:
+    with create_raster(scratch, placement, spec, size) as file:
         for window in placement.windows(side, aligned=True):
             canvas = paint(window)
             if canvas is not None:

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rasterio.io import MemoryFile
 
-from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow, open_raster
+from bumpymap.layers.placement import Placement, RasterSpec, RasterWindow, create_raster
 from bumpytiles import TileWindow
 
 __all__ = ["write_sparse_cog"]
@@ -280,7 +280,7 @@ def _predicted(lines: NDArray[Any]) -> NDArray[np.uint8]:
 def _tags_of(placement: Placement, spec: RasterSpec, statistics: dict[str, str]) -> list[Tag]:
     """Return the tags that GDAL writes for the CRS, position and metadata of the raster."""
     with MemoryFile(ext=".tif") as memory:
-        with open_raster(memory.name, placement, spec, (1, 1), bigtiff="YES") as file:
+        with create_raster(memory.name, placement, spec, (1, 1), bigtiff="YES") as file:
             file.update_tags(1, **statistics)
         data = bytes(memory.getbuffer())
     (start,) = struct.unpack_from("<Q", data, 8)

@@ -1,8 +1,7 @@
-"""The layers of two surveys where both have tiles, and what has changed between them: change.tif and its views."""
+"""The layers of two surveys where both have tiles, and what has changed between them: change.tif, change.geojson."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +18,8 @@ from bumpymap.core import (
 )
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
-from bumpymap.layers.gis.styles import write_change_style
-from bumpymap.layers.manifest import (
-    place_entries,
-    plain_manifest,
-    software_versions,
-)
 from bumpymap.layers.map_files import require_written
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
-from bumpymap.layers.products import REPORT_NAME, check_own_folder, write_own_folder
 from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.route_map import RouteMap, map_differences, open_map
 from bumpymap.layers.route_sheet import common_window, sheet_choice, window_slices
@@ -38,16 +30,14 @@ if TYPE_CHECKING:
     import geopandas
 
 __all__ = [
-    "CHANGE_MANIFEST_NAME",
-    "CHANGE_NAMES",
-    "CHANGE_VIEW_NAMES",
+    "CHANGED_BAND",
     "ChangeField",
     "SurveyPair",
     "SurveyTiles",
     "change_regions",
-    "check_change_out",
     "open_pair",
-    "write_change",
+    "write_change_raster",
+    "write_change_regions",
 ]
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
@@ -138,13 +128,6 @@ def _heightmaps(site: RouteMap, window: TileWindow) -> NDArray[np.float32]:
     return np.ascontiguousarray(parts.swapaxes(1, 2))
 
 
-CHANGE_MANIFEST_NAME = "change.json"
-CHANGE_NAMES = ("change.tif", "change.geojson", CHANGE_MANIFEST_NAME)
-CHANGE_VIEW_NAMES = ("change.qml", REPORT_NAME)
-"""Files to look at the others with: a style, a page. GIS programs rewrite them, so they have no checksum."""
-_NAMES = (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)
-_FORMAT = "bumpymap-change"
-_VERSION = 1
 _CHANGED = "0 not changed, 1 ground changed but not the ride, 2 ride rougher, 3 ride smoother, 4 unknown in one survey"
 _BANDS = (
     BandSpec("d_c_r", "rad/m", "ride cost after minus before"),
@@ -154,6 +137,8 @@ _BANDS = (
     BandSpec("z_shape", "", "evidence for another shape, over its spread"),
     BandSpec("changed", "", _CHANGED),
 )
+CHANGED_BAND = len(_BANDS)
+"""Band of change.tif with the codes, from 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,62 +169,6 @@ class ChangeField:
         return Placement(self.georeference, self.grid, self.window)
 
 
-def check_change_out(out: Path, *, overwrite: bool) -> None:
-    """Check, before anything is computed, that the files can be written to a folder. Writes nothing.
-
-    Raises
-    ------
-    UsageError
-        ``out`` holds the layers of a survey.
-    OutputError
-        There are files that must not be replaced, or ``out`` is a file.
-    """
-    check_own_folder(out, _NAMES, overwrite=overwrite)
-
-
-def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
-    """Write the files of ``CHANGE_NAMES`` and ``CHANGE_VIEW_NAMES`` to a folder, which is created if it is missing.
-
-    All files appear or none; links are replaced, never followed. Except for change.json no file depends on folder
-    names.
-
-    Parameters
-    ----------
-    field : ChangeField
-    out : Path
-        The folder.
-    manifest : mapping
-        The run's own entries for change.json: settings, sources, counts.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
-
-    Raises
-    ------
-    UsageError, OutputError
-        See `check_change_out`; or a file cannot be written.
-    BadInputError
-        The window is too large for a raster.
-    """
-    from bumpymap.layers.report.change_page import write_change_report  # Pillow takes some 10 ms to import
-
-    def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        head = {"format": _FORMAT, "version": _VERSION, "versions": software_versions()}
-        record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
-        write_change_report(staged, plain_manifest(record), staged / REPORT_NAME)
-        return record
-
-    check_change_out(out, overwrite=overwrite)
-    band = 1 + [band.name for band in _BANDS].index("changed")
-    writers: dict[str, Callable[[Path], None]] = {
-        "change.tif": partial(_write_raster, field),
-        "change.geojson": partial(_write_regions, field),
-        CHANGE_VIEW_NAMES[0]: partial(write_change_style, band=band),
-    }
-    views = CHANGE_VIEW_NAMES
-    write_own_folder(out, _NAMES, CHANGE_MANIFEST_NAME, writers, describe, views=views, overwrite=overwrite)
-    return [out / name for name in _NAMES]
-
-
 def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDataFrame":
     """Return the connected changes as a table: outlines in the survey's CRS, and the properties ``names`` of each.
 
@@ -257,7 +186,8 @@ def change_regions(field: ChangeField, names: Sequence[str]) -> "geopandas.GeoDa
     return geopandas.GeoDataFrame(columns, geometry=outlines, crs=place.horizontal_crs, index=index)
 
 
-def _write_raster(field: ChangeField, path: Path) -> None:
+def write_change_raster(field: ChangeField, path: Path) -> None:
+    """Write change.tif. Raises BadInputError if the window is too large for a raster, OutputError if it fails."""
     layers = np.stack([getattr(field, band.name) for band in _BANDS]).astype(np.float32, copy=False)
     spec = RasterSpec(
         bands=_BANDS,
@@ -268,7 +198,7 @@ def _write_raster(field: ChangeField, path: Path) -> None:
     write_array(path, field.placement, spec, layers)
 
 
-def _write_regions(field: ChangeField, path: Path) -> None:
+def write_change_regions(field: ChangeField, path: Path) -> None:
     """Write change.geojson: RFC 7946 in WGS 84, or the survey's own coordinates without a CRS; one change a feature."""
     place = GeoJsonCoordinates.of(field.placement, local=True)
     box = BoundingBox()

@@ -1,6 +1,5 @@
-"""Write all files of a map to its folder, tiles.parquet among them, the manifest last; recognise a complete folder."""
+"""Write all files of a map to its folder, the manifest last; recognise a complete folder."""
 
-import json
 import logging
 import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -11,34 +10,17 @@ from functools import partial
 from os.path import lexists
 from pathlib import Path
 from threading import Event
-from typing import Any
-
-import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
-import shapely
-from numpy.typing import NDArray
+from typing import Any, TypeAlias
 
 from bumpymap.core import (
-    BANDS,
-    BARRED_TEXT,
-    NO_CLASS,
-    REASON_TEXT,
-    SIDES,
-    TEXTURES,
     BadInputError,
-    Barred,
     CostTable,
     Georeference,
     OutputError,
     Progress,
-    Reason,
     SilentProgress,
-    atomic,
     describe_crs,
     read_record,
-    speed_bands,
-    tile_columns,
     vertical_of,
     write_together,
 )
@@ -55,170 +37,26 @@ from bumpymap.layers.geotiff import (
     write_roughness,
     write_speeds,
 )
-from bumpymap.layers.gis import write_project, write_styles
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.sheets.folders import remove_speeds
+from bumpymap.layers.sheet_paths import remove_speeds
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
+from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
 from bumpytiles import TileTable
 
 __all__ = [
+    "ViewWriter",
     "as_tags",
     "is_complete",
     "layer_metadata",
     "refuse_replacing",
     "verified_record",
     "write_products",
-    "write_tiles",
-    "write_views",
 ]
-
-_ROW_GROUP = 16_384
-"""Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
-_SIDES_OF_BOX = ("xmin", "ymin", "xmax", "ymax")
-_BOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES_OF_BOX])
-_NUMBERS = ("count", "reason", "z_min", "z_max", "relief", *(f"step_{side}" for side in SIDES))
-
-
-def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write tiles.parquet: GeoParquet 1.1, one row per tile, with a bounding box column as covering of the geometry.
-
-    Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
-    first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
-    ``about`` is metadata of the file, such as vehicle and calibration.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
-    """
-    place = Placement.of(table)
-    schema = _schema(place, about or {}, table.speeds)
-    with (
-        atomic(path, (pa.ArrowException,)) as temporary,
-        pq.ParquetWriter(
-            temporary,
-            schema,
-            compression="zstd",
-            use_dictionary=["texture", "reason_text", "barred"],
-            # Measured 17 % smaller than the default encoding, and faster to compress; for the boxes, a tenth of it.
-            column_encoding=dict.fromkeys(
-                ("heights.list.element", *(f"bbox.{side}" for side in _SIDES_OF_BOX)), "BYTE_STREAM_SPLIT"
-            ),
-        ) as writer,
-    ):
-        for found in _groups(table.tiles, len(table.speeds)):
-            writer.write_table(_rows(found, place, schema, table.speeds))
-
-
-def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield the columns of each row group, which takes as many strips as fit."""
-    names = [column.name for column in tile_columns(tiles.grid.pixels, speeds)]
-    held: list[dict[str, NDArray[Any]]] = []
-    for strip in tiles.strips(_ROW_GROUP):
-        found = tiles.read(names, strip)
-        if sum(len(part["col"]) for part in [*held, found]) > _ROW_GROUP:
-            yield _join(held)
-        held.append(found)
-        del found
-    yield _join(held)
-
-
-def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    """Concatenate strips, and empty the list and its parts to free memory early."""
-    parts, held[:] = held[:], []
-    return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
-
-
-def _schema(place: Placement, about: Mapping[str, str], speeds: tuple[float, ...]) -> pa.Schema:
-    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
-    kinds["passable"] = pa.bool_()
-    fields = [
-        _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
-        _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
-        _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
-        _field("bbox", _BOX, "bounds of the tile, in the survey's CRS", nullable=False),
-        *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
-        *(_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
-        _field("barred", pa.string(), "why it is not passable"),
-        _field("count", pa.int64(), "points that were measured", nullable=False),
-        _field("z_min", pa.float64(), "lowest point", "m"),
-        _field("z_max", pa.float64(), "highest point", "m"),
-        _field("relief", pa.float64(), "max - min of the heights with their plane taken off", "m"),
-        _field("texture", pa.string(), "the most probable texture"),
-        *(_field(f"p_{texture}", pa.float32(), f"probability of texture {texture}") for texture in TEXTURES),
-        _field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
-        _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
-        _field("reason_text", pa.string(), "the reason in words", nullable=False),
-        *(_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
-        _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
-    ]
-    return pa.schema(fields, metadata={**about, "geo": json.dumps(_geo(place))})
-
-
-def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
-    notes = {"description": text} | ({"unit": unit} if unit else {})
-    return pa.field(name, kind, nullable=nullable, metadata=notes)
-
-
-def _geo(place: Placement) -> dict[str, Any]:
-    """Return the ``geo`` metadata of GeoParquet 1.1.0."""
-    crs = place.height_crs
-    window = place.window
-    corners = np.array([window.col, window.row, window.col + window.cols, window.row + window.rows])
-    geometry = {
-        "encoding": "WKB",
-        "geometry_types": ["Polygon"],
-        "crs": None if crs is None else crs.to_json_dict(),
-        "orientation": "counterclockwise",
-        "edges": "planar",
-        "bbox": place.to_crs(corners).tolist(),
-        "covering": {"bbox": {side: ["bbox", side] for side in _SIDES_OF_BOX}},
-    }
-    return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
-
-
-def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, speeds: tuple[float, ...]) -> pa.Table:
-    """Convert columns of tiles to rows of the file."""
-    col, row = found["col"], found["row"]
-    west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
-    chance = found["probability"]
-    heights = pa.array(found["heights"].reshape(-1), pa.float32())
-    columns: dict[str, Any] = {
-        "col": col,
-        "row": row,
-        "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
-        "bbox": pa.StructArray.from_arrays([west, south, east, north], fields=list(_BOX)),
-        "texture": _texture(chance),
-        "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
-        "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],
-        "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
-        "heights": pa.FixedSizeListArray.from_arrays(heights, place.grid.pixels**2),
-    }
-    columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
-    columns["passable"] = found["passable"] > 0
-    columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
-    columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
-    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
-
-
-def _array(values: Any, field: pa.Field) -> pa.Array:
-    """Return an array of the field's type in which None and NaN are null."""
-    return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
-
-
-def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:
-    names = np.array([*TEXTURES, None], dtype=object)
-    known = np.isfinite(chance).all(axis=1)
-    best = np.where(known, np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
-    picked: NDArray[np.object_] = names[best]
-    return picked
 
 
 def layer_metadata(manifest: Mapping[str, Any], place: Georeference) -> dict[str, Any]:
@@ -354,14 +192,8 @@ def _verify(folder: Path, files: Collection[str], listed: dict[str, str]) -> Non
 _log = logging.getLogger(__name__)
 
 
-def _report(folder: Path, record: Mapping[str, Any]) -> None:
-    from bumpymap.layers.report.map_page import write_report  # Pillow takes some 10 ms to import
-
-    write_report(folder, record)
-
-
-_VIEWS: tuple[Callable[[Path, Mapping[str, Any]], None], ...] = (write_styles, write_project, _report)
-"""Write the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run."""
+ViewWriter: TypeAlias = Callable[[Path, Mapping[str, Any]], None]
+"""Writes the files of ``EVERY_VIEW_NAME`` to a folder, from the layers in it and the record of its run."""
 
 
 def write_products(
@@ -370,6 +202,7 @@ def write_products(
     *,
     local: bool,
     manifest: Mapping[str, Any],
+    views: ViewWriter,
     progress: Progress | None = None,
     around: TileTable | None = None,
 ) -> tuple[list[Path], MapSummary]:
@@ -388,6 +221,8 @@ def write_products(
         Write cost.geojson in the survey's own coordinates if it has no CRS.
     manifest : mapping
         The run's own entries for run.json, see `complete_manifest`.
+    views : callable
+        Writes what shows the layers: it is given the folder and the content of run.json.
     progress : Progress, optional
         Counts the layers as they are written.
     around : TileTable, optional
@@ -421,7 +256,7 @@ def write_products(
         finally:
             background.shutdown(wait=False, cancel_futures=True)
         record = complete_manifest(manifest, table, summary, layers)
-        write_views(staged, record)
+        views(staged, record)
         write_item(staged, record)
         record["seconds"] = {**manifest.get("seconds", {}), "write": round(time.perf_counter() - started, 3)}
         record["files"].append(describe_file(staged / ITEM_NAME) | {"path": ITEM_NAME})
@@ -431,12 +266,6 @@ def write_products(
         remove_speeds(folder)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
-
-
-def write_views(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write the files of ``EVERY_VIEW_NAME`` for the layers in a folder, from them and the content of run.json."""
-    for view in _VIEWS:
-        view(folder, record)
 
 
 def _layers(

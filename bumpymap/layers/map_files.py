@@ -33,13 +33,15 @@ from bumpymap.core import (
     utf8_path,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
-from bumpymap.layers.sheets.folders import raster_in, sheets_of, virtual_name
+from bumpymap.layers.sheet_paths import raster_in, sheets_of, virtual_name
 
 if TYPE_CHECKING:
     import numpy as np
     import rasterio
     from numpy.typing import NDArray
     from rasterio.io import DatasetReader
+
+_AGAIN = "Map the survey again"
 
 __all__ = [
     "FeatureTable",
@@ -48,6 +50,7 @@ __all__ = [
     "gdal_text",
     "open_layer",
     "open_raster",
+    "read_averaged",
     "read_features",
     "require_format",
     "require_map_written",
@@ -151,8 +154,6 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
     BadInputError
         It is missing or damaged.
     """
-    import rasterio
-
     try:
         if isinstance(folder, RemoteFolder):
             url = folder.below(name).url
@@ -162,9 +163,22 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
         else:
             with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:
                 yield raster
-    except (rasterio.errors.RasterioIOError, OSError) as error:
+    except OSError as error:
         place = folder.url if isinstance(folder, RemoteFolder) else folder
         raise BadInputError(f"{place}/{name} cannot be read: {gdal_text(error)}") from error
+
+
+def read_averaged(
+    file: "DatasetReader", shape: tuple[int, int], window: tuple[tuple[int, int], tuple[int, int]] | None = None
+) -> "NDArray[Any]":
+    """Read the first band of a raster, or of a window of it, in another shape: means, from its overviews if it can.
+
+    ``window`` holds the first row and the one after the last, then the columns likewise.
+    """
+    from rasterio.enums import Resampling
+
+    found: NDArray[Any] = file.read(1, window=window, out_shape=shape, resampling=Resampling.average)
+    return found
 
 
 def _make_folder(files: Any, path: str) -> None:
@@ -194,7 +208,6 @@ _VIRTUAL = re.compile(
     "SourceFilename|SourceBand|SourceProperties|SrcRect|DstRect"
 )
 """Elements of the virtual rasters that bumpymap writes. None leads to another file but SourceFilename."""
-_AGAIN = "Map the survey again"
 
 
 def gdal_text(error: Exception) -> str:
@@ -210,7 +223,9 @@ def closed_gdal(**options: Any) -> "rasterio.Env":
 
 
 @contextmanager
-def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterator[DatasetReader]":
+def open_layer(
+    path: Path | str, opener: Any = None, *, remedy: str = _AGAIN, **options: Any
+) -> "Iterator[DatasetReader]":
     """Open a raster of a map, a GeoTIFF or the virtual raster over those of its sheets; nothing else is read.
 
     Parameters
@@ -219,17 +234,19 @@ def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterato
         A URL is for ``opener``.
     opener : object, optional
         File system that opens it.
+    remedy : str
+        Sentence that ends the message of an error.
     **options
         Of GDAL, while the raster is open.
 
     Raises
     ------
-    rasterio.errors.RasterioError
-        It is missing, damaged or of another format.
     BadInputError
-        It leads to other files, or the names in it are no text.
+        It is missing, damaged or of another format; it leads to other files, or the names in it are no text. So is
+        each error of GDAL in the body of the ``with``.
     """
     import rasterio
+    from rasterio.errors import RasterioError
 
     virtual = Path(path).suffix == ".vrt"
     if virtual:
@@ -238,10 +255,12 @@ def open_layer(path: Path | str, opener: Any = None, **options: Any) -> "Iterato
     try:
         with closed_gdal(**options), rasterio.open(path, driver=driver, opener=opener) as file:
             if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
-                raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {_AGAIN}")
+                raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")
             yield file
     except UnicodeDecodeError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+        raise BadInputError(f"cannot read {path}: {error}. {remedy}") from error
+    except RasterioError as error:
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
 
 
 def _require_virtual(path: Path) -> None:
@@ -264,8 +283,6 @@ def _require_virtual(path: Path) -> None:
 
 def _require_alone(path: Path) -> None:
     """Raise BadInputError if a raster is no GeoTIFF, or one for which GDAL, not held back, would read other files."""
-    from rasterio.errors import RasterioError
-
     beside = [path.with_name(path.name + suffix) for suffix in (".ovr", ".msk") if Path(f"{path}{suffix}").exists()]
     sidecar = path.with_name(f"{path.name}.aux.xml")
     if sidecar.is_file() and b"OVERVIEW" in sidecar.read_bytes():
@@ -273,11 +290,8 @@ def _require_alone(path: Path) -> None:
     if beside:
         raise BadInputError(f"{beside[0]} is not of the map, and would change how it is read. Remove it")
     require_format(path)
-    try:
-        with open_layer(path):
-            pass
-    except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
+    with open_layer(path):
+        pass
 
 
 def require_format(path: Path) -> None:

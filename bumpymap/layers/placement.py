@@ -27,8 +27,8 @@ __all__ = [
     "RasterSpec",
     "RasterWindow",
     "check_extent",
+    "create_raster",
     "fits_one_map",
-    "open_raster",
 ]
 
 MAX_TILES = 100_000_000
@@ -190,7 +190,7 @@ class RasterSpec:
     """DEFLATE compression level, 1 to 9."""
 
 
-def open_raster(
+def create_raster(
     name: str, placement: Placement, spec: RasterSpec, size: tuple[int, int], bigtiff: str = "IF_SAFER"
 ) -> rasterio.io.DatasetWriter:
     """Open a new sparse GeoTIFF of ``size`` (width, height) pixels, with CRS, transform and metadata set."""

@@ -28,6 +28,7 @@ __all__ = [
     "EVERY_VIEW_NAME",
     "ITEM_NAME",
     "NAMED_RASTERS",
+    "OTHER_FILES",
     "PRODUCT_NAMES",
     "REPORT_NAME",
     "SHEET_FOLDER",
@@ -87,6 +88,13 @@ def check_own_folder(out: Path, names: Sequence[str], *, overwrite: bool) -> Non
     refuse_present(out, names, overwrite=overwrite)
 
 
+OTHER_FILES = frozenset(
+    {
+        *(".csv", ".fgb", ".geojson", ".gpkg", ".gpx", ".html", ".jpeg", ".jpg", ".json", ".kml", ".kmz", ".parquet"),
+        *(".pdf", ".plan", ".png", ".shp", ".svg", ".tif", ".tiff", ".txt", ".xlsx"),
+    }
+)
+"""Suffixes by which a user means a file, not a folder."""
 ITEM_NAME = "item.json"
 """The map as a STAC item."""
 CATALOG_NAME = "catalog.json"

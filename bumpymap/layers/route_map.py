@@ -24,7 +24,7 @@ from bumpymap.core import (
     describe_crs,
 )
 from bumpymap.layers.route_sheet import RouteSheet, common_window, sheet_choice, window_slices, worse_objects
-from bumpymap.layers.sheets.folders import sheet_folders
+from bumpymap.layers.sheet_paths import sheet_folders
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["RouteMap", "map_differences", "open_map", "read_relief"]

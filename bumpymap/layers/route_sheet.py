@@ -56,7 +56,7 @@ _OFF = 1e-3
 _PIECE = 512
 """Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
 for one; a piece of all of them fits into its cache."""
-_GDAL = {"GDAL_CACHEMAX": 64}
+_GDAL: dict[str, Any] = {"GDAL_CACHEMAX": 64}
 _AGAIN = "Map the survey again"
 
 

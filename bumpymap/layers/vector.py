@@ -31,6 +31,7 @@ __all__ = [
     "feature",
     "flatgeobuf_writer",
     "geojson_writer",
+    "outline_of",
     "outlines_in_crs",
     "polygons_in_wgs84",
     "wgs84_transformer",
@@ -255,6 +256,13 @@ class GeoJsonCoordinates:
     def bounds(self, box: BoundingBox) -> list[float]:
         """Return west, south, east, north of a box in these coordinates."""
         return box.bounds() if self.to_degrees is None else box.bounds_in_wgs84()
+
+
+def outline_of(geometry: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[float, float]]:
+    """Return the corners of a polygon of GeoJSON, (n, 2), and a point in it."""
+    polygon = shapely.geometry.shape(geometry)
+    inside = polygon.representative_point()
+    return shapely.get_coordinates(polygon), (float(inside.x), float(inside.y))
 
 
 def feature(properties: Mapping[str, Any], geometry: Any, number: int | None = None) -> dict[str, Any]:

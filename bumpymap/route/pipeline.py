@@ -33,23 +33,10 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import (
-    Layers,
-    PlannedRoute,
-    ReachField,
-    ReachLevels,
-    RouteMap,
-    check_reach_out,
-    check_route_out,
-    folder_of,
-    open_map,
-    reach_dataset,
-    read_areas,
-    write_reach_files,
-    write_routes,
-)
+from bumpymap.layers import PlannedRoute, ReachField, RouteMap, open_map, reach_dataset, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
+from bumpymap.route.output import ReachLevels, check_reach_out, check_route_out, write_reach_files, write_routes
 from bumpymap.route.passages import widest_opening
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
@@ -224,7 +211,7 @@ class RouteSettings(ReachSettings, total=False):
 
 
 def find_routes(
-    layers: "PathLike | Layers | Iterable[PathLike]",
+    layers: PathLike | Iterable[PathLike],
     start: Point,
     goal: Point,
     *,
@@ -280,7 +267,7 @@ def find_routes(
 
 
 def map_reach(
-    layers: "PathLike | Layers | Iterable[PathLike]",
+    layers: PathLike | Iterable[PathLike],
     start: Point,
     *,
     minutes: float | None = None,
@@ -323,10 +310,10 @@ def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]
     return {**settings_of_call(others, RouteConfig, function), "cost": cost}
 
 
-def _folders(layers: "PathLike | Layers | Iterable[PathLike]") -> tuple[Path, ...]:
-    if isinstance(layers, Layers | str | os.PathLike) or not isinstance(layers, Iterable):
-        return (folder_of("layers", layers),)
-    return tuple(folder_of("layers", each) for each in layers)
+def _folders(layers: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
+    if isinstance(layers, str | os.PathLike) or not isinstance(layers, Iterable):
+        return (Path(path_of_call("layers", layers)),)
+    return tuple(Path(path_of_call("layers", each)) for each in layers)
 
 
 def _text(name: str, point: Point) -> str:

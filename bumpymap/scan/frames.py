@@ -21,7 +21,6 @@ from bumpymap.layers import (
     Frame,
     FramePart,
     FrameReport,
-    GridBag,
     SectorTable,
     file_sizes,
     frame_files,
@@ -38,6 +37,7 @@ from bumpymap.layers import (
 from bumpymap.readers import BagReader, LabelSet, deskew, label_set, read_message, read_scan, require_label_set
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
+from bumpymap.views import GridBag, write_picture
 
 __all__ = [
     "FrameProducts",
@@ -166,7 +166,9 @@ class FrameProducts:
         """
         products, stack = frame_products(self.config, number), classed.sectors
         placed = self._place(frame, number, scan.points, stack.point_ground)  # first: it may refuse the frame
-        write_frame(frame.name, scan, classed, self.staged, products, self.config.range_m)
+        write_frame(frame.name, scan, classed, self.staged, products)
+        for path in frame_files(frame.name, self.staged, {"picture"} & set(products)):
+            write_picture(scan, classed, path, self.config.range_m)
         if self.grids is not None:
             self.grids.add(frame, number, scan, classed)
         kept = slice(None) if self.accumulated is not None else slice(0)

@@ -40,7 +40,6 @@ from bumpymap.core import (
     UsageError,
     VehicleBody,
 )
-from bumpymap.layers import GroundGrid
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
     BlockRating,
@@ -58,6 +57,7 @@ from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.learned import ScanModel, classify_learned
 from bumpymap.scan.polar import polar_sectors
 from bumpymap.scan.stripes import StripeFilter, classify_filter, fit_centres, load_stripes, nearest_class, stripes_in
+from bumpymap.views import GroundGrid
 from bumpytiles import Grid, TilePoints
 
 __all__ = ["Method", "SectorRater", "choose_method", "classify_paper", "paper_heights", "paper_settings"]

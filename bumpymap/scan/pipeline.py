@@ -39,7 +39,6 @@ from bumpymap.layers import (
     Frame,
     FramePart,
     FrameReport,
-    check_bag_file,
     check_scan_folder,
     describe_file,
     describe_input,
@@ -82,6 +81,7 @@ from bumpymap.scan.frames import (
 )
 from bumpymap.scan.merge import PlacedPoints
 from bumpymap.scan.methods import Method, choose_method
+from bumpymap.views import check_bag_file
 
 if TYPE_CHECKING:
     from bumpymap.survey import MapResult

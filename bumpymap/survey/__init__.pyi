@@ -10,7 +10,8 @@ from .advice import (
     unknown_line as unknown_line,
 )
 from .api import (
-    map_survey as map_survey,
+    MapSettings as MapSettings,
+    map_settings as map_settings,
 )
 from .batch.run import (
     BatchReport as BatchReport,

@@ -67,9 +67,12 @@ def write_layers(
     """
     # These bring GDAL and Arrow, for which reading need not wait.
     from bumpymap.layers import SheetRun, write_products, write_sheets
+    from bumpymap.views import write_map_views
 
     if inputs.sheets is None:
-        files, summary = write_products(table, config.out, local=config.local, manifest=manifest, progress=progress)
+        files, summary = write_products(
+            table, config.out, local=config.local, manifest=manifest, views=write_map_views, progress=progress
+        )
         remove_sheets(config.out)  # of an earlier run
         return tuple(files), summary, 0
 
@@ -86,7 +89,9 @@ def write_layers(
     compared = json.dumps({name: space.run_spec[name] for name in _COMPARED}, sort_keys=True)
     key = hashlib.sha256(compared.encode("utf-8", "backslashreplace")).hexdigest()
     run = SheetRun(inputs.sheets, key, space.resumed, manifest_of)
-    files, summary = write_sheets(table, config.out, run, local=config.local, manifest=manifest, progress=progress)
+    files, summary = write_sheets(
+        table, config.out, run, local=config.local, manifest=manifest, views=write_map_views, progress=progress
+    )
     return tuple(files), summary, len(inputs.sheets.places(table.tiles))
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
+from bumpymap.api import map_survey
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.plan import library_terrain, library_terrains
 from bumpymap.lab.simulate.terrain import PatchGround
 from bumpymap.lab.worlds.terrains import Terrain
 from bumpymap.rating import Calibration, Vehicle
-from bumpymap.survey import map_survey
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 

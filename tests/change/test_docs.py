@@ -8,8 +8,8 @@ from route_maps import write_folder
 from survey_pairs import survey
 
 from bumpymap.change import DiffConfig, find_changes
+from bumpymap.change.output import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpymap.core import CHANGE_KINDS
-from bumpymap.layers.change import CHANGE_NAMES, CHANGE_VIEW_NAMES
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")
 

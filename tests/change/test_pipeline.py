@@ -11,9 +11,9 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
+from bumpymap.change.output import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpymap.change.pipeline import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
-from bumpymap.layers.change import CHANGE_NAMES, CHANGE_VIEW_NAMES
 from bumpytiles import Grid
 
 
@@ -242,9 +242,9 @@ def test_nothing_is_left_of_a_run_that_fails(may, june, tmp_path, monkeypatch):
     def fail(*_):
         raise OSError("no space left")
 
-    for name in ("products.write_manifest", "report.change_page.write_change_report"):
+    for name in ("layers.products.write_manifest", "change.output.write_change_report"):
         with monkeypatch.context() as patch:
-            patch.setattr(f"bumpymap.layers.{name}", fail)
+            patch.setattr(f"bumpymap.{name}", fail)
             with pytest.raises(OSError, match="no space"):
                 compare(may, june, out=tmp_path / "out")
         assert not (tmp_path / "out").exists()

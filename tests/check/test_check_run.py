@@ -13,7 +13,7 @@ from bumpymap.check import check_drives
 from bumpymap.check.places import places_alone, places_on_map
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, PlaceTrack
-from bumpymap.layers.check.record import read_check
+from bumpymap.layers.check_record import read_check
 
 
 def csv_of(path: Path, *, with_places: bool = True) -> str:

@@ -6,10 +6,10 @@ import pytest
 from driven_stretches import driven_stretches
 from small_surveys import write_survey
 
+from bumpymap.api import map_survey
 from bumpymap.cli.check_command import prepare_refit
 from bumpymap.core import BadInputError, OutputError, UsageError
 from bumpymap.rating import Calibration
-from bumpymap.survey import map_survey
 
 CALIBRATION = Calibration.shipped("warthog")
 

@@ -16,6 +16,7 @@ from bumpymap.core import (
     TextureMap,
 )
 from bumpymap.layers import write_products
+from bumpymap.views import write_map_views
 from bumpytiles import Grid
 
 SIDE, WEST, SOUTH = 6, 110_000, 680_000
@@ -52,7 +53,7 @@ def layers(tmp_path_factory):
         rule=CostRule(5.0, 300.0, 10.0, 25.0),
         objects=ObjectStack.empty(n, grid.pixels),
     )
-    write_products(CostTable.of(cost_map), folder, local=False, manifest=RUN)
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=False, manifest=RUN)
     return folder
 
 

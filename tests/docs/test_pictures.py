@@ -11,13 +11,14 @@ from route_maps import RUN
 
 from bumpymap.core import CostTable
 from bumpymap.layers import write_products
+from bumpymap.views import write_map_views
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.slow
 def test_layers_are_drawn(tmp_path):
-    write_products(CostTable.of(make_field(20, 15)), tmp_path, local=False, manifest=RUN)
+    write_products(CostTable.of(make_field(20, 15)), tmp_path, views=write_map_views, local=False, manifest=RUN)
     picture = tmp_path / "picture.png"
     command = [sys.executable, str(ROOT / "docs" / "pictures" / "layers.py"), str(tmp_path), str(picture)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -132,9 +132,11 @@ def _layers(folder):
     from sheet_maps import write_in_sheets
     from survey_pairs import survey
 
+    from bumpymap.api import open_layers
     from bumpymap.change import diff_surveys
-    from bumpymap.layers import ExportSettings, export_map, open_layers, open_map, write_reports
+    from bumpymap.layers import open_map
     from bumpymap.route import RouteConfig, plan_routes
+    from bumpymap.views import ExportSettings, export_map, write_reports
     from bumpytiles import Grid
 
     one = write_folder(folder / "map", make_field(12, 10, grid=Grid(3.0, 5), easy=True))
@@ -226,7 +228,7 @@ def _vectors(folder):
     from route_maps import bare_map
 
     from bumpymap.layers import read_areas, read_points
-    from bumpymap.layers.export.write import read_route_line
+    from bumpymap.views.export.write import read_route_line
 
     site = bare_map()
 

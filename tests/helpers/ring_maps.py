@@ -12,7 +12,8 @@ from scipy.ndimage import distance_transform_edt
 from skimage.graph import MCP_Geometric
 
 import bumpymap
-from bumpymap.layers import ExportSettings, export_map, open_map
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
 
 SIDE_M = 24.0
 LETHAL = 98

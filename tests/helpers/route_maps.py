@@ -9,6 +9,7 @@ from pyproj import CRS
 from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
 from bumpymap.layers import RouteMap, write_products
 from bumpymap.layers.route_sheet import RouteSheet
+from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
 
 VEHICLE = {"name": "warthog", "width_m": 1.38, "height_m": 1.3, "clearance_m": 0.25, "speed_mps": 1.0}
@@ -27,7 +28,13 @@ def write_folder(folder, cost_map, **changes):
     """Write the layers of a map to a folder; ``changes`` replace entries of the manifest (None: leave out)."""
     folder.mkdir()
     manifest = {key: value for key, value in (RUN | changes).items() if value is not None}
-    write_products(CostTable.of(cost_map), folder, local=cost_map.georeference.crs is None, manifest=manifest)
+    write_products(
+        CostTable.of(cost_map),
+        folder,
+        views=write_map_views,
+        local=cost_map.georeference.crs is None,
+        manifest=manifest,
+    )
     return folder
 
 

@@ -8,8 +8,8 @@ from region_files import regions_of, write_flatgeobuf, write_geojson
 from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
-from bumpymap.layers.folder import write_tiles
 from bumpymap.layers.geotiff import write_classes, write_heightmap, write_relief, write_roughness
+from bumpymap.layers.tile_table import write_tiles
 
 
 def names(folder):

@@ -10,6 +10,7 @@ from bumpymap.layers import MAX_TILES, write_products
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.placement import MAX_PIXELS
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.views import write_map_views
 
 pytestmark = pytest.mark.slow
 
@@ -26,7 +27,7 @@ def page_fixture():
 def layers_fixture(tmp_path_factory, cost_map):
     folder = tmp_path_factory.mktemp("docs") / "OUT"
     folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, local=False, manifest={})
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=False, manifest={})
     return folder
 
 

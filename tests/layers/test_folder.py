@@ -15,6 +15,7 @@ from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import NO_CLASS, CostTable, Georeference
 from bumpymap.layers import check_folder, software_versions, write_products
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.views import write_map_views
 from bumpytiles import Grid
 
 SIDES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
@@ -22,7 +23,9 @@ RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "se
 
 
 def write(cost_map, folder, *, local=False, manifest=RUN, progress=None):
-    return write_products(CostTable.of(cost_map), folder, local=local, manifest=manifest, progress=progress)
+    return write_products(
+        CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=manifest, progress=progress
+    )
 
 
 def hashes(folder):
@@ -121,9 +124,10 @@ def test_same_bytes_in_another_process(tmp_path, cost_map):
         "import sys, importlib.util, pathlib\n"
         "spec = importlib.util.spec_from_file_location('maps', sys.argv[1])\n"
         "maps = importlib.util.module_from_spec(spec); spec.loader.exec_module(maps)\n"
-        "from bumpymap.layers import write_products\n"
+        "from bumpymap.layers import write_products; from bumpymap.views import write_map_views\n"
         "from bumpymap.core.types import CostTable\n"
-        "write_products(CostTable.of(maps.make_field(40, 30)), pathlib.Path(sys.argv[2]), local=False, manifest={})\n"
+        "write_products(CostTable.of(maps.make_field(40, 30)), pathlib.Path(sys.argv[2]), local=False, manifest={}, "
+        "views=write_map_views)\n"
     )
     here, there = tmp_path / "here", tmp_path / "there"
     here.mkdir()

@@ -23,19 +23,12 @@ from pyproj import CRS
 from route_maps import bare_map, write_folder
 from sheet_maps import SMALL, write_in_sheets
 
+from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
-from bumpymap.layers import (
-    ExportSettings,
-    export_map,
-    map_files,
-    open_layers,
-    open_map,
-    read_areas,
-    read_points,
-    write_reports,
-)
+from bumpymap.layers import map_files, open_map, read_areas, read_points
+from bumpymap.views import ExportSettings, export_map, write_reports
 
 VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
 <VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>

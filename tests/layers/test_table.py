@@ -21,7 +21,7 @@ from bumpymap.core.types import (
     Georeference,
     Reason,
 )
-from bumpymap.layers.folder import write_tiles
+from bumpymap.layers.tile_table import write_tiles
 from bumpytiles import Grid, TileTable
 
 COLUMNS = [

@@ -85,7 +85,9 @@ def test_a_calibration_may_weigh_failures_otherwise():
     assert replace(calibration, vehicle=calibration.vehicle | {"fail_weight": 50}).cost_rule.fail_weight == 50.0
 
 
-@pytest.mark.parametrize("options", [[], ["--set", "rating=table"], ["--set", "compat=paper"]], ids=["ride", "table", "paper"])
+@pytest.mark.parametrize(
+    "options", [[], ["--set", "rating=table"], ["--set", "compat=paper"]], ids=["ride", "table", "paper"]
+)
 def test_no_least_cost_path_of_the_sample_leads_over_ground_that_fails(tmp_path, options):
     done = CliRunner().invoke(main, ["map", str(QUARRY), "--out", str(tmp_path), *options])
     assert done.exit_code == 0, done.output

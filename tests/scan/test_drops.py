@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core import Scan
-from bumpymap.layers import GroundGrid
 from bumpymap.scan import classify_filter, polar_sectors
+from bumpymap.views import GroundGrid
 
 GRID = GroundGrid(0.25, 20.0)
 

@@ -21,7 +21,7 @@ from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.scan.frame import write_polygons
+from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, load_stripes, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -393,7 +393,7 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
         write_polygons(name, *rest)
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan.frame.write_polygons", full)
+        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == ["Pass `resume=True` to the same command to continue from the finished frames."]
@@ -616,7 +616,7 @@ def test_a_crs_that_is_not_in_metres_is_refused_before_the_work(drive, tmp_path,
 
 
 def test_a_full_disk_leaves_nothing(drive, tmp_path, monkeypatch):
-    from bumpymap.layers.scan import frame
+    from bumpymap.layers import scan_frame as frame
 
     def full(*_):
         raise OSError(28, "No space left on device")

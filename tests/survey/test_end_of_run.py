@@ -68,7 +68,7 @@ def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp
 
 @pytest.mark.parametrize("share", ["-1", "101%", "1.01", "half", "nan"])
 def test_what_is_no_share_is_refused(share, tmp_path):
-    refused = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path), "--set", f"max_unknown={share]}")
+    refused = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path), "--set", f"max_unknown={share}"])
     assert refused.exit_code == 2
     with pytest.raises(UsageError, match="max_unknown"):
         MapConfig((), tmp_path, max_unknown=1.5)

@@ -7,9 +7,9 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from bumpymap.api import map_survey
 from bumpymap.rating import Calibration
 from bumpymap.rating.drive_update import LogMove, moved_calibration
-from bumpymap.survey import map_survey
 
 ROUGH = ("c_r", "c_r_low", "c_r_high", "p_fail", "coverage")
 

@@ -33,7 +33,9 @@ def test_the_table_wants_a_network(own, setting, tmp_path):
 
 
 def test_what_a_missing_calibration_needs_is_told(tmp_path):
-    with pytest.raises(UsageError, match=r"bumpymap calibrate --vehicle warthog --tile-size 1\.5 --set pixels=15 --out my"):
+    with pytest.raises(
+        UsageError, match=r"bumpymap calibrate --vehicle warthog --tile-size 1\.5 --set pixels=15 --out my"
+    ):
         RatingModels.load(MapConfig(SURVEY, tmp_path, tile_size=1.5))
 
 

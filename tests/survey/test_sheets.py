@@ -10,9 +10,8 @@ from small_surveys import write_las, write_survey
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.layers import map_facts, placement, write_products
-from bumpymap.layers.sheets import write as writing
-from bumpymap.layers.sheets.folders import sheet_folders
+from bumpymap.layers import map_facts, placement, sheets as writing, write_products
+from bumpymap.layers.sheet_paths import sheet_folders
 
 SIDE = 0.096
 """km: two blocks of 16 tiles of 3 m."""

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -17,7 +18,6 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import nn
 
-import bumpymap
 from bumpymap.core import OutputError, UsageError, atomic, locked
 from bumpymap.lab.settings import LoopSettings
 
@@ -212,7 +212,7 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
 
 def versions(kind: str) -> dict[str, object]:
     """Return format and versions for the metadata of an ONNX file."""
-    return {"format": kind, "bumpymap": bumpymap.__version__, "torch": torch.__version__}
+    return {"format": kind, "bumpymap": version("bumpymap"), "torch": torch.__version__}
 
 
 @dataclass(frozen=True, slots=True)

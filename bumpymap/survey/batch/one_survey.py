@@ -44,14 +44,13 @@ from bumpymap.layers import (
     RemoteFolder,
     SurveyRow,
     SurveyStatus,
-    SurveyView,
     is_complete,
     map_facts,
-    read_thumbnail,
     write_manifest,
 )
 from bumpymap.survey.pipeline import map_surveys, recorded_result
 from bumpymap.survey.run_record import MapResult, WarningCollector
+from bumpymap.views import SurveyView, read_thumbnail
 from bumpytiles import compile_loaded
 
 __all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]

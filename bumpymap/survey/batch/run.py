@@ -43,7 +43,6 @@ from bumpymap.layers import (
     RemoteFolder,
     SurveyRow,
     SurveyStatus,
-    SurveyView,
     check_batch_out,
     is_complete,
     map_facts,
@@ -55,6 +54,7 @@ from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_task
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
 from bumpymap.survey.batch.source import ListedSurvey, SettingsCheck, list_surveys
 from bumpymap.survey.engine import connect
+from bumpymap.views import SurveyView, index_page
 
 __all__ = ["BatchLog", "BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
 
@@ -173,7 +173,9 @@ class Results:
 
     def _write(self, when: str = "") -> None:
         note = f"Written {datetime.now(UTC):%Y-%m-%d %H:%M} UTC{when}"
-        write_batch_summary(self.rows, self._folder, self._views, self._title, note)
+        write_batch_summary(
+            self.rows, self._folder, lambda links: index_page(self.rows, self._views, links, self._title, note)
+        )
 
 
 _GOOD: tuple[SurveyStatus, ...] = ("done", "already done")

@@ -12,7 +12,7 @@ from pyproj import CRS, Transformer
 from route_records import UTM, MadeUpMap
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, Georeference
-from bumpymap.layers.check.vectors import CheckPlaces, write_driven_tiles, write_stretch_table, write_stretches
+from bumpymap.layers.check_vectors import CheckPlaces, write_driven_tiles, write_stretch_table, write_stretches
 
 TO_UTM = Transformer.from_crs("OGC:CRS84", "EPSG:32614", always_xy=True)
 

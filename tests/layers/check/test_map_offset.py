@@ -8,7 +8,7 @@ from check_records import made_up_check, stretches_at
 from hypothesis import given, strategies as st
 
 from bumpymap.check.pipeline import agreement_of
-from bumpymap.layers.check.offset import NOT_COMPARED, OFF_KINDS, MapOffset
+from bumpymap.layers.check_vectors import NOT_COMPARED, OFF_KINDS, MapOffset
 
 ONE = np.array([[330_000.0, 2_040_000.0]])
 

@@ -12,7 +12,7 @@ from pyproj import CRS, Transformer
 from route_records import CORNERS, FIGURES, UTM, make_route
 
 from bumpymap.core import BadInputError, Georeference
-from bumpymap.layers.route.lines import track_points, write_gpx
+from bumpymap.layers.route_lines import track_points, write_gpx
 
 NAMESPACE = "{http://www.topografix.com/GPX/1/1}"
 ORDER = {

@@ -8,7 +8,7 @@ from pyproj import CRS, Transformer
 from route_records import UTM, make_route
 
 from bumpymap.core import Georeference
-from bumpymap.layers.route.lines import PROFILE_COLUMNS, write_profile
+from bumpymap.layers.route_lines import PROFILE_COLUMNS, write_profile
 
 
 def table_of(path):

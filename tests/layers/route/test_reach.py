@@ -14,7 +14,7 @@ from route_records import UTM
 
 from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers import ReachField
-from bumpymap.layers.route.reach import NO_MOVE, reach_polygons, write_isochrones, write_reach, write_reach_back
+from bumpymap.layers.reach import NO_MOVE, reach_polygons, write_isochrones, write_reach, write_reach_back
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 WINDOW = TileWindow(160_003, 680_007, 3 * BLOCK_TILES + 5, 2 * BLOCK_TILES + 3)

@@ -13,7 +13,7 @@ from pyproj import CRS, Geod, Transformer
 from route_records import CORNERS, FIGURES, make_route
 
 from bumpymap.core import Georeference
-from bumpymap.layers.route.lines import split_at_antimeridian, write_route_geojson
+from bumpymap.layers.route_lines import split_at_antimeridian, write_route_geojson
 
 US_FOOT = 1200 / 3937
 PROPERTIES = {

@@ -9,7 +9,8 @@ from route_maps import write_folder
 from route_records import make_route
 
 from bumpymap.core import BadInputError, Georeference
-from bumpymap.layers import open_map, write_routes
+from bumpymap.layers import open_map
+from bumpymap.route.output import write_routes
 from bumpytiles import Grid, TileWindow
 
 SMALL = Grid(3.0, 4)

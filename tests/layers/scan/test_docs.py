@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core.settings import read_settings_file
-from bumpymap.layers.scan.folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan.table import COLUMNS
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan_table import COLUMNS
 from bumpymap.scan.config import SCAN_PRODUCTS, ScanConfig
 from bumpymap.scan.pipeline import scan_frames
 

@@ -12,8 +12,8 @@ from ply_files import read_vertices
 
 from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
 from bumpymap.layers import name_frames, sample_evenly, write_frame
-from bumpymap.layers.scan.folder import SCAN_CLASS_NAMES, SCAN_COLOURS
-from bumpymap.layers.scan.frame import _numbers, outlines, write_cloud, write_polygons
+from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
+from bumpymap.layers.scan_frame import _numbers, outlines, write_cloud, write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
 
 
@@ -136,11 +136,10 @@ def test_what_nobody_knows_is_null(classed, tmp_path):
 
 
 def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
-    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "picture", "table"))
+    write_frame("nothing", *nothing, tmp_path, ("polygons", "cloud", "table"))
     assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == [
         "nothing.json",
         "nothing.ply",
-        "nothing.png",
     ]
     assert json.loads((tmp_path / "frames" / "nothing.json").read_text(encoding="utf-8"))["features"] == []
     assert len(read_vertices(tmp_path / "frames" / "nothing.ply")) == 0

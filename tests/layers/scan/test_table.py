@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pyarrow.parquet as pq
 
-from bumpymap.layers import open_table, sector_rows
-from bumpymap.layers.scan import table
-from bumpymap.layers.scan.table import COLUMNS
+from bumpymap.layers import open_table, scan_table as table, sector_rows
+from bumpymap.layers.scan_table import COLUMNS
 
 
 def write(path, *frames):

@@ -7,6 +7,7 @@ from sheet_maps import SMALL, write_in_sheets
 
 from bumpymap.core.types import CostTable
 from bumpymap.layers import write_products
+from bumpymap.views import write_map_views
 
 
 @pytest.fixture(scope="module")
@@ -18,7 +19,7 @@ def made():
 @pytest.fixture(scope="module")
 def whole(made, tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
+    write_products(CostTable.of(made), folder, views=write_map_views, local=False, manifest=RUN)
     return folder
 
 

@@ -19,10 +19,10 @@ import bumpymap
 from bumpymap.core import REASON_TEXT
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference, Reason
-from bumpymap.layers import check_folder, open_map, open_pair, write_products
+from bumpymap.layers import check_folder, open_map, open_pair, sheets as writing, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.sheets import write as writing
-from bumpymap.layers.sheets.folders import sheet_folders
+from bumpymap.layers.sheet_paths import sheet_folders
+from bumpymap.views import write_map_views
 from bumpytiles import BLOCK_TILES
 
 RASTERS = ("roughness", "class", "reason", "cost", "barred", "heightmap", "relief", "obstacle", "passage")
@@ -180,7 +180,7 @@ def test_a_map_of_sheets_reads_like_one(whole, sheets):
 def test_a_way_crosses_borders_of_sheets_at_the_same_cost(tmp_path):
     made = site()
     (tmp_path / "whole").mkdir()
-    write_products(CostTable.of(made), tmp_path / "whole", local=False, manifest=RUN)
+    write_products(CostTable.of(made), tmp_path / "whole", views=write_map_views, local=False, manifest=RUN)
     write(made, tmp_path / "sheets")
     assert len(sheet_folders(tmp_path / "sheets")) >= 4
     ends = tuple(tuple(map(float, place(row, col).split(","))) for row, col in ((20.5, 8.5), (20.5, 22.5)))
@@ -249,13 +249,13 @@ class TestUnfinished:
     def test_without_room_for_the_page_it_is_no_map_and_goes_on(self, made, sheets, tmp_path, monkeypatch):
         """Everything is there then but what the last step writes."""
 
-        def full(*_):
-            raise OutputError("no space left on device")
+        def full(folder, record):
+            if "sheets" in record:
+                raise OutputError("no space left on device")
+            write_map_views(folder, record)
 
-        with monkeypatch.context() as patch:
-            patch.setattr(writing, "write_views", full)
-            with pytest.raises(OutputError, match="no space left"):
-                write(made, tmp_path / "out", blocks=4)
+        with pytest.raises(OutputError, match="no space left"):
+            write(made, tmp_path / "out", blocks=4, views=full)
         assert (tmp_path / "out" / "class.vrt").exists()
         with pytest.raises(BadInputError, match=r"sheets are not complete.*resume=True"):
             bumpymap.open(tmp_path / "out")

@@ -17,13 +17,14 @@ from sheet_maps import SMALL, write_in_sheets as write
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
-from bumpymap.layers import SheetLayout, read_thumbnail, remove_sheets, write_catalog, write_products, write_reports
+from bumpymap.layers import SheetLayout, remove_sheets, write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.report import site as pages
-from bumpymap.layers.report.map_page import write_maps
-from bumpymap.layers.report.site import Site
-from bumpymap.layers.sheets.folders import sheet_folders
-from bumpymap.layers.sheets.write import write_virtual
+from bumpymap.layers.sheet_paths import sheet_folders
+from bumpymap.layers.sheets import write_virtual
+from bumpymap.views import read_thumbnail, write_map_views, write_reports
+from bumpymap.views.page import site as pages
+from bumpymap.views.page.map_page import write_maps
+from bumpymap.views.page.site import Site
 from bumpytiles import BLOCK_TILES
 
 
@@ -180,7 +181,7 @@ def test_the_catalogue_of_a_batch_stays(whole, tmp_path):
 def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):
     folder = tmp_path / "out"
     shutil.copytree(sheets, folder)
-    write_products(CostTable.of(made), folder, local=False, manifest=RUN)
+    write_products(CostTable.of(made), folder, views=write_map_views, local=False, manifest=RUN)
     remove_sheets(folder)
     names = {path.name for path in folder.iterdir()}
     assert names == {path.name for path in whole.iterdir()}

@@ -12,6 +12,7 @@ from stac_check import faults
 from bumpymap.core import OutputError
 from bumpymap.core.types import CostTable
 from bumpymap.layers import write_catalog, write_products
+from bumpymap.views import write_map_views
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def night(tmp_path_factory, make_field):
         (root / name).mkdir()
         field = make_field(9, 7, seed=seed)
         manifest = {"survey": {"name": name, "checksum": None, "dates": None}}
-        write_products(CostTable.of(field), root / name, local=False, manifest=manifest)
+        write_products(CostTable.of(field), root / name, views=write_map_views, local=False, manifest=manifest)
     (root / "failed").mkdir()
     shutil.copytree(root / "a", root / "half")
     (root / "half" / "run.json").unlink()

@@ -17,7 +17,8 @@ from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import write_products
 from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.layers.stac.item import write_item
+from bumpymap.layers.stac import write_item
+from bumpymap.views import write_map_views
 
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.4]}
 RUN = {
@@ -35,7 +36,7 @@ def item_of(folder):
 
 def write(cost_map, folder, *, local=False, **entries):
     folder.mkdir()
-    write_products(CostTable.of(cost_map), folder, local=local, manifest=RUN | entries)
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN | entries)
     return folder
 
 
@@ -292,7 +293,7 @@ def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
 
 def test_files_to_look_at_are_assets_without_a_checksum(folder, tmp_path, monkeypatch):
     names = ("class.qml", "map.qgs", "report.html")
-    monkeypatch.setattr("bumpymap.layers.stac.item.EVERY_VIEW_NAME", (*names, "not_there.qml"))
+    monkeypatch.setattr("bumpymap.layers.stac.EVERY_VIEW_NAME", (*names, "not_there.qml"))
     shutil.copytree(folder, tmp_path / "b")
     for name in names:
         (tmp_path / "b" / name).write_text("x")

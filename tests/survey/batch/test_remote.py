@@ -249,7 +249,9 @@ def test_a_survey_is_not_uploaded_to_the_folder_of_another(server, tmp_path):
     source = tmp_path / "in"
     source.mkdir()
     write_survey(source / "site::b.laz")
-    refused = CliRunner().invoke(main, ["batch", str(source), "--out", "memory://night", "--set", f"scratch={tmp_path}"])
+    refused = CliRunner().invoke(
+        main, ["batch", str(source), "--out", "memory://night", "--set", f"scratch={tmp_path}"]
+    )
     assert refused.exit_code == 2
     assert "the folder site::b cannot be on a server" in refused.output
     assert not server.files.exists("/night")

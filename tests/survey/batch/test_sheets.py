@@ -8,7 +8,7 @@ from click.testing import CliRunner
 from small_surveys import write_survey
 
 from bumpymap.cli import main
-from bumpymap.layers.sheets.folders import sheet_folders
+from bumpymap.layers.sheet_paths import sheet_folders
 
 pytestmark = pytest.mark.slow
 

@@ -1,0 +1,565 @@
+"""Calls above all rooms: map a survey, open its layers as a lazy dataset and as tables, plan on them, export them."""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    CLASS_NAMES,
+    OBJECT_NAMES,
+    REASON_TEXT,
+    BadInputError,
+    Band,
+    BumpymapError,
+    MapConfig,
+    UsageError,
+    path_of_call,
+    settings_of_call,
+    shares_text,
+    short_repr,
+    speed_bands,
+)
+from bumpymap.layers import (
+    import_notebook,
+    open_layer,
+    read_features,
+    read_manifest,
+    require_format,
+    require_map_written,
+    sheet_folders,
+    virtual_name,
+)
+from bumpymap.survey import MapSettings, map_settings
+
+if TYPE_CHECKING:
+    import geopandas
+    import xarray
+
+    from bumpymap.layers import PlannedRoute
+    from bumpymap.views import Export
+
+    Point = str | tuple[float, float]
+
+__all__ = ["Layers", "map_survey", "open_layers"]
+
+PathLike: TypeAlias = str | os.PathLike[str]
+
+_MOST_PICKLED = 1 << 28
+"""Bytes of layers in memory that are pickled at most."""
+_CLASSES = Band("class", "", "roughness class, 0 (smooth) to 3 (very rough)")
+_REASONS = Band("reason", "", "why a tile has no class")
+_COST = Band("cost", "", "factor on distance for a planner; NaN where the tile is not passable")
+_BARRED = Band("barred", "", "why the tile is not passable")
+_HEIGHT = Band("height", "m", "mean height of the points in the pixel")
+_OBSTACLE = Band("objects", "", "what stands on the ground")
+_PASSAGE = Band("passage", "", "area of the tile in which the middle of the vehicle can move; 0 where it cannot be")
+_FLAGS = {
+    "class": CLASS_NAMES,
+    "reason": tuple(REASON_TEXT.values()),
+    "barred": tuple(BARRED_TEXT.values()),
+    "objects": OBJECT_NAMES,
+}
+
+
+class Layers:
+    """The layers of a run, as returned by `map_survey` and `open`.
+
+    Only the manifest is read at once; the other files are read when a method needs them. ``dataset``, ``heights``,
+    ``tiles`` and ``regions`` need the extra ``notebook``.
+
+    Parameters
+    ----------
+    folder : path
+        The output folder of a complete run; if its layers are in sheets, they are read as one map.
+    in_memory : bool
+        Delete the folder together with this object. Datasets are then loaded at once instead of lazily, and a pickle
+        holds the files, up to 256 MB, instead of the path.
+    """
+
+    def __init__(self, folder: str | os.PathLike[str], *, in_memory: bool = False) -> None:
+        self._folder = Path(path_of_call("the folder of the layers", folder))
+        self._in_memory = in_memory
+        self._manifest = read_manifest(self._folder)
+        self._sheets = sheet_folders(self._folder)
+        self._checked: set[str] = set()
+        if in_memory:
+            # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
+            Finalize(self, shutil.rmtree, (self._folder, True), exitpriority=0)
+
+    def __fspath__(self) -> str:
+        """Return the folder, so that the layers can be given wherever a path to them is asked for."""
+        return os.fspath(self._folder)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the path of the folder; of layers in memory, the files."""
+        if not self._in_memory:
+            return Layers, (self._folder.absolute(),)
+        found = [path for path in self._folder.rglob("*") if path.is_file()]
+        size = sum(path.stat().st_size for path in found)
+        if size > _MOST_PICKLED:
+            raise UsageError(
+                f"these layers are in memory, {size / 1e6:,.0f} MB, too large for a pickle. Map the survey with "
+                "`out='DIR'`: layers in a folder are pickled as its path"
+            )
+        return _unpickled, ({str(path.relative_to(self._folder)): path.read_bytes() for path in found},)
+
+    @property
+    def folder(self) -> Path:
+        """The folder that holds the files."""
+        return self._folder
+
+    @property
+    def sheets(self) -> list[Path]:
+        """The folders of the sheets, each a map that can be opened by itself; without sheets, the one folder."""
+        return list(self._sheets)
+
+    @property
+    def manifest(self) -> dict[str, Any]:
+        """The content of run.json: inputs, settings, versions, calibration, counts, files with their checksums."""
+        return self._manifest
+
+    def dataset(self) -> "xarray.Dataset":
+        """Open roughness.tif, class.tif, reason.tif, cost.tif and barred.tif as one dataset on the grid of tiles.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimensions ``y`` (north first) and ``x``, at tile centres. The bands of roughness.tif (``c_r``, ``slope``,
+            ...) and ``cost`` are float32 variables, NaN where unknown; ``class`` (255 where unknown), ``reason`` (0
+            where there is a class) and ``barred`` (0 where passable) are uint8, 255 outside the tiles with points.
+            Each has the attributes ``units`` and ``long_name``; CRS and transform are in ``spatial_ref``. Values are
+            read from the files when they are used; those of a run in memory are loaded already.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            A file of the run is missing or damaged.
+        """
+        found = [
+            *self._variables("roughness.tif", BANDS),
+            *self._variables("class.tif", (_CLASSES,)),
+            *self._variables("reason.tif", (_REASONS,)),
+            *self._variables("cost.tif", (_COST,)),
+            *self._variables("barred.tif", (_BARRED,)),
+        ]
+        for other in found[1:]:
+            if not all(other[side].equals(found[0][side]) for side in "xy"):
+                raise BadInputError(f"the rasters in {self._folder} do not span the same tiles. Map the survey again")
+        dataset = import_notebook("xarray").Dataset({variable.name: variable for variable in found})
+        vehicle, rating = self._vehicle, self.manifest.get("settings", {}).get("rating", "")
+        dataset.attrs = {"title": f"ride cost and roughness for {vehicle}", "vehicle": vehicle, "rating": rating}
+        return dataset
+
+    def speeds(self) -> "xarray.Dataset":
+        """Open speeds.tif: what is felt at other speeds, on the grid of tiles.
+
+        Returns
+        -------
+        xarray.Dataset
+            Dimensions ``y`` (north first) and ``x``, at tile centres; for each speed in m/s, such as 0.5, the float32
+            variables ``c_r_0.5`` and ``c_roll_0.5`` [rad/m] and ``a_w_0.5`` [m/s2], NaN where unknown.
+
+        Raises
+        ------
+        UsageError
+            The run was not asked for other speeds, or the extra ``notebook`` is not installed.
+        BadInputError
+            speeds.tif is missing or damaged.
+        """
+        asked = self.manifest.get("settings", {}).get("speeds")
+        if not asked:
+            raise UsageError(
+                f"{self._folder} holds no other speeds: the run was not asked for them. Map the survey again with "
+                "`speeds=(0.5, 1, 2)`"
+            )
+        found = self._variables("speeds.tif", speed_bands(tuple(asked)))
+        return import_notebook("xarray").Dataset({variable.name: variable for variable in found})
+
+    def heights(self) -> "xarray.DataArray":
+        """Open heightmap.tif: the mean height of the points in each pixel, in metres; NaN in pixels without points.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions ``y`` (north first) and ``x``, at pixel centres. Values are read when they are used.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            heightmap.tif is missing or damaged.
+        """
+        return next(self._variables("heightmap.tif", (_HEIGHT,)))
+
+    def obstacles(self) -> "xarray.DataArray":
+        """Open obstacle.tif: 0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
+
+        Returns
+        -------
+        xarray.DataArray
+            Dimensions ``y`` (north first) and ``x``, the pixels of `heights`. Values are read when they are used.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            obstacle.tif is missing or damaged.
+        """
+        return next(self._variables("obstacle.tif", (_OBSTACLE,)))
+
+    def passage(self) -> "xarray.DataArray":
+        """Open passage.tif: 0 closed, else the number of the area of its tile; 255 outside the tiles with points.
+
+        The areas are the nodes of a graph, and where pixels of two of them touch across the border of their tiles is an
+        arc. See `obstacles` for the dimensions and errors.
+        """
+        return next(self._variables("passage.tif", (_PASSAGE,)))
+
+    def tiles(self) -> "geopandas.GeoDataFrame":
+        """Read tiles.parquet.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each tile with points; the geometry is the square of the tile, in the survey's CRS.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            The file is missing or damaged.
+        """
+        return self._table("tiles.parquet")
+
+    def regions(self) -> "geopandas.GeoDataFrame":
+        """Read cost.fgb.
+
+        Returns
+        -------
+        geopandas.GeoDataFrame
+            One row for each region, a group of adjacent tiles of one class in one sheet; the geometry is its outline,
+            in the survey's CRS.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        BadInputError
+            The file is missing or damaged.
+        """
+        return self._table("cost.fgb")
+
+    def route(self, start: "Point", goal: "Point", **settings: Any) -> "PlannedRoute":
+        """Find the cheapest way over these layers; see `bumpymap.find_routes` for parameters and errors.
+
+        Returns
+        -------
+        PlannedRoute
+            With ``line`` [m], ``figures``, ``profile``, ``to_geodataframe()`` and ``plot()``.
+        """
+        from bumpymap.route import find_routes
+
+        return find_routes(self, start, goal, **settings)[0]
+
+    def reach(self, start: "Point", **settings: Any) -> "xarray.Dataset":
+        """Map what can be reached from a point; see `bumpymap.map_reach` for parameters, result and errors."""
+        from bumpymap.route import map_reach
+
+        return map_reach(self, start, **settings)
+
+    def export(self, out: str | os.PathLike[str], *, overwrite: bool = False, **settings: Any) -> "Export":
+        """Write the map in a format that robots read, as ``bumpymap export`` does.
+
+        Parameters
+        ----------
+        out : path
+            A folder of its own.
+        overwrite : bool
+            Replace an earlier export in the same format.
+        **settings
+            Fields of `bumpymap.views.ExportSettings`: ``to`` (``nav2``, ``gridmap``, ``graph``, ``plan``), ...
+
+        Raises
+        ------
+        BadInputError, OutputError, UsageError
+            See `bumpymap.views.export_map`.
+        """
+        from bumpymap.layers import open_map
+        from bumpymap.views import ExportSettings, export_map
+
+        own = ExportSettings(**settings_of_call(settings, ExportSettings, "Layers.export"))
+        target = Path(path_of_call("out", out))
+        return export_map(open_map([self.folder]), target, own, overwrite=overwrite)
+
+    def report(
+        self,
+        out: str | os.PathLike[str] | None = None,
+        *,
+        route: str | os.PathLike[str] | None = None,
+        check: str | os.PathLike[str] | None = None,
+        overwrite: bool = False,
+    ) -> Path:
+        """Write the page of this map, as ``bumpymap report`` does.
+
+        Parameters
+        ----------
+        out : path, optional
+            The file; default is report.html in the folder of the layers.
+        route : path, optional
+            A folder that ``bumpymap route`` wrote: its ways are drawn.
+        check : path, optional
+            A folder that ``bumpymap check`` wrote for this map: its drives are shown.
+        overwrite : bool
+            Replace ``out`` if it exists.
+
+        Returns
+        -------
+        Path
+            The file.
+
+        Raises
+        ------
+        BadInputError, OutputError, UsageError
+            See `bumpymap.views.write_reports`.
+        """
+        from bumpymap.views import write_reports
+
+        for name, place in {"out": out, "route": route, "check": check}.items():
+            if place is not None:
+                path_of_call(name, place)
+        return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
+
+    def __repr__(self) -> str:
+        counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
+        where = "in memory" if self._in_memory else f"in {self._folder}"
+        place = "local coordinates, no CRS" if crs is None else f"{crs['name']} ({crs['code'] or 'no code'})"
+        bounds = self._bounds
+        if bounds is not None:
+            west, south, east, north = bounds
+            place += f", x {west:,.2f} to {east:,.2f}, y {south:,.2f} to {north:,.2f}"
+        classes = {**counts["by_class"], "unknown": counts["unknown"]}
+        shares = zip(classes, shares_text(list(classes.values()), (len(classes) - 1,), 1), strict=True)
+        return "\n".join(
+            [
+                f"<Layers {where}>",
+                f"  place    {place}",
+                f"  size     {counts['tiles']:,} tiles of {grid['tile_size_m']:g} m, {counts['points']:,} points",
+                f"  vehicle  {self._vehicle}",
+                f"  classes  {', '.join(f'{name} {share}' for name, share in shares)}",
+            ]
+        )
+
+    @property
+    def _vehicle(self) -> str:
+        return str(self.manifest.get("calibration", {}).get("vehicle", "an unknown vehicle"))
+
+    @cached_property
+    def _bounds(self) -> tuple[float, float, float, float] | None:
+        """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
+        try:
+            with open_layer(self._folder / self._raster("class.tif")) as file:
+                return tuple(file.bounds)
+        except BadInputError:
+            return None
+
+    def _variables(self, name: str, bands: tuple[Band, ...]) -> "Iterator[xarray.DataArray]":
+        """Yield the bands of a raster as named variables with units."""
+        self._require_written(name)
+        rioxarray = import_notebook("rioxarray")
+        with self._file(self._folder / self._raster(name)) as path:
+            with open_layer(path) as checked, rioxarray.open_rasterio(path, cache=False, driver=checked.driver) as file:
+                from bumpymap.layers import lazy_values  # needs the extra
+
+                values = file.values if self._in_memory else lazy_values(path, checked.driver, file.shape, file.dtype)
+                raster, nodata = file.copy(data=values), file.rio.nodata
+            if raster.rio.crs is None and self._manifest.get("crs"):  # one that GeoTIFF cannot hold
+                raster.rio.write_crs(self._manifest["crs"]["wkt"], inplace=True)
+        if raster.sizes["band"] != len(bands):
+            raise BadInputError(
+                f"{path} has {raster.sizes['band']} bands, and bumpymap now writes {len(bands)}. Map the survey again"
+            )
+        for number, band in enumerate(bands):
+            variable = raster.isel(band=number, drop=True).rename(band.name)
+            variable.attrs = {"long_name": band.description, "units": band.unit or "1"}
+            if band.name in _FLAGS:
+                names = _FLAGS[band.name]
+                variable.attrs |= {
+                    "flag_values": list(range(len(names))),
+                    "flag_meanings": " ".join(text.replace(" ", "_") for text in names),
+                }
+            variable.attrs["_FillValue"] = nodata
+            yield variable
+
+    def _require_written(self, name: str) -> None:
+        """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
+        if name not in self._checked and not self._in_memory:
+            require_map_written(self._folder, self._manifest, (name,))
+            self._checked.add(name)
+
+    def _raster(self, name: str) -> str:
+        """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
+        return name if self._sheets == [self._folder] else virtual_name(name)
+
+    def _table(self, name: str) -> "geopandas.GeoDataFrame":
+        """Read a table of every sheet, joined in the order of the sheets."""
+        read = _read_parquet if name.endswith(".parquet") else _read_features
+        parts = []
+        self._require_written(name)
+        for sheet in self._sheets:
+            with self._file(sheet / name) as path:
+                parts.append(read(path))
+        return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
+
+    @contextmanager
+    def _file(self, path: Path) -> Iterator[Path]:
+        """Yield the path of a file; errors while the body of the ``with`` reads it become BadInputErrors."""
+        if not path.exists():
+            raise BadInputError(f"{path} is missing: it was not written, or was removed since. Map the survey again")
+        try:
+            yield path
+        except BumpymapError:
+            raise
+        except Exception as error:  # the errors of rasterio, pyarrow and pyogrio have no common base class
+            raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
+
+
+def _read_parquet(path: Path) -> "geopandas.GeoDataFrame":
+    require_format(path)
+    return import_notebook("geopandas").read_parquet(path)
+
+
+def _read_features(path: Path) -> "geopandas.GeoDataFrame":
+    table, geopandas = read_features(path), import_notebook("geopandas")
+    return geopandas.GeoDataFrame(table.columns, geometry=geopandas.GeoSeries.from_wkb(table.geometry), crs=table.crs)
+
+
+def open_layers(folder: str | os.PathLike[str]) -> Layers:
+    """Open the layers that ``bumpymap map`` or `map_survey` wrote to a folder.
+
+    Parameters
+    ----------
+    folder : path
+        The output folder of the run, given to it as ``out``.
+
+    Returns
+    -------
+    Layers
+
+    Raises
+    ------
+    BadInputError
+        The folder does not exist, or holds no complete run.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> layers = bumpymap.open("site_layers")
+    >>> layers.manifest["counts"]["tiles"]
+    1426
+    """
+    return Layers(folder)
+
+
+def _unpickled(files: dict[str, bytes]) -> Layers:
+    """Make layers in memory of their files."""
+    folder = Path(tempfile.mkdtemp(prefix="bumpymap-layers-"))
+    try:
+        for name, content in files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(content)
+        return Layers(folder, in_memory=True)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def map_survey(
+    surveys: PathLike | Iterable[PathLike], out: PathLike | None = None, **settings: Unpack[MapSettings]
+) -> Layers:
+    """Map surveys: roughness, classes and ride cost of each tile.
+
+    Parameters
+    ----------
+    surveys : path, or several
+        Files and folders (LAS, LAZ, COPC, PLY, PCD), or URLs; strings or path-like objects.
+    out : path, optional
+        Folder for the layers. Without one they are temporary, and deleted with the returned object.
+    **settings
+        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
+        ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
+        ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``,
+        ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
+        of a settings file.
+
+    Returns
+    -------
+    Layers
+
+    Raises
+    ------
+    BumpymapError
+        Bad inputs or settings, or a full disk; no file is left half-written.
+    TooUnknownError
+        More tiles are unknown than ``max_unknown`` allows; the layers in ``out`` are complete.
+
+    Examples
+    --------
+    >>> import bumpymap
+    >>> layers = bumpymap.map_survey("sample_data/quarry.laz", ground="all")
+    >>> layers.manifest["counts"]["by_class"]["smooth"] > 500
+    True
+    """
+    own = map_settings(settings, "map_survey", MapSettings.__annotations__)
+    places = _places(surveys)
+    if out is not None:
+        folder = path_of_call("out", out)
+        if "://" in folder:
+            raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
+        _map(MapConfig(surveys=places, out=Path(folder), **own))
+        return Layers(folder)
+    if own.get("sheets") is not None:
+        raise UsageError(
+            f"`sheets={own['sheets']:g}` cuts a large map into folders, and layers without `out` are temporary: give "
+            "`out='DIR'`, or leave sheets out"
+        )
+    folder = tempfile.mkdtemp(prefix="bumpymap-layers-")
+    try:
+        _map(MapConfig(surveys=places, out=Path(folder), **own))
+        return Layers(folder, in_memory=True)
+    except BaseException as end:
+        shutil.rmtree(folder, ignore_errors=True)
+        end.__notes__ = [
+            note for note in getattr(end, "__notes__", []) if "the same again" not in note
+        ]  # the temporary folder is deleted, so there is nothing to continue
+        raise
+
+
+def _map(config: MapConfig) -> None:
+    from bumpymap.survey import map_surveys, require_known
+
+    require_known(map_surveys(config), config)
+
+
+def _places(surveys: PathLike | Iterable[PathLike]) -> tuple[Path | str, ...]:
+    """Convert one path or several to Path objects; URLs stay strings."""
+    several = [surveys] if isinstance(surveys, str | os.PathLike) else surveys
+    if not isinstance(several, Iterable):
+        raise UsageError(f"surveys is {short_repr(several)}; give a path or a list of them")
+    texts = [path_of_call("surveys", survey) for survey in several]
+    if not texts:
+        raise UsageError("surveys is empty; give a path or a list of them")
+    return tuple(text if "://" in text else Path(text) for text in texts)

@@ -1,0 +1,274 @@
+"""How far a map is off the drives over it, by stretch and tile: check.geojson, check_tiles.geojson, stretches.csv."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import shapely
+import shapely.geometry
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    CLASS_NAMES,
+    NO_CLASS,
+    CheckResult,
+    DrivenStretches,
+    DrivenTiles,
+    Georeference,
+    write_csv,
+)
+from bumpymap.layers.colours import OFF_COLOURS
+from bumpymap.layers.placement import Placement
+from bumpymap.layers.route_lines import MapSource, RouteCoordinates
+from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpytiles import Grid, TileWindow
+
+__all__ = [
+    "NOT_COMPARED",
+    "OFF_KINDS",
+    "CheckGround",
+    "CheckPlaces",
+    "MapOffset",
+    "stretch_properties",
+    "write_driven_tiles",
+    "write_stretch_table",
+    "write_stretches",
+]
+
+_EDGES = np.array([1 / 2, 1 / 1.5, 1 / 1.2, 1.2, 1.5, 2.0])
+OFF_KINDS = (
+    "map over 2 times too low",
+    "map 1.5 to 2 times too low",
+    "map 1.2 to 1.5 times too low",
+    "map within a factor of 1.2",
+    "map 1.2 to 1.5 times too high",
+    "map 1.5 to 2 times too high",
+    "map over 2 times too high",
+    "not compared",
+)
+"""What each code of ``MapOffset.kind`` means, from too smooth to too rough."""
+NOT_COMPARED = len(OFF_KINDS) - 1
+_NORMAL_80 = 1.2815515655446004
+"""Half width of the 80 % interval of a normal variable, in standard deviations."""
+if set(OFF_COLOURS) != set(range(len(OFF_KINDS))):
+    raise ValueError("every kind has a colour")
+
+
+@dataclass(frozen=True, slots=True)
+class MapOffset:
+    """How far the map is off on some stretches or tiles; (n,) each."""
+
+    ratio: NDArray[np.float64]
+    """C_r of the map / measured; NaN where one is not known, or nothing was measured above the sensor's floor."""
+    kind: NDArray[np.uint8]
+    """Code of ``OFF_KINDS``."""
+    beyond: NDArray[np.float64]
+    """Difference of map and drive over the largest that errors explain; above 1, they do not. NaN as ``ratio``."""
+
+    @classmethod
+    def of(cls, driven: DrivenStretches | DrivenTiles) -> "MapOffset":
+        """Compare.
+
+        Errors explain a measurement in the map's 80 % interval, of which each end has been moved outwards, in
+        quadrature, by 80 % of the errors of measurement and place: as `MapAgreement.inside` counts.
+        """
+        known = (driven.measured > 0.0) & (driven.c_r > 0.0)
+        measured, c_r = (np.where(known, values, np.nan) for values in (driven.measured, driven.c_r))
+        ratio = c_r / measured
+        kind = np.where(known, np.digitize(ratio, _EDGES), NOT_COMPARED).astype(np.uint8)
+        side = np.where(measured > c_r, driven.c_r_high - c_r, c_r - driven.c_r_low)
+        place = np.nan_to_num(getattr(driven, "place_sd", np.zeros(len(ratio))))
+        error = _NORMAL_80 * np.hypot(np.nan_to_num(driven.measured_sd), place)
+        most = np.hypot(np.nan_to_num(side, posinf=np.inf), error)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            beyond = np.where(most > 0.0, np.abs(measured - c_r) / most, np.inf)
+        return cls(ratio, kind, np.where(known, beyond, np.nan))
+
+    @property
+    def is_off(self) -> NDArray[np.bool_]:
+        """Where errors do not explain the difference."""
+        return np.asarray(self.beyond > 1.0, dtype=np.bool_)
+
+
+class CheckGround(MapSource, Protocol):
+    """A map whose windows can be read, and where it lies."""
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of tiles."""
+        ...
+
+    @property
+    def georeference(self) -> Georeference:
+        """CRS and units of the survey."""
+        ...
+
+    @property
+    def window(self) -> TileWindow:
+        """The smallest window around all tiles."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class CheckPlaces:
+    """Where the stretches and tiles of a check lie, for its files."""
+
+    placement: Placement
+    points: NDArray[np.float64]
+    """(n, 2) easting and northing of the middles of the stretches, m; NaN where not known."""
+
+    @classmethod
+    def of(cls, stretches: DrivenStretches, tiles: DrivenTiles | None, ground: CheckGround) -> "CheckPlaces | None":
+        """Return the places; None if no position of a stretch is known."""
+        points = np.column_stack([stretches.easting, stretches.northing])
+        known = points[np.isfinite(points).all(axis=1)]
+        if not len(known):
+            return None
+        col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
+        if tiles is not None:
+            col, row = np.concatenate([col, tiles.col]), np.concatenate([row, tiles.row])
+        return cls(Placement(ground.georeference, ground.grid, TileWindow.around(col, row)), points)
+
+    @property
+    def is_known(self) -> NDArray[np.bool_]:
+        """(n,) whether the position of a stretch is known."""
+        return np.asarray(np.isfinite(self.points).all(axis=1), dtype=np.bool_)
+
+    @property
+    def files(self) -> GeoJsonCoordinates:
+        """Longitude and latitude if the survey's CRS is known, else the survey's own coordinates."""
+        return GeoJsonCoordinates.of(self.placement, local=True)
+
+    def in_file(self) -> NDArray[np.float64]:
+        """Return the middles of the stretches as GeoJSON holds them, (n, 2); NaN where not known.
+
+        Raises
+        ------
+        BadInputError
+            A point cannot be transformed to longitude and latitude.
+        """
+        found = np.full(self.points.shape, np.nan)
+        coordinates = RouteCoordinates(self.placement.georeference, self.files)
+        found[self.is_known] = coordinates.in_file(self.points[self.is_known])
+        return found
+
+
+def write_stretch_table(result: CheckResult, places: CheckPlaces | None, path: Path) -> None:
+    """Write the stretches as CSV (RFC 4180, UTF-8): positions, then the properties of check.geojson.
+
+    Parameters
+    ----------
+    result : CheckResult
+    places : CheckPlaces or None
+        Where they lie; None: not known.
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        A position cannot be transformed to longitude and latitude.
+    """
+    columns = {**_positions(places, len(result.stretches.drive)), **stretch_properties(result)}
+    write_csv(path, columns, zip(*columns.values(), strict=True))
+
+
+def _positions(places: CheckPlaces | None, rows: int) -> dict[str, Sequence[Any]]:
+    """Return longitude, latitude, and x and y in units of the survey's CRS."""
+    unknown = np.full((rows, 2), np.nan)
+    degrees, own = unknown, unknown
+    if places is not None:
+        own = places.points / places.placement.georeference.metres_per_unit
+        degrees = unknown if places.files.to_degrees is None else places.in_file()
+    return {
+        **dict(zip(("lon", "lat"), _written(degrees, 7), strict=True)),
+        **dict(zip(("x", "y"), _written(own, 3), strict=True)),
+    }
+
+
+def _written(pairs: NDArray[np.float64], decimals: int) -> list[list[str]]:
+    return [["" if np.isnan(value) else f"{value:.{decimals}f}" for value in side] for side in pairs.T.tolist()]
+
+
+_DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
+_OTHER_DECIMALS = 6
+
+
+def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> None:
+    """Write the stretches whose position is known as GeoJSON: WGS 84, or the survey's own coordinates without a CRS.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        A position cannot be transformed to longitude and latitude.
+    """
+    properties = stretch_properties(result)
+    shown = np.flatnonzero(places.is_known)
+    points = zip(shown.tolist(), shapely.points(places.in_file()[shown]), strict=True)
+    _write(path, "check", places, properties, dict(points))
+
+
+def write_driven_tiles(tiles: DrivenTiles, places: CheckPlaces, path: Path) -> None:
+    """Write the tiles as squares; coordinates and errors as in `write_stretches`."""
+    properties = {
+        "col": tiles.col.tolist(),
+        "row": tiles.row.tolist(),
+        **_numbers(tiles, ("way_m", "measured", "measured_sd", "c_r", "c_r_low", "c_r_high")),
+        **_offset(MapOffset.of(tiles)),
+        **_class("class", tiles.class_id),
+    }
+    squares = places.files.polygons(shapely.box(tiles.col, tiles.row, tiles.col + 1, tiles.row + 1))
+    _write(path, "check_tiles", places, properties, dict(enumerate(squares)))
+
+
+def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
+    """Return what files say of each stretch, by name: plain values, None where not known."""
+    stretches = result.stretches
+    names = [drive.name for drive in result.drives]
+    return {
+        "drive": [names[number] for number in stretches.drive.tolist()],
+        **_numbers(stretches, ("start_s", "end_s", "way_m", "speed_mps", "measured", "measured_sd")),
+        **_numbers(stretches, ("c_r", "c_r_low", "c_r_high", "place_sd")),
+        **_offset(MapOffset.of(stretches)),
+        **_class("class", stretches.class_id),
+        **_class("measured_class", stretches.measured_class),
+    }
+
+
+def _numbers(record: DrivenStretches | DrivenTiles, names: Sequence[str]) -> dict[str, list[float | None]]:
+    return {name: _rounded(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
+
+
+def _rounded(values: NDArray[np.float64], decimals: int) -> list[float | None]:
+    return [value if np.isfinite(value) else None for value in values.round(decimals).tolist()]
+
+
+def _offset(offset: MapOffset) -> dict[str, list[Any]]:
+    compared = np.isfinite(offset.ratio).tolist()
+    return {
+        "ratio": _rounded(offset.ratio, 4),
+        "off": [OFF_KINDS[kind] for kind in offset.kind.tolist()],
+        "explained": [not off if known else None for off, known in zip(offset.is_off.tolist(), compared, strict=True)],
+    }
+
+
+def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:
+    plain = [None if code == NO_CLASS else code for code in codes.tolist()]
+    return {name: plain, f"{name}_name": [None if code is None else CLASS_NAMES[code] for code in plain]}
+
+
+def _write(
+    path: Path, name: str, places: CheckPlaces, properties: Mapping[str, Sequence[Any]], shown: Mapping[int, Any]
+) -> None:
+    """Write one feature for each row that is shown, by its position: its number from 1, properties and geometry."""
+    rows = {at: {key: values[at] for key, values in properties.items()} for at in shown}
+    features = [feature(rows[at], geometry, at + 1) for at, geometry in shown.items()]
+    box = BoundingBox()
+    box.add(np.array(list(shown.values()), dtype=object))
+    write_features(path, name, places.files, features, box)

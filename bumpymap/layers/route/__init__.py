@@ -1,1 +1,0 @@
-"""Write what a route leaves: lines, tracks, profiles, pictures, rasters and contours of the reach."""

@@ -1,0 +1,205 @@
+"""tiles.parquet, written and read back: one row for each tile with points."""
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import shapely
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    NO_CLASS,
+    REASON_TEXT,
+    SIDES,
+    TEXTURES,
+    BadInputError,
+    Barred,
+    CostTable,
+    Reason,
+    atomic,
+    speed_bands,
+    tile_columns,
+)
+from bumpymap.layers.placement import Placement
+from bumpytiles import TileTable
+
+__all__ = ["read_tiles", "write_tiles"]
+
+_ROW_GROUP = 16_384
+"""Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
+_SIDES_OF_BOX = ("xmin", "ymin", "xmax", "ymax")
+_BOX = pa.struct([pa.field(side, pa.float64(), nullable=False) for side in _SIDES_OF_BOX])
+_NUMBERS = ("count", "reason", "z_min", "z_max", "relief", *(f"step_{side}" for side in SIDES))
+
+
+def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
+    """Write tiles.parquet: GeoParquet 1.1, one row per tile, with a bounding box column as covering of the geometry.
+
+    Rows are in the order of `TileTable.strips`: strips are one row of blocks high and come north first, then west
+    first; so do the tiles within a strip. Unknown numbers are null; pixels of ``heights`` without points are NaN.
+    ``about`` is metadata of the file, such as vehicle and calibration.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The extent is too large for a raster.
+    """
+    place = Placement.of(table)
+    schema = _schema(place, about or {}, table.speeds)
+    with (
+        atomic(path, (pa.ArrowException,)) as temporary,
+        pq.ParquetWriter(
+            temporary,
+            schema,
+            compression="zstd",
+            use_dictionary=["texture", "reason_text", "barred"],
+            # Measured 17 % smaller than the default encoding, and faster to compress; for the boxes, a tenth of it.
+            column_encoding=dict.fromkeys(
+                ("heights.list.element", *(f"bbox.{side}" for side in _SIDES_OF_BOX)), "BYTE_STREAM_SPLIT"
+            ),
+        ) as writer,
+    ):
+        for found in _groups(table.tiles, len(table.speeds)):
+            writer.write_table(_rows(found, place, schema, table.speeds))
+
+
+def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of each row group, which takes as many strips as fit."""
+    names = [column.name for column in tile_columns(tiles.grid.pixels, speeds)]
+    held: list[dict[str, NDArray[Any]]] = []
+    for strip in tiles.strips(_ROW_GROUP):
+        found = tiles.read(names, strip)
+        if sum(len(part["col"]) for part in [*held, found]) > _ROW_GROUP:
+            yield _join(held)
+        held.append(found)
+        del found
+    yield _join(held)
+
+
+def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """Concatenate strips, and empty the list and its parts to free memory early."""
+    parts, held[:] = held[:], []
+    return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
+
+
+def _schema(place: Placement, about: Mapping[str, str], speeds: tuple[float, ...]) -> pa.Schema:
+    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
+    kinds["passable"] = pa.bool_()
+    fields = [
+        _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
+        _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
+        _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
+        _field("bbox", _BOX, "bounds of the tile, in the survey's CRS", nullable=False),
+        *(_field(band.name, kinds[band.name], band.description, band.unit) for band in BANDS),
+        *(_field(f"step_{side}", pa.float32(), f"height step at the {side} side", "m") for side in SIDES),
+        _field("barred", pa.string(), "why it is not passable"),
+        _field("count", pa.int64(), "points that were measured", nullable=False),
+        _field("z_min", pa.float64(), "lowest point", "m"),
+        _field("z_max", pa.float64(), "highest point", "m"),
+        _field("relief", pa.float64(), "max - min of the heights with their plane taken off", "m"),
+        _field("texture", pa.string(), "the most probable texture"),
+        *(_field(f"p_{texture}", pa.float32(), f"probability of texture {texture}") for texture in TEXTURES),
+        _field("class", pa.int8(), "0 (flattest) to 3 (roughest)"),
+        _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
+        _field("reason_text", pa.string(), "the reason in words", nullable=False),
+        *(_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
+        _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
+    ]
+    return pa.schema(fields, metadata={**about, "geo": json.dumps(_geo(place))})
+
+
+def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:
+    notes = {"description": text} | ({"unit": unit} if unit else {})
+    return pa.field(name, kind, nullable=nullable, metadata=notes)
+
+
+def _geo(place: Placement) -> dict[str, Any]:
+    """Return the ``geo`` metadata of GeoParquet 1.1.0."""
+    crs = place.height_crs
+    window = place.window
+    corners = np.array([window.col, window.row, window.col + window.cols, window.row + window.rows])
+    geometry = {
+        "encoding": "WKB",
+        "geometry_types": ["Polygon"],
+        "crs": None if crs is None else crs.to_json_dict(),
+        "orientation": "counterclockwise",
+        "edges": "planar",
+        "bbox": place.to_crs(corners).tolist(),
+        "covering": {"bbox": {side: ["bbox", side] for side in _SIDES_OF_BOX}},
+    }
+    return {"version": "1.1.0", "primary_column": "geometry", "columns": {"geometry": geometry}}
+
+
+def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, speeds: tuple[float, ...]) -> pa.Table:
+    """Convert columns of tiles to rows of the file."""
+    col, row = found["col"], found["row"]
+    west, south, east, north = (place.to_crs(side) for side in (col, row, col + 1, row + 1))
+    chance = found["probability"]
+    heights = pa.array(found["heights"].reshape(-1), pa.float32())
+    columns: dict[str, Any] = {
+        "col": col,
+        "row": row,
+        "geometry": shapely.to_wkb(shapely.box(west, south, east, north), byte_order=1),
+        "bbox": pa.StructArray.from_arrays([west, south, east, north], fields=list(_BOX)),
+        "texture": _texture(chance),
+        "class": pa.array(found["class_id"], pa.int8(), mask=found["class_id"] == NO_CLASS),
+        "barred": np.array([None, *(BARRED_TEXT[code] for code in Barred if code)], dtype=object)[found["barred"]],
+        "reason_text": np.array([REASON_TEXT[code] for code in Reason], dtype=object)[found["reason"]],
+        "heights": pa.FixedSizeListArray.from_arrays(heights, place.grid.pixels**2),
+    }
+    columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
+    columns["passable"] = found["passable"] > 0
+    columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
+    columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
+    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
+
+
+def _array(values: Any, field: pa.Field) -> pa.Array:
+    """Return an array of the field's type in which None and NaN are null."""
+    return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
+
+
+def _texture(chance: NDArray[np.float32]) -> NDArray[np.object_]:
+    names = np.array([*TEXTURES, None], dtype=object)
+    known = np.isfinite(chance).all(axis=1)
+    best = np.where(known, np.argmax(np.nan_to_num(chance), axis=1), len(TEXTURES))
+    picked: NDArray[np.object_] = names[best]
+    return picked
+
+
+_PAGE_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
+_READ = ("col", "row", "class", "reason", "barred", *_PAGE_NUMBERS)
+_AGAIN = "Map the survey again"
+
+
+def read_tiles(path: Path) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown."""
+    try:
+        with pq.ParquetFile(path) as file:
+            missing = set(_READ) - set(file.schema_arrow.names)
+            if missing:
+                raise BadInputError(f"{path} has no column {min(missing)}: an earlier version wrote it. {_AGAIN}")
+            for group in range(file.num_row_groups):
+                yield _arrays(file.read_row_group(group, columns=list(_READ), use_threads=False))
+    except (OSError, pa.ArrowException) as error:
+        raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+
+
+def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:
+    codes = {text: int(code) for code, text in BARRED_TEXT.items()}
+    words = table["barred"].combine_chunks()
+    words = words if pa.types.is_dictionary(words.type) else words.dictionary_encode()
+    names = np.array([*(codes.get(name, Barred.UNKNOWN) for name in words.dictionary.to_pylist()), Barred.NO], np.uint8)
+    index = words.indices.fill_null(len(names) - 1).to_numpy(zero_copy_only=False)
+    whole = {name: table[name].to_numpy() for name in ("col", "row", "reason")}
+    numbers = {name: table[name].to_numpy().astype(np.float32) for name in _PAGE_NUMBERS}
+    classes = table["class"].cast(pa.int16()).fill_null(NO_CLASS).to_numpy().astype(np.uint8)
+    return whole | numbers | {"class": classes, "barred": names[index]}

@@ -1,0 +1,47 @@
+from .export.grid_bag import (
+    GridBag as GridBag,
+    GroundGrid as GroundGrid,
+    check_bag_file as check_bag_file,
+)
+from .export.settings import (
+    ExportFormat as ExportFormat,
+    ExportSettings as ExportSettings,
+)
+from .export.write import (
+    Export as Export,
+    export_map as export_map,
+)
+from .gis.styles import (
+    write_change_style as write_change_style,
+    write_check_style as write_check_style,
+)
+from .map_views import (
+    write_map_views as write_map_views,
+)
+from .page.batch_page import (
+    SurveyView as SurveyView,
+    index_page as index_page,
+    read_thumbnail as read_thumbnail,
+)
+from .page.change_page import (
+    write_change_report as write_change_report,
+)
+from .page.map_page import (
+    write_check_page as write_check_page,
+    write_reports as write_reports,
+)
+from .page.page import (
+    compile_pages as compile_pages,
+)
+from .pictures.route_picture import (
+    write_route_picture as write_route_picture,
+)
+from .pictures.scan_picture import (
+    write_picture as write_picture,
+)
+from .words import (
+    check_headline as check_headline,
+    columns_words as columns_words,
+    degrees_line as degrees_line,
+    warnings_of as warnings_of,
+)

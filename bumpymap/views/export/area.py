@@ -1,0 +1,467 @@
+"""The exported part of a map, its costs, and the local frame of the robot; the folder of an export, filled at once.
+
+Costs of cells go pixel by pixel with obstacles grown; for occupancy grids, unknown is not free.
+"""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from os.path import lexists
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from bumpymap.core import (
+    NO_TILE,
+    OBSTACLE,
+    OPEN_THROUGH,
+    UNDECIDED,
+    UNSEEN,
+    BadInputError,
+    Barred,
+    OutputError,
+    TileField,
+    atomic,
+    locked,
+    remove_empty_on_error,
+    write_together,
+)
+from bumpymap.layers import (
+    MANIFEST_NAME,
+    BandSpec,
+    Placement,
+    RasterSpec,
+    RasterWindow,
+    RouteMap,
+    refuse_present,
+    write_cog,
+)
+from bumpytiles import Bounds, TileWindow
+
+__all__ = [
+    "CLOSED_IN_PART",
+    "COST_NAME",
+    "DATUM_NAME",
+    "DEAREST",
+    "EXPORT_FILES",
+    "FRAME",
+    "FREE_CELL",
+    "LETHAL",
+    "SLOWEST",
+    "UNKNOWN_CELL",
+    "CostScale",
+    "ExportArea",
+    "ExportPoint",
+    "check_target",
+    "choose_area",
+    "cost_values",
+    "export_folder",
+    "keepout_values",
+    "lay_objects",
+    "open_in_part",
+    "passable_cost",
+    "speed_values",
+    "write_file",
+    "write_json",
+    "write_pixel_cost",
+]
+
+FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
+"""Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
+DEAREST = 98
+"""Value of the dearest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
+SLOWEST = 1
+"""Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
+
+
+@dataclass(frozen=True, slots=True)
+class CostScale:
+    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``dearest`` and all above."""
+
+    dearest: float
+
+    def values(self, cost: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the values of costs, rounded; NaN where the cost is."""
+        span = max(self.dearest - 1.0, np.finfo(np.float64).tiny)
+        return np.clip(np.rint(DEAREST * (np.clip(cost, 1.0, self.dearest) - 1.0) / span), FREE_CELL, DEAREST)
+
+
+def passable_cost(field: TileField) -> NDArray[np.float64]:
+    """Return the cost per metre of passable tiles, (rows, cols), at the weights of the layers; NaN elsewhere."""
+    cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+    return np.where(field.barred == Barred.NO, cost, np.nan)
+
+
+def cost_values(field: TileField, scale: CostScale) -> NDArray[np.uint8]:
+    """Return cells for an occupancy grid in mode ``raw``, one a tile.
+
+    Returns
+    -------
+    uint8 (rows, cols)
+        0..98 by cost, 100 where the tile is known not to be passable, 255 where it is unknown or there is no tile.
+    """
+    cost = passable_cost(field)
+    graded = np.where(np.isnan(cost), UNKNOWN_CELL, scale.values(cost)).astype(np.uint8)
+    unknown = (field.barred == Barred.UNKNOWN) | (field.barred == NO_TILE)
+    choices = [np.uint8(UNKNOWN_CELL), np.uint8(LETHAL)]
+    return np.select([unknown, field.barred != Barred.NO], choices, graded)
+
+
+def keepout_values(field: TileField) -> NDArray[np.uint8]:
+    """Return a keepout mask, one cell a tile: 0 where the tile is passable, 100 elsewhere.
+
+    Unknown tiles are 100 too: the keepout filter skips cells of a mask that are unknown.
+    """
+    return np.where(np.isnan(passable_cost(field)), LETHAL, FREE_CELL).astype(np.uint8)
+
+
+def speed_values(field: TileField, comfort: float) -> NDArray[np.uint8]:
+    """Return a speed mask, one cell a tile: percent of the profile's speed at which the ride stays under a limit.
+
+    Parameters
+    ----------
+    field : TileField
+    comfort : float
+        Most pitch motion, rad/s. At v m/s, ground with a ride cost of c_r rad/m gives c_r v rad/s.
+
+    Returns
+    -------
+    uint8 (rows, cols)
+        1..100, rounded down. 1 where c_r is unknown, and where even that is too fast.
+    """
+    with np.errstate(divide="ignore"):
+        percent = np.floor(100.0 * comfort / (field.c_r.astype(np.float64) * field.vehicle.speed_mps))
+    limited = np.clip(np.nan_to_num(percent, nan=SLOWEST, posinf=100.0), SLOWEST, 100)
+    return np.asarray(limited, np.uint8)
+
+
+def lay_objects(
+    cells: NDArray[np.uint8], objects: NDArray[np.uint8], judged: NDArray[np.bool_], unknown: int
+) -> NDArray[np.uint8]:
+    """Split the cells of tiles into pixels, and lay obstacles and unseen ground on them.
+
+    Parameters
+    ----------
+    cells : uint8 (rows, cols)
+        Of the tiles.
+    objects : uint8 (rows * pixels, cols * pixels)
+        Of obstacle.tif.
+    judged : bool (rows, cols)
+        Whether objects were told from ground in the tile. Else they are part of its relief and in its ride cost, and
+        its pixels keep the value of the tile.
+    unknown : int
+        Value of pixels of passable tiles where neither ground nor anything else was seen.
+
+    Returns
+    -------
+    uint8 (rows * pixels, cols * pixels)
+        100 at obstacles, of unknown tiles too. Canopy is free: the vehicle fits under it.
+    """
+    pixels = objects.shape[0] // cells.shape[0]
+    fine = np.repeat(np.repeat(cells, pixels, axis=0), pixels, axis=1)
+    told = np.repeat(np.repeat(judged, pixels, axis=0), pixels, axis=1)
+    fine[((objects == UNDECIDED) | (objects == UNSEEN)) & told & (fine < LETHAL)] = unknown
+    fine[objects == OBSTACLE] = LETHAL
+    return fine
+
+
+CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT)
+"""Tiles that what stands on them closes for what reads tiles alone."""
+
+
+def open_in_part(route_map: RouteMap, field: TileField) -> NDArray[np.bool_]:
+    """Return the pixels of tiles that obstacles close or split over which the vehicle passes between these obstacles.
+
+    They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        The map, for ``passage.tif``.
+    field : TileField
+        (rows, cols) tiles of it.
+
+    Returns
+    -------
+    bool (rows * pixels, cols * pixels)
+    """
+    grid, window = route_map.grid, field.window
+    pixels, reach = grid.pixels, 0.5 * route_map.vehicle.width_m / grid.pixel_size
+    closed = np.isin(field.barred, CLOSED_IN_PART)
+    ring = math.ceil(reach / pixels)
+    wide = TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
+    free = route_map.passage(wide) if closed.any() else np.zeros((0, 0), np.bool_)
+    if not free.any():
+        return np.zeros((window.rows * pixels, window.cols * pixels), np.bool_)
+    inner = slice(ring * pixels, -ring * pixels)
+    swept = distance_transform_edt(~free)[inner, inner] < reach
+    return np.asarray(swept & np.repeat(np.repeat(closed, pixels, axis=0), pixels, axis=1))
+
+
+COST_NAME = "cost.tif"
+_BLOCK = 512
+_WINDOW_TILES = 64
+
+
+@dataclass(frozen=True, slots=True)
+class ExportPoint:
+    """A place on the grid of a map."""
+
+    easting: float
+    """m."""
+    northing: float
+    """m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ExportArea:
+    """A window of a map, its cells and its frame: x to the east and y to the north of the grid, m (REP-103)."""
+
+    route_map: RouteMap
+    window: TileWindow
+    datum: ExportPoint
+    """Origin of the frame."""
+    split: int
+    """Cells along a side of a tile: 1, or the pixels of the heightmap."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        return self.window.rows * self.split, self.window.cols * self.split
+
+    @property
+    def resolution(self) -> float:
+        """Side of a cell, m."""
+        return self.route_map.grid.tile_size / self.split
+
+    @property
+    def bounds(self) -> Bounds:
+        """Sides of the area in the local frame, m."""
+        whole = self.route_map.grid.window_bounds(self.window)
+        x, y = self.datum.easting, self.datum.northing
+        return Bounds(whole.west - x, whole.south - y, whole.east - x, whole.north - y)
+
+    def strips(self, detail: int | None = None) -> Iterator[tuple[TileWindow, slice]]:
+        """Yield windows of whole rows of tiles, north first, and their rows of cells.
+
+        ``detail`` is the number of values along a side of a tile that will be read, if that is not ``split``.
+        """
+        window, split = self.window, self.split
+        height = max(1, _STRIP_CELLS // (window.cols * (detail or split) ** 2))
+        for top in range(0, window.rows, height):
+            rows = min(height, window.rows - top)
+            part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
+            yield part, slice(top * split, (top + rows) * split)
+
+    def describe(self) -> dict[str, Any]:
+        """Return where the frame lies on Earth, for the sidecar file.
+
+        ``grid_convergence_deg`` is the angle from true north to grid north, clockwise; ``grid_scale`` is a length on
+        the grid over the same length on the ellipsoid.
+        """
+        datum, bounds = self.datum, self.bounds
+        x, y = self.route_map.to_crs(datum.easting, datum.northing)
+        place: dict[str, Any] = {"longitude": None, "latitude": None, "x": x, "y": y, "crs": None}
+        if self.route_map.has_crs:
+            place |= self._on_earth()
+        return {
+            "frame": FRAME,
+            "axes": "x to the east and y to the north of the grid, m",
+            "datum": place,
+            "metres_per_unit": self.route_map.georeference.metres_per_unit,
+            "area": {"west": bounds.west, "south": bounds.south, "east": bounds.east, "north": bounds.north},
+            "resolution_m": self.resolution,
+        }
+
+    def _on_earth(self) -> dict[str, Any]:
+        from pyproj import Proj
+
+        datum, crs = self.datum, self.route_map.georeference.crs
+        longitude, latitude = self.route_map.to_lonlat(datum.easting, datum.northing)
+        if crs is None or not np.isfinite([longitude, latitude]).all():
+            raise BadInputError(
+                "the datum cannot be converted to longitude and latitude: it lies outside the area of the map's CRS. "
+                "Choose a datum near the map"
+            )
+        crs = crs.to_2d()
+        factors = Proj(crs).get_factors(longitude, latitude)
+        authority = crs.to_authority()
+        return {
+            "longitude": round(longitude, 9),
+            "latitude": round(latitude, 9),
+            "crs": {"name": crs.name, "code": ":".join(authority) if authority else None},
+            "grid_convergence_deg": round(factors.meridian_convergence, 9),
+            "grid_scale": round(factors.meridional_scale, 9),
+        }
+
+
+def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
+    """Write cost.tif: a float32 COG, the cost of a metre on each pixel, NaN where the middle of the vehicle cannot be.
+
+    Raises
+    ------
+    BadInputError
+        The vehicle fits nowhere in the area.
+    """
+    site = area.route_map
+    pixels, free = site.grid.pixels, 0
+
+    def paint(window: RasterWindow) -> NDArray[np.float32]:
+        nonlocal free
+        field = site.read(window.tiles, ("c_r", "p_fail"))
+        cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail)).astype(np.float32)
+        cost[~np.isin(field.barred, OPEN_THROUGH)] = np.nan
+        out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
+        out[~site.passage(window.tiles) | ~np.isfinite(out)] = np.nan
+        free += int(np.isfinite(out).sum())
+        return out[None]
+
+    place = Placement(site.georeference, site.grid, area.window)
+    spec = RasterSpec(
+        bands=[BandSpec("cost", text="factor on distance where the middle of the vehicle can be")],
+        pixels=pixels,
+        crs=place.horizontal_crs,
+        block=_BLOCK,
+        tags={"title": "cost of driving over each pixel", "vehicle": site.vehicle.name},
+        level=1,
+    )
+    write_cog(folder / COST_NAME, place, spec, paint, _WINDOW_TILES)
+    if not free:
+        raise BadInputError("the vehicle fits nowhere in the area, so no robot can drive there. Choose another area")
+    return {"pixels": free, "pixel_m": site.grid.pixel_size}
+
+
+FRAME = "map"
+"""Name of the frame of all exports, as REP-105 calls the frame that is fixed to the world."""
+_STRIP_CELLS = 4_000_000
+"""Cells that are read at once: few strips, so that few blocks of a raster are decoded twice."""
+
+
+def choose_area(
+    route_map: RouteMap, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
+) -> ExportArea:
+    """Choose the window to export, and its local frame.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+    split : int
+        Cells along a side of a tile.
+    around : ExportPoint, optional
+        Export the tiles of a square around this point, up to ``radius`` to each side; else the whole map.
+    radius_m : float
+    datum : ExportPoint, optional
+        Origin of the frame; else the corner of a tile nearest to ``around``, or to the middle of the map. Then cells
+        and origin are aligned, as costmaps that roll with the robot want it.
+
+    Raises
+    ------
+    BadInputError
+        The square does not touch the map.
+    """
+    window, size = route_map.window, route_map.grid.tile_size
+    if around is not None:
+        window = _crop(route_map, around, radius_m)
+    if datum is None:
+        middle = around or ExportPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
+        datum = ExportPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
+    return ExportArea(route_map, window, datum, split)
+
+
+def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:
+    whole, grid = route_map.window, route_map.grid
+    sides = np.array([around.easting, around.northing])
+    first = grid.index(sides - radius_m)
+    last = grid.index(sides + radius_m)
+    west, south = max(int(first[0]), whole.col), max(int(first[1]), whole.row)
+    east, north = min(int(last[0]) + 1, whole.col + whole.cols), min(int(last[1]) + 1, whole.row + whole.rows)
+    if east <= west or north <= south:
+        bounds = grid.window_bounds(whole)
+        (left, low), (right, top) = (
+            route_map.to_crs(bounds.west, bounds.south),
+            route_map.to_crs(bounds.east, bounds.north),
+        )
+        x, y = route_map.to_crs(around.easting, around.northing)
+        raise BadInputError(
+            f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} "
+            f"to {right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"
+        )
+    return TileWindow(west, south, east - west, north - south)
+
+
+DATUM_NAME = "datum.json"
+"""The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
+EXPORT_FILES: dict[str, tuple[str, ...]] = {
+    "nav2": (
+        "map.yaml",
+        "map.pgm",
+        "keepout_mask.yaml",
+        "keepout_mask.pgm",
+        "speed_mask.yaml",
+        "speed_mask.pgm",
+        "nav2_params.yaml",
+        DATUM_NAME,
+    ),
+    "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
+    "graph": ("graph.geojson", DATUM_NAME),
+    "plan": ("route.plan", DATUM_NAME),
+    "cost": ("cost.tif", DATUM_NAME),
+}
+"""Files of an export, by format."""
+
+
+def check_target(out: Path, to: str, *, overwrite: bool) -> None:
+    """Check that an export can be written to a folder, without touching it.
+
+    Raises
+    ------
+    OutputError
+        It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
+        is False.
+    """
+    if lexists(out) and not out.is_dir():
+        raise OutputError(f"cannot write to the folder {out}: it is not a folder. Choose another `out`")
+    if lexists(out / MANIFEST_NAME):
+        raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
+    own = EXPORT_FILES[to]
+    foreign = sorted(
+        name for names in EXPORT_FILES.values() for name in names if name not in own and lexists(out / name)
+    )
+    if foreign:
+        raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
+    refuse_present(out, own, overwrite=overwrite)
+
+
+@contextmanager
+def export_folder(out: Path, to: str, *, overwrite: bool) -> Iterator[Path]:
+    """Yield an empty folder to write an export to; at the end its files move to ``out``, or none.
+
+    A file that is a symbolic link is replaced as a link; its target is not touched.
+
+    Raises
+    ------
+    OutputError
+        See `check_target`; or another process is writing there, or the files cannot be written.
+    """
+    with remove_empty_on_error(out), locked(out):
+        check_target(out, to, overwrite=overwrite)
+        with write_together(out, DATUM_NAME) as staged:
+            yield staged
+
+
+def write_file(path: Path, *parts: bytes) -> None:
+    """Write a file of given bytes. Raises OutputError if that fails."""
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        for part in parts:
+            file.write(part)
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write a record as JSON with one entry a line. Raises OutputError if that fails."""
+    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    write_file(path, text.encode("utf-8", "backslashreplace"))

@@ -1,0 +1,233 @@
+"""A grid_map message in a ROS 2 bag (MCAP): elevation, c_r, p_fail, class, obstacle. No ROS is needed to write it."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path, write_remedy
+from bumpymap.layers import common_window, require_written
+from bumpymap.views.export.area import FRAME, ExportArea
+from bumpytiles import TileWindow
+
+__all__ = [
+    "GRID_MAP",
+    "TOPIC",
+    "grid_map_message",
+    "make_layers",
+    "require_rosbags",
+    "typestore",
+    "write_gridmap",
+]
+
+TOPIC = "/grid_map"
+GRID_MAP = "grid_map_msgs/msg/GridMap"
+_MAX_CELLS = 5_000_000
+"""Most cells: 100 MB in one message."""
+_DEFINITIONS = {
+    "grid_map_msgs/msg/GridMapInfo": """\
+float64 resolution
+float64 length_x
+float64 length_y
+geometry_msgs/Pose pose
+""",
+    GRID_MAP: """\
+std_msgs/Header header
+grid_map_msgs/GridMapInfo info
+string[] layers
+string[] basic_layers
+std_msgs/Float32MultiArray[] data
+uint16 outer_start_index
+uint16 inner_start_index
+""",
+}
+"""Fields of the messages, in the order of ROS 2."""
+
+
+def require_rosbags() -> None:
+    """Raise UsageError if the extra ``ros`` is not installed."""
+    try:
+        import rosbags.rosbag2
+        import rosbags.typesys  # noqa: F401 (tried)
+    except ImportError as error:
+        raise UsageError(
+            f"a bag is written with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
+        ) from error
+
+
+def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
+    """Read the layers of an area by name, (rows, cols) each, north row first; NaN where unknown.
+
+    With one cell a tile, elevation is the mean of the tile's heights and obstacle the share of its pixels; else
+    elevation is the heightmap and obstacle the state of the pixel: 0 free, 1 obstacle, 2 canopy, NaN unknown.
+
+    Raises
+    ------
+    BadInputError
+        There are too many cells, or class.tif is missing or damaged.
+    """
+    rows, cols = area.shape
+    if rows * cols > _MAX_CELLS:
+        raise BadInputError(
+            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a grid_map may have {_MAX_CELLS:,}. "
+            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
+        )
+    for sheet in area.route_map.sheets:
+        require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
+    values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
+    for window, lines in area.strips(detail=area.route_map.grid.pixels):
+        for name, layer in _read(area, window).items():
+            values[name][lines] = layer
+    return values
+
+
+def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
+    field = area.route_map.read(window, ("c_r", "p_fail", "obstacle"))
+    heights = area.route_map.heights(window)
+    layers = {"c_r": field.c_r, "p_fail": field.p_fail, "class": _classes(area, window)}
+    if area.split == 1:
+        return layers | {"elevation": _tile_means(heights, area.route_map.grid.pixels), "obstacle": field.obstacle}
+    objects = area.route_map.objects(window)
+    state = np.where(objects > CANOPY, np.nan, objects).astype(np.float32)
+    fine = {name: np.repeat(np.repeat(layer, area.split, axis=0), area.split, axis=1) for name, layer in layers.items()}
+    return fine | {"elevation": heights, "obstacle": state}
+
+
+def _tile_means(heights: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
+    """Return the mean of the known heights of each tile, m; NaN if there is none."""
+    rows, cols = heights.shape[0] // pixels, heights.shape[1] // pixels
+    tiles = heights.reshape(rows, pixels, cols, pixels)
+    known = np.isfinite(tiles).sum(axis=(1, 3))
+    total = np.nansum(tiles, axis=(1, 3), dtype=np.float64)
+    return np.where(known > 0, total / np.maximum(known, 1), np.nan).astype(np.float32)
+
+
+def _classes(area: ExportArea, window: TileWindow) -> NDArray[np.float32]:
+    """Read the classes of tiles; NaN where unknown. Of two sheets the rougher class counts."""
+    out = np.full((window.rows, window.cols), np.nan, np.float32)
+    for sheet in area.route_map.sheets:
+        part = common_window(window, sheet.window)
+        if part is None:
+            continue
+        found = np.empty((part.rows, part.cols), np.uint8)
+        sheet.read_into([found], "class.tif", part)
+        top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
+        place = (slice(top, top + part.rows), slice(left, left + part.cols))
+        out[place] = np.fmax(out[place], np.where(found == NO_CLASS, np.nan, found))
+    return out
+
+
+def typestore() -> Any:
+    """Return the message types of ROS 2 with those of grid_map."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in _DEFINITIONS.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
+
+def write_gridmap(folder: Path, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> dict[str, Any]:
+    """Write gridmap.mcap and metadata.yaml, which make the folder a bag; return what the sidecar file says of it.
+
+    All times are 0, so that the same map has the same bytes. Late subscribers get the message too. Version 8 of the
+    metadata is the newest that all current releases of ROS 2 read.
+
+    Raises
+    ------
+    OutputError
+        The bag cannot be written.
+    """
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    store, bag = typestore(), folder / "gridmap"
+    message = _message(store, area, layers)
+    try:
+        with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
+            topic = writer.add_connection(TOPIC, GRID_MAP, typestore=store, offered_qos_profiles=[_latched()])
+            writer.write(topic, 0, store.serialize_cdr(message, GRID_MAP))
+        for name in ("gridmap.mcap", "metadata.yaml"):
+            with atomic(folder / name) as temporary:
+                (bag / name).rename(temporary)
+        remove_path(bag)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write the bag to {folder.parent}: {error}. {write_remedy(error, 'Choose another `out`')}"
+        ) from error
+    return {"topic": TOPIC, "type": GRID_MAP, "layer_names": list(layers)}
+
+
+def _latched() -> Any:
+    from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+    forever = QosTime(0, 0)
+    return Qos(
+        QosHistory.KEEP_LAST,
+        1,
+        QosReliability.RELIABLE,
+        QosDurability.TRANSIENT_LOCAL,
+        forever,
+        forever,
+        QosLiveliness.AUTOMATIC,
+        forever,
+        avoid_ros_namespace_conventions=False,
+    )
+
+
+def _message(store: Any, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> Any:
+    """Make the message: position of the middle, sides, and the layers."""
+    types, bounds = store.types, area.bounds
+    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME)
+    middle = ((bounds.west + bounds.east) / 2.0, (bounds.south + bounds.north) / 2.0)
+    return grid_map_message(store, header, middle, area.resolution, layers)
+
+
+def grid_map_message(
+    store: Any, header: Any, middle: tuple[float, float], resolution: float, layers: Mapping[str, NDArray[np.float32]]
+) -> Any:
+    """Make a message ``grid_map_msgs/GridMap``.
+
+    Parameters
+    ----------
+    store
+        From `typestore`.
+    header : std_msgs/Header
+    middle : tuple of float
+        x and y of the middle of the grid in the frame of the header, m.
+    resolution : float
+        Side of a cell, m.
+    layers : mapping
+        One of them is ``elevation``.
+    """
+    types = store.types
+    rows, cols = layers["elevation"].shape
+    point = types["geometry_msgs/msg/Point"](x=middle[0], y=middle[1], z=0.0)
+    upright = types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0)
+    info = types["grid_map_msgs/msg/GridMapInfo"](
+        resolution=resolution,
+        length_x=cols * resolution,
+        length_y=rows * resolution,
+        pose=types["geometry_msgs/msg/Pose"](position=point, orientation=upright),
+    )
+    return types[GRID_MAP](
+        header=header,
+        info=info,
+        layers=list(layers),
+        basic_layers=["elevation"],
+        data=[_array(types, layer) for layer in layers.values()],
+        outer_start_index=0,
+        inner_start_index=0,
+    )
+
+
+def _array(types: Any, layer: NDArray[np.float32]) -> Any:
+    """Pack a layer: rows of the matrix run from east to west, its columns from north to south, columns one by one."""
+    rows, cols = layer.shape
+    dimension = types["std_msgs/msg/MultiArrayDimension"]
+    outer = dimension(label="column_index", size=rows, stride=rows * cols)
+    inner = dimension(label="row_index", size=cols, stride=cols)
+    layout = types["std_msgs/msg/MultiArrayLayout"](dim=[outer, inner], data_offset=0)
+    return types["std_msgs/msg/Float32MultiArray"](layout=layout, data=layer[:, ::-1].ravel())

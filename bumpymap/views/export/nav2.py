@@ -1,0 +1,263 @@
+"""Files for Nav2: a map with graded cost, a keepout mask, a speed mask, and the parameters that load them, as YAML.
+
+What their readers do with them (map_server, costmaps and their filters, the Smac planner) is stated on the page about
+robots, and held by the tests.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
+from bumpymap.views.export.area import (
+    CLOSED_IN_PART,
+    DEAREST,
+    FRAME,
+    LETHAL,
+    UNKNOWN_CELL,
+    CostScale,
+    ExportArea,
+    cost_values,
+    keepout_values,
+    lay_objects,
+    open_in_part,
+    passable_cost,
+    speed_values,
+    write_file,
+)
+
+__all__ = ["Nav2Grids", "make_grids", "params_text", "travel_multiplier", "write_nav2"]
+
+_COSTMAP_LETHAL, _SMAC_FULL = 254, 252
+"""Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
+
+_TEXT = """\
+# Parameters of Nav2 that load this export. Merge them into those of your robot; the frame is "{frame}".
+# yaml_filename: give the full path of each file. Both costmaps want the same settings of costs and filters.
+map_server:
+  ros__parameters:
+    yaml_filename: "map.yaml"
+    topic_name: "map"
+    frame_id: "{frame}"
+
+keepout_mask_server:
+  ros__parameters:
+    yaml_filename: "keepout_mask.yaml"
+    topic_name: "keepout_mask"
+    frame_id: "{frame}"
+
+keepout_info_server:
+  ros__parameters:
+    type: 0
+    filter_info_topic: "keepout_info"
+    mask_topic: "keepout_mask"
+    base: 0.0
+    multiplier: 1.0
+
+speed_mask_server:
+  ros__parameters:
+    yaml_filename: "speed_mask.yaml"
+    topic_name: "speed_mask"
+    frame_id: "{frame}"
+
+# Type 1: the mask holds percent of the controller's own top speed. It was made for {speed!r} m/s.
+speed_info_server:
+  ros__parameters:
+    type: 1
+    filter_info_topic: "speed_info"
+    mask_topic: "speed_mask"
+    base: 0.0
+    multiplier: 1.0
+
+lifecycle_manager_bumpymap:
+  ros__parameters:
+    autostart: true
+    node_names: ["map_server", "keepout_mask_server", "keepout_info_server", "speed_mask_server", "speed_info_server"]
+
+global_costmap:
+  global_costmap:
+    ros__parameters:
+      global_frame: "{frame}"
+      resolution: {resolution!r}
+      robot_radius: {radius!r}
+      # Without the next four lines all graded cost becomes free, and unknown ground too.
+      trinary_costmap: false
+      lethal_cost_threshold: {lethal}
+      unknown_cost_value: 255
+      track_unknown_space: true
+      plugins: ["static_layer", "inflation_layer"]
+      filters: ["keepout_filter", "speed_filter"]
+      static_layer:
+        plugin: "nav2_costmap_2d::StaticLayer"
+        map_topic: "map"
+        map_subscribe_transient_local: true
+      # No farther than the robot is wide: a wider slope of inflated cost would hide the cost of the ground.
+      inflation_layer:
+        plugin: "nav2_costmap_2d::InflationLayer"
+        inflation_radius: {radius!r}
+        cost_scaling_factor: 10.0
+      keepout_filter:
+        plugin: "nav2_costmap_2d::KeepoutFilter"
+        enabled: true
+        filter_info_topic: "keepout_info"
+      speed_filter:
+        plugin: "nav2_costmap_2d::SpeedFilter"
+        enabled: true
+        filter_info_topic: "speed_info"
+        speed_limit_topic: "speed_limit"
+
+controller_server:
+  ros__parameters:
+    speed_limit_topic: "speed_limit"
+
+# With this multiplier the planner's cost of a cell is bumpymap's: 1 on smooth, safe ground, {dearest!r} at value {top}.
+planner_server:
+  ros__parameters:
+    planner_plugins: ["GridBased"]
+    GridBased:
+      plugin: "nav2_smac_planner::SmacPlanner2D"
+      allow_unknown: false
+      cost_travel_multiplier: {multiplier!r}
+"""
+
+
+def travel_multiplier(scale: CostScale) -> float:
+    """Return the ``cost_travel_multiplier`` with which the Smac 2D planner counts cost per metre as the map does.
+
+    The costmap scales 0..100 to 0..254 and drops decimals; the planner's cost of a step is
+    ``length * (1 + multiplier * cell / 252)``.
+    """
+    return (scale.dearest - 1.0) * _SMAC_FULL / math.floor(DEAREST / LETHAL * _COSTMAP_LETHAL)
+
+
+def params_text(vehicle: RouteVehicle, scale: CostScale, resolution: float) -> str:
+    """Return the parameters as YAML."""
+    return _TEXT.format(
+        frame=FRAME,
+        speed=vehicle.speed_mps,
+        resolution=resolution,
+        radius=round(vehicle.width_m / 2.0, 3),
+        lethal=LETHAL,
+        dearest=round(scale.dearest, 6),
+        top=DEAREST,
+        multiplier=round(travel_multiplier(scale), 6),
+    )
+
+
+_MAX_CELLS = 100_000_000
+"""Most cells of an occupancy grid: every node of Nav2 that uses it keeps a copy."""
+_BANDS = ("c_r", "p_fail")
+
+
+@dataclass(frozen=True, slots=True)
+class Nav2Grids:
+    """The three images, uint8 (rows, cols) each, north row first."""
+
+    cost: NDArray[np.uint8]
+    keepout: NDArray[np.uint8]
+    speed: NDArray[np.uint8]
+    scale: CostScale
+    comfort: float
+    """Most pitch motion, rad/s."""
+    tiles: dict[str, int]
+    """Tiles in the area: passable, barred, unknown."""
+
+
+def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2Grids:
+    """Make the images of an area.
+
+    Parameters
+    ----------
+    area : ExportArea
+    comfort : float
+        See `speed_values`.
+    dearest : float, optional
+        Cost per metre that gets the highest value; else that of the dearest passable tile of the area.
+
+    Raises
+    ------
+    BadInputError
+        There are too many cells, or no tile of the area is passable.
+    """
+    rows, cols = area.shape
+    if rows * cols > _MAX_CELLS:
+        raise BadInputError(
+            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a map for Nav2 may have {_MAX_CELLS:,}. "
+            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
+        )
+    highest, tiles = _survey(area)
+    if not tiles["passable"]:
+        raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
+    scale = CostScale(dearest or highest)
+    cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
+    for window, lines in area.strips():
+        field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
+        coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
+        if area.split == 1:
+            cost[lines], keepout[lines], speed[lines] = coarse
+            continue
+        objects = area.route_map.objects(window)
+        judged = ~np.isnan(field.obstacle)
+        between = open_in_part(area.route_map, field)
+        barred = np.where(np.isin(field.barred, CLOSED_IN_PART), np.uint8(Barred.NO), field.barred)
+        opened = replace(field, barred=barred)
+        cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
+        keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
+        for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
+            cells[lines][between] = _by_cell(values, area.split)[between]
+        speed[lines] = _by_cell(coarse[2], area.split)
+    return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
+
+
+def _by_cell(values: NDArray[np.uint8], split: int) -> NDArray[np.uint8]:
+    """Give every cell the value of its tile."""
+    return np.repeat(np.repeat(values, split, axis=0), split, axis=1)
+
+
+def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
+    """Return the highest cost of a passable tile, and the numbers of tiles by state."""
+    highest, counts = 1.0, np.zeros(3, np.int64)
+    for window, _ in area.strips():
+        field = area.route_map.read(window, _BANDS)
+        cost = passable_cost(field)
+        highest = float(np.fmax(highest, np.nanmax(cost, initial=1.0)))
+        passable, unknown = np.count_nonzero(~np.isnan(cost)), np.count_nonzero(field.barred == Barred.UNKNOWN)
+        there = np.count_nonzero(field.barred != NO_TILE)
+        counts += passable, there - passable - unknown, unknown
+    return highest, dict(zip(("passable", "barred", "unknown"), map(int, counts), strict=True))
+
+
+def write_nav2(folder: Path, area: ExportArea, grids: Nav2Grids) -> dict[str, Any]:
+    """Write the files, and return what the sidecar file says of them."""
+    for name, cells in (("map", grids.cost), ("keepout_mask", grids.keepout), ("speed_mask", grids.speed)):
+        header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
+        write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
+        write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
+    vehicle = area.route_map.vehicle
+    write_file(folder / "nav2_params.yaml", params_text(vehicle, grids.scale, area.resolution).encode())
+    return {
+        "cost": {
+            "value_0": 1.0,
+            f"value_{DEAREST}": grids.scale.dearest,
+            "unit": "cost per metre of level, smooth and safe ground",
+        },
+        "speed": {"comfort_rad_per_s": grids.comfort, "value_100_m_per_s": vehicle.speed_mps},
+        "tiles": grids.tiles,
+    }
+
+
+def _map_yaml(image: str, area: ExportArea) -> Iterator[str]:
+    """Yield the lines of a map's metadata; the thresholds are required, though mode ``raw`` does not use them."""
+    bounds = area.bounds
+    yield f"image: {image}\n"
+    yield "mode: raw\n"
+    yield f"resolution: {area.resolution!r}\n"
+    yield f"origin: [{float(bounds.west)!r}, {float(bounds.south)!r}, 0.0]\n"
+    yield "negate: 0\n"
+    yield "occupied_thresh: 0.65\n"
+    yield "free_thresh: 0.25\n"

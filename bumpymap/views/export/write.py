@@ -1,0 +1,298 @@
+"""Export a map, or a route as a mission for QGroundControl: make everything in memory, write it at once."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, Number, shape_fault
+from bumpymap.layers import RouteMap, check_extent, geojson_features, line_parts
+from bumpymap.views.export.area import (
+    DATUM_NAME,
+    EXPORT_FILES,
+    ExportArea,
+    ExportPoint,
+    check_target,
+    choose_area,
+    export_folder,
+    write_json,
+    write_pixel_cost,
+)
+from bumpymap.views.export.graph import make_graph, write_graph
+from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
+from bumpymap.views.export.nav2 import make_grids, write_nav2
+from bumpymap.views.export.settings import ExportSettings
+from bumpytiles import TileWindow
+
+__all__ = ["Export", "Mission", "export_map", "make_mission", "read_route_line", "write_plan"]
+
+_WAYPOINT = 16
+"""MAV_CMD_NAV_WAYPOINT."""
+_RELATIVE = 3
+"""MAV_FRAME_GLOBAL_RELATIVE_ALT: heights above the home position. Rovers stay on the ground whatever it is."""
+_ARDUPILOT, _ROVER = 3, 10
+"""MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
+_MOST_WAYPOINTS = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class Mission:
+    """Waypoints on the ground."""
+
+    longitude: NDArray[np.float64]
+    """(n,) degrees, WGS 84."""
+    latitude: NDArray[np.float64]
+    """(n,) degrees."""
+    home_z: float
+    """Height of the ground at the first waypoint, m; 0 if unknown."""
+    speed_mps: float
+    obstacle_m: float = 0.0
+    """Length on which the vehicle touches obstacles, m."""
+
+
+def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:
+    """Read the first line of a route file.
+
+    Parameters
+    ----------
+    path : Path
+        GeoJSON (RFC 7946) with a LineString or MultiLineString, as ``route.geojson``.
+    through_obstacles : bool
+        Read a route that touches obstacles (its property ``obstacle_m``) too.
+
+    Returns
+    -------
+    line : float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+    obstacle_m : float
+        Length on which it touches obstacles, m.
+
+    Raises
+    ------
+    BadInputError
+        The file cannot be read, or holds no such line, or one that touches obstacles.
+    """
+    try:
+        corners, touched = _first_line(path)
+    except (OSError, ValueError) as error:
+        raise BadInputError(
+            f"cannot read a route from {path}: {error}. Give a GeoJSON file with a line, such as the route.geojson "
+            "that `bumpymap route` writes"
+        ) from error
+    if touched > 0.0 and not through_obstacles:
+        raise BadInputError(
+            f"the route in {path} touches obstacles on {touched:.1f} m. Plan one that does not, or pass "
+            "`through_obstacles=True` here too"
+        )
+    longitude, latitude = corners.T
+    if len(corners) < 2 or not (np.abs(longitude) <= 180.0).all() or not (np.abs(latitude) <= 90.0).all():
+        raise BadInputError(f"the line in {path} is not one of two or more points in longitude and latitude (degrees)")
+    return corners, touched
+
+
+def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
+    """Return the first line of a GeoJSON, its parts one after the other, and its length on obstacles, m."""
+    for geometry, about in geojson_features(path)[0]:
+        if geometry["type"] in {"LineString", "MultiLineString"}:
+            touched = about.get("obstacle_m") or 0.0
+            if fault := shape_fault(touched, Number(0.0), "obstacle_m"):
+                raise ValueError(fault)
+            return np.concatenate(line_parts(geometry)), float(touched)
+    raise ValueError("it holds no line")
+
+
+def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
+    """Make a mission of a line over a map.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        Gives the speed, and the height of the ground at the start.
+    line : float64 (n, 2)
+        Longitude and latitude of its corners, degrees.
+
+    Raises
+    ------
+    BadInputError
+        The line leaves the map or has too many corners, or the map has no CRS.
+    """
+    if len(line) > _MOST_WAYPOINTS:
+        raise BadInputError(f"the route has {len(line):,} corners; a mission may have {_MOST_WAYPOINTS:,}")
+    if not route_map.has_crs:
+        raise BadInputError(
+            "a mission is in longitude and latitude, and the map has no CRS. Map the survey with `crs='EPSG:CODE'`"
+        )
+    easting, northing = route_map.from_lonlat(line[:, 0], line[:, 1])
+    bounds, edge = route_map.grid.window_bounds(route_map.window), 0.1  # m: files round coordinates to 1 cm
+    inside = (easting >= bounds.west - edge) & (easting <= bounds.east + edge)
+    inside &= (northing >= bounds.south - edge) & (northing <= bounds.north + edge)
+    if not inside.all():
+        number = int(np.flatnonzero(~inside)[0])
+        raise BadInputError(
+            f"point {number + 1} of the route, {line[number, 0]:.7f},{line[number, 1]:.7f}, lies outside of the map. "
+            "Give the layers that the route was planned on"
+        )
+    height = _ground(route_map, float(easting[0]), float(northing[0]))
+    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
+
+
+def _ground(route_map: RouteMap, easting: float, northing: float) -> float:
+    """Return the mean height of the tile at a place, m; 0 if unknown."""
+    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
+    heights = route_map.heights(TileWindow(col, row, 1, 1))
+    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
+
+
+def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
+    """Write route.plan, and return what the sidecar file says of it."""
+    places = list(zip(mission.latitude.tolist(), mission.longitude.tolist(), strict=True))
+    items = [_item(number, *place) for number, place in enumerate(places, start=1)]
+    record = {
+        "fileType": "Plan",
+        "version": 1,
+        "groundStation": "QGroundControl",
+        "geoFence": {"circles": [], "polygons": [], "version": 2},
+        "rallyPoints": {"points": [], "version": 2},
+        "mission": {
+            "version": 2,
+            "firmwareType": _ARDUPILOT,
+            "vehicleType": _ROVER,
+            "cruiseSpeed": mission.speed_mps,
+            "hoverSpeed": mission.speed_mps,
+            "globalPlanAltitudeMode": 1,
+            "plannedHomePosition": [*places[0], mission.home_z],
+            "items": items,
+        },
+    }
+    write_json(folder / "route.plan", record)
+    about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
+    return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
+
+
+def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
+    """Return a waypoint: no hold, no heading of its own, on the ground."""
+    return {
+        "type": "SimpleItem",
+        "autoContinue": True,
+        "command": _WAYPOINT,
+        "doJumpId": number,
+        "frame": _RELATIVE,
+        "params": [0, 0, 0, None, latitude, longitude, 0],
+        "AMSLAltAboveTerrain": None,
+        "Altitude": 0,
+        "AltitudeMode": 1,
+    }
+
+
+_FORMAT, _VERSION = "bumpymap-export", 1
+
+_Writer = Callable[[Path], dict[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """What was written."""
+
+    files: tuple[Path, ...]
+    record: dict[str, Any]
+    """The content of datum.json."""
+
+
+def export_map(
+    route_map: RouteMap, out: str | os.PathLike[str], settings: ExportSettings, *, overwrite: bool = False
+) -> Export:
+    """Write a map for robots to a folder: all files, or none.
+
+    Parameters
+    ----------
+    route_map : RouteMap
+        From `open_map`.
+    out : path
+        A folder of its own.
+    settings : ExportSettings
+    overwrite : bool
+        Replace an earlier export in the same format.
+
+    Raises
+    ------
+    BadInputError
+        The map or the route cannot be read, the area does not touch the map, is too large, or holds nothing passable.
+    OutputError
+        The folder holds something that must not be replaced, or cannot be written.
+    UsageError
+        The extra ``ros`` is needed and not installed.
+    """
+    folder = Path(out)
+    area = choose_area(
+        route_map, _split(route_map, settings), _point(settings.around), settings.radius, _point(settings.datum)
+    )
+    if settings.to != "plan":
+        check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
+    record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
+    # The faults of what was given come first, but for those that take long to find.
+    write = _plan(area, settings) if settings.to == "plan" else None
+    check_target(folder, settings.to, overwrite=overwrite)
+    write = write or _MAKERS[settings.to](area, settings)
+    with export_folder(folder, settings.to, overwrite=overwrite) as staged:
+        record |= write(staged)
+        write_json(staged / DATUM_NAME, record)
+    return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
+
+
+def _point(place: tuple[float, float] | None) -> ExportPoint | None:
+    return None if place is None else ExportPoint(*map(float, place))
+
+
+def _split(route_map: RouteMap, settings: ExportSettings) -> int:
+    by_pixels = settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"}
+    return route_map.grid.pixels if by_pixels or settings.to == "cost" else 1
+
+
+def _sources(route_map: RouteMap) -> dict[str, Any]:
+    vehicle = route_map.vehicle
+    return {
+        "layers": [sheet.folder.resolve().name for sheet in route_map.sheets],
+        "calibration": route_map.calibration_id,
+        "vehicle": {"name": vehicle.name, "width_m": vehicle.width_m, "speed_m_per_s": vehicle.speed_mps},
+    }
+
+
+def _nav2(area: ExportArea, settings: ExportSettings) -> _Writer:
+    grids = make_grids(area, settings.comfort, settings.dearest)
+    return lambda folder: write_nav2(folder, area, grids)
+
+
+def _gridmap(area: ExportArea, _: ExportSettings) -> _Writer:
+    require_rosbags()
+    layers = make_layers(area)
+    return lambda folder: write_gridmap(folder, area, layers)
+
+
+def _graph(area: ExportArea, settings: ExportSettings) -> _Writer:
+    lattice, every = make_graph(area, settings.every)
+    return lambda folder: write_graph(folder, area, lattice, every)
+
+
+def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
+    route = settings.route or area.route_map.sheets[0].folder
+    path = route / "route.geojson" if route.is_dir() else route
+    if not path.exists():
+        raise BadInputError(
+            f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
+        )
+    line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
+    mission = replace(make_mission(area.route_map, line), obstacle_m=touched)
+    return lambda folder: write_plan(folder, mission)
+
+
+_MAKERS: dict[str, Callable[[ExportArea, ExportSettings], _Writer]] = {
+    "nav2": _nav2,
+    "gridmap": _gridmap,
+    "graph": _graph,
+    "plan": _plan,
+    "cost": lambda area, _: lambda folder: write_pixel_cost(folder, area),
+}

@@ -1,0 +1,235 @@
+"""index.html, the page of a batch: a row for each survey, with a thumbnail of its map and its place."""
+
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
+from bumpymap.layers import (
+    BARRED_COLOURS,
+    CLASS_COLOURS,
+    RemoteFolder,
+    SurveyRow,
+    SurveyStatus,
+    open_raster,
+    read_averaged,
+)
+from bumpymap.views.page.page import render_page
+from bumpymap.views.pictures.drawing import bar_length
+
+__all__ = ["SurveyView", "index_page", "read_thumbnail"]
+
+_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
+_DEGREE_M = 111_320.0
+_LEAST_M = 100.0
+_SMALLEST_PX = 7.0
+
+
+def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
+    """Return the map of the surveys in pixels; None if fewer than two have a known place, or they lie far apart."""
+    found = [(row, box) for row in rows if (box := _box(row))]
+    if len(found) < 2:
+        return None
+    lows, highs = (pick(np.array([box for _, box in found]), axis=0).tolist() for pick in (np.min, np.max))
+    (west, south, _, _), (_, _, east, north) = lows, highs
+    if east - west > 180 or max(abs(south), abs(north)) > 85:
+        return None
+    east_m = _DEGREE_M * math.cos(math.radians((south + north) / 2))
+    wide, high = max((east - west) * east_m, _LEAST_M), max((north - south) * _DEGREE_M, _LEAST_M)
+    scale = min((_WIDTH - 2 * _EDGE) / wide, (_MOST_HEIGHT - 2 * _EDGE) / high)
+    boxes = []
+    for row, (left, bottom, right, top) in found:
+        size = (right - left) * east_m * scale, (top - bottom) * _DEGREE_M * scale
+        grown = [max(side, _SMALLEST_PX) for side in size]
+        x, y = _EDGE + (left - west) * east_m * scale, _EDGE + (north - top) * _DEGREE_M * scale
+        boxes.append((row, (x - (grown[0] - size[0]) / 2, y - (grown[1] - size[1]) / 2, *grown)))
+    bar_m = bar_length(_WIDTH / 4 / scale)
+    return {
+        "boxes": boxes,
+        "bounds": (west, east, south, north),
+        "width": max(wide * scale + 2 * _EDGE, _LEAST_WIDTH),
+        "height": high * scale + 2 * _EDGE + 16,
+        "bar": bar_m * scale,
+        "bar_m": bar_m,
+        "missing": len(rows) - len(found),
+    }
+
+
+def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
+    """Return west, south, east and north of a survey in WGS 84, degrees; None if they are not known."""
+    left, bottom, right, top = row.min_x, row.min_y, row.max_x, row.max_y
+    if row.crs is None or left is None or bottom is None or right is None or top is None:
+        return None
+    try:
+        west, south, east, north = _to_degrees(row.crs).transform_bounds(left, bottom, right, top)
+    except ProjError:
+        return None
+    if not all(map(math.isfinite, (west, south, east, north))) or west > east:
+        return None
+    return west, south, east, north
+
+
+@cache
+def _to_degrees(crs: str) -> Transformer:
+    return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
+
+
+_SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
+"""Pixels of the longer side and shades of each colour: the first that fits is taken."""
+_COLOURS = np.array(
+    [
+        *(CLASS_COLOURS[number][:3] for number in range(len(CLASS_NAMES))),
+        *([0.35 * part for part in CLASS_COLOURS[number][:3]] for number in range(len(CLASS_NAMES))),
+        BARRED_COLOURS[Barred.UNKNOWN][:3],
+    ],
+    np.float64,
+)
+"""Of the classes, of the same where the ground is not passable, and of unknown ground."""
+_BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
+_LIGHT = (-0.5, 0.5, 0.7071)
+"""Towards the sun in the north-west, 45 degrees high: east, north, up."""
+_DARKEST, _BRIGHTEST = 0.45, 1.2
+_MOST_PIXELS = 20_000_000
+"""Heights of a virtual raster to average."""
+
+
+def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
+    """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
+
+    It is made from the overviews, so that memory and time do not grow with the map.
+
+    Parameters
+    ----------
+    folder : Path or RemoteFolder
+    most_bytes : int
+        Largest size of the PNG.
+
+    Raises
+    ------
+    BadInputError
+        A layer is missing or damaged.
+    """
+    kind, shade = _read(folder, _SIDES[0][0])
+    for side, shades in _SIDES:
+        levels = np.linspace(_DARKEST, _BRIGHTEST, shades)
+        nearest = np.rint((shade - _DARKEST) / (_BRIGHTEST - _DARKEST) * (shades - 1)).astype(np.intp)
+        # A palette of its own: one that fits the picture would mix the colours of rare kinds of ground.
+        palette = np.vstack([(_COLOURS[:, None] * levels[:, None]).reshape(-1, 3), np.full((1, 3), 255.0)])
+        index = np.where(kind == _NOTHING, len(palette) - 1, kind * shades + nearest).astype(np.uint8)
+        picture = Image.fromarray(index, "P")
+        picture.putpalette(np.clip(np.rint(palette), 0, 255).astype(np.uint8).tobytes())
+        picture.thumbnail((side, side), Image.Resampling.NEAREST)
+        packed = io.BytesIO()
+        picture.save(packed, "PNG", optimize=True)
+        if packed.tell() <= most_bytes:
+            return packed.getvalue()
+    return b""
+
+
+def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
+
+    Both have ``side`` pixels along the longer side.
+    """
+    with open_raster(folder, "class.tif") as raster:
+        scale = side / max(raster.height, raster.width)
+        shape = max(1, round(raster.height * scale)), max(1, round(raster.width * scale))
+        wide, high = raster.bounds.right - raster.bounds.left, raster.bounds.top - raster.bounds.bottom
+        class_id = raster.read(1, out_shape=shape)
+    with open_raster(folder, "barred.tif") as raster:
+        barred = raster.read(1, out_shape=shape)
+    # A tile may have a class although it is not known whether it can be crossed.
+    unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
+    kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
+    kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)
+    return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+
+
+def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.float64]:
+    with open_raster(folder, "heightmap.tif") as raster:
+        # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
+        # of large sheets are averages already.
+        large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
+        heights: NDArray[np.float64] = raster.read(1, out_shape=shape) if large else read_averaged(raster, shape)
+    return heights
+
+
+def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the brightness of the relief, 1 where it is level or not known."""
+    if min(heights.shape) < 2:
+        return np.ones(heights.shape)
+    down, east = np.gradient(heights, *pixel)
+    light = (_LIGHT[0] * -east + _LIGHT[1] * down + _LIGHT[2]) / np.sqrt(1.0 + east**2 + down**2)
+    shade = np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST)
+    return np.where(np.isnan(shade), 1.0, shade)
+
+
+_ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
+"""What needs a look comes first."""
+
+
+@dataclass(frozen=True, slots=True)
+class SurveyView:
+    """What the page shows of the layers of a survey beside its row."""
+
+    thumbnail: bytes = b""
+    """PNG; empty: there is none."""
+    has_report: bool = False
+    """Whether there is a report.html beside the layers."""
+
+
+def index_page(
+    rows: Sequence[SurveyRow], views: Mapping[str, SurveyView], links: Sequence[str], title: str, note: str = ""
+) -> str:
+    """Return a page that requests nothing but what the reader follows a link to.
+
+    All text from rows is escaped; scripts and styles other than the page's own are refused by its policy.
+
+    Parameters
+    ----------
+    rows : sequence of SurveyRow
+    views : mapping
+        By name of a survey; those without one have no picture.
+    links : sequence of str
+        Files beside the page to link to.
+    title : str
+        Name of the batch.
+    note : str, optional
+        A sentence below the headline, such as when the page was written.
+    """
+    shown = sorted(rows, key=lambda row: (_ORDER.index(row.status), row.name))
+    return render_page(
+        "batch.html",
+        style="batch.css",
+        script="batch.js",
+        links=links,
+        note=note,
+        order={status: place for place, status in enumerate(_ORDER)},
+        places=_places(shown),
+        rows=shown,
+        shares_of=_shares,
+        title=title,
+        unknown_colour=BARRED_COLOURS[Barred.UNKNOWN],
+        views=views,
+    )
+
+
+def _shares(row: SurveyRow) -> list[tuple[str, tuple[int, ...], float, str]]:
+    """Return names, colours and shares of the classes and of unknown ground; empty if one is not known."""
+    shares = [row.share_smooth, row.share_fair, row.share_rough, row.share_very_rough, row.share_unknown]
+    known = [share for share in shares if share is not None]
+    if len(known) < len(shares):
+        return []
+    colours = [*(CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))), BARRED_COLOURS[Barred.UNKNOWN]]
+    told = shares_text(known, (len(CLASS_NAMES),), 1)
+    return list(zip((*CLASS_NAMES, "unknown"), colours, known, told, strict=True))

@@ -1,0 +1,447 @@
+"""The page of what has changed between two surveys, from change.tif, change.geojson and their record."""
+
+import math
+import shlex
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
+
+from bumpymap.core import (
+    CHANGE_KINDS,
+    CLASS_NAMES,
+    BadInputError,
+    Each,
+    Nullable,
+    Number,
+    parse_json,
+    read_record,
+    read_regular,
+    shape_fault,
+    stated_crs,
+)
+from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, open_layer, outline_of
+from bumpymap.views.page.page import write_page
+from bumpymap.views.page.site import jpeg
+from bumpymap.views.page.tiles import ByteGrid, packed
+from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
+
+__all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace", "is_comparison", "read_comparison", "write_change_report"]
+
+NOT_COMPARED = 16
+"""Value of ``kinds`` where the surveys could not be compared."""
+_RANK = (NOT_COMPARED, 1, 3, 4, 2)
+"""What wins in a pixel of several tiles, each over those before it and over tiles that have not changed."""
+_SIDE = 1_500
+"""Most pixels of the grids along a side."""
+_BUDGET = 1_300_000
+"""Most characters of the grids."""
+_COMPARED = 400_000
+"""Most pixels of the grids with a value: some three bytes of the page each."""
+_STRIP_TILES = 1_000_000
+"""Most tiles to read at a time."""
+_STILL_SIDE = 700
+_GREY = (178, 178, 178)
+_MOST_PLACES = 200
+"""Most places on the map and in the table, the largest."""
+_BANDS = ("changed", "d_height", "d_c_r")
+_AGAIN = "Compare the surveys again"
+
+
+@dataclass(frozen=True, slots=True)
+class ChangedPlace:
+    """A connected change."""
+
+    number: int
+    """Its id in change.geojson."""
+    about: Mapping[str, Any]
+    """Its properties there."""
+    where: tuple[float, float]
+    """A point in it, in the coordinates of change.geojson."""
+    east: float
+    """m, in the survey's CRS: the middle of its extent."""
+    north: float
+    size: tuple[float, float]
+    """Extent from west to east and from south to north, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSite:
+    """The changes between two surveys."""
+
+    record: Mapping[str, Any]
+    """The content of change.json."""
+    west: float
+    """m, in the survey's CRS."""
+    north: float
+    unit: float
+    """Metres per unit of the CRS."""
+    tile_size: float
+    step: int
+    """Tiles along a side of a pixel of the page."""
+    cols: int
+    """Tiles."""
+    rows: int
+    kinds: NDArray[np.uint8]
+    """Position in ``CHANGE_KINDS``, or ``NOT_COMPARED``: (rows, cols) of the page, north row first."""
+    grids: tuple[ByteGrid, ...]
+    places: tuple[ChangedPlace, ...]
+    """The largest first."""
+    degrees: bool
+    """Whether places are told as longitude and latitude; else in the survey's own coordinates."""
+    still: str = field(repr=False)
+    """The kinds, a data URI: for readers and printers without scripts."""
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any]) -> Self:
+        """Read the files of a comparison.
+
+        Parameters
+        ----------
+        folder : Path
+            change.tif and change.geojson.
+        record : mapping
+            The content of change.json, which may not be there yet.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, damaged, or was written by an earlier version.
+        """
+        try:
+            unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
+            with open_layer(folder / "change.tif", remedy=_AGAIN) as file:
+                compared = int(record["counts"]["compared"])
+                step = max(
+                    1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))
+                )
+                while True:
+                    kinds, d_height, d_c_r = _read(file, step)
+                    grids = (
+                        ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
+                        ByteGrid.of(("d_c_r", "ride cost C_r after minus before", "rad/m", 3), d_c_r, "root"),
+                    )
+                    taken = len(packed(kinds)) + sum(len(packed(grid.codes)) for grid in grids)
+                    if taken < _BUDGET or max(kinds.shape) < 100:
+                        break
+                    step *= 2
+                west, north = file.transform.c * unit, file.transform.f * unit
+                size = file.width, file.height
+            places, degrees = _places(folder / "change.geojson", record)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
+            said = error if isinstance(error, ValueError) else repr(error)
+            raise BadInputError(f"{folder} holds no comparison of this version: {said}. {_AGAIN}") from error
+        except OSError as error:
+            raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
+        return cls(record, west, north, unit, tile_size, step, *size, kinds, grids, places, degrees, _still(kinds))
+
+    @property
+    def metres(self) -> float:
+        """Side of a pixel of the page, m."""
+        return self.tile_size * self.step
+
+    @property
+    def crs_name(self) -> str:
+        """Name of the CRS."""
+        crs = self.record["crs"]
+        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+
+    def area_of(self, tiles: int) -> float:
+        """Return the area of some tiles, m2."""
+        return tiles * self.tile_size**2
+
+    def map_record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        rows, cols = self.kinds.shape
+        return {
+            "name": "changes",
+            "differences": True,
+            "west": self.west,
+            "north": self.north,
+            "unit": self.unit,
+            "metres": self.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": self.cols * self.tile_size,
+            "height": self.rows * self.tile_size,
+            "ground": packed(self.kinds),
+            "grids": [grid.record() for grid in self.grids],
+            "places": [
+                {"name": str(place.number), "east": place.east, "north": place.north, "size": place.size}
+                for place in self.places
+            ],
+        }
+
+
+def _read(file: Any, step: int) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+    """Return kinds and differences on the grid of the page; of several tiles the change, or the farthest value."""
+    if missing := [name for name in _BANDS if name not in file.descriptions]:
+        raise ValueError(f"change.tif has no band {missing[0]}")
+    bands = [file.descriptions.index(name) + 1 for name in _BANDS]
+    rank = np.zeros(256, np.uint8)
+    rank[list(_RANK)] = np.arange(1, len(_RANK) + 1)
+    cols = -(-file.width // step)
+    lines = step * max(1, _STRIP_TILES // (file.width * step))
+    parts: list[tuple[NDArray[Any], ...]] = []
+    for top in range(0, file.height, lines):
+        count = min(lines, file.height - top)
+        code, *values = file.read(bands, window=((top, top + count), (0, file.width)))
+        known = np.isfinite(code)
+        if known.any() and not set(np.unique(code[known])) <= set(range(len(CHANGE_KINDS))):
+            raise ValueError("unknown kinds of change in change.tif")
+        ranks = rank[np.where(known, code, NOT_COMPARED).astype(np.uint8)]
+        rows = -(-count // step)
+        room = ((0, rows * step - count), (0, cols * step - file.width))
+        worst = np.pad(ranks, room).reshape(rows, step, cols, step).max(axis=(1, 3))
+        farthest = [
+            _farthest(np.pad(np.where(known, one, np.nan), room, constant_values=np.nan), step) for one in values
+        ]
+        parts.append((np.array([0, *_RANK], np.uint8)[worst], *farthest))
+    kinds, d_height, d_c_r = (np.concatenate(part) for part in zip(*parts, strict=True))
+    for values in (d_height, d_c_r):
+        values[kinds == NOT_COMPARED] = np.nan
+    return kinds, d_height, d_c_r
+
+
+def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
+    """Return of each square of ``step`` x ``step`` tiles the value farthest from 0; NaN if it has none."""
+    blocks = values.reshape(values.shape[0] // step, step, values.shape[1] // step, step)
+    high, low = np.fmax.reduce(blocks, axis=(1, 3)), np.fmin.reduce(blocks, axis=(1, 3))
+    return np.asarray(np.where(np.abs(high) >= np.abs(low), high, low), np.float32)
+
+
+def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, ...], bool]:
+    """Return the largest places of change.geojson, and whether its coordinates are degrees."""
+    collection = parse_json(read_regular(path).decode())
+    features = collection["features"]
+    if len(features) != record["counts"]["regions"]:
+        raise ValueError("change.geojson and change.json are not of one comparison")
+    largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
+    degrees, crs = "local_coordinates" not in collection, record["crs"]
+    forward = None
+    if degrees and crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
+    unit = float(record["metres_per_unit"]["horizontal"])
+    return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
+
+
+def _placed(features: list[Any], forward: Transformer | None, unit: float) -> Iterator[ChangedPlace]:
+    for feature in features:
+        corners, where = outline_of(feature["geometry"])
+        if forward is not None:
+            corners = np.column_stack(forward.transform(corners[:, 0], corners[:, 1]))
+        corners = corners * unit
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        east, north = ((low + high) / 2).round(2).tolist()
+        width, height = (high - low).round(2).tolist()
+        if not math.isfinite(width + height):
+            raise ValueError("a place of change.geojson has no coordinates in the CRS")
+        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, (width, height))
+
+
+def _still(kinds: NDArray[np.uint8]) -> str:
+    """Return the kinds as one picture, hatched where not compared."""
+    factor = max(1, _STILL_SIDE // max(kinds.shape))
+    rows, cols = kinds.shape
+    scale = factor if factor > 1 else min(1.0, _STILL_SIDE / max(kinds.shape))
+    height, width = max(1, round(rows * scale)), max(1, round(cols * scale))
+    line, column = ((np.arange(size) + 0.5) * of / size for size, of in ((height, rows), (width, cols)))
+    shown = kinds[np.ix_(line.astype(int), column.astype(int))]
+    colours = np.full((256, 3), _GREY, np.uint8)
+    for code, colour in CHANGE_COLOURS.items():
+        colours[code] = colour[:3]
+    picture = colours[shown]
+    hatch = (shown == NOT_COMPARED) & ((np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1)
+    picture[hatch] = (110, 110, 110)
+    return jpeg(picture, 150_000)
+
+
+_RAMP = (
+    *("#053061", "#2166ac", "#4393c3", "#92c5de", "#f7f7f7"),
+    *("#f4a582", "#d6604d", "#b2182b", "#67001f"),
+)
+"""Colours from the least over none, white, to the most of a difference."""
+_MANIFEST, _FORMAT = "change.json", "bumpymap-change"
+_SURVEY = {"folders": [str], "runs": [Each()]}
+_SHAPE = PLACE_SHAPE | {
+    "settings": {"fdr": Number(0, 1), "min_tiles": COUNT},
+    "sources": {"before": _SURVEY, "after": _SURVEY},
+    "vehicle": str,
+    "calibration": str,
+    "fit": {
+        "widened": Each(Number()),
+        "median_density_m2": (Nullable(Number()),) * 2,
+        "versions": (Nullable(str),) * 2,
+        "offset_taken_off_m": Number(),
+        "offset_m": Nullable(Number()),
+    },
+    "counts": {
+        **dict.fromkeys(("in_both", "compared", "changed", "regions", "passable_lost", "passable_won"), COUNT),
+        "dropped_as_too_small": COUNT,
+        "by_change": Each(COUNT),
+    },
+    "classes": {"names": [str], "tiles_before_after": [[COUNT]]},
+    "remarks?": [str],
+}
+
+
+def is_comparison(folder: Path) -> bool:
+    """Return whether a folder holds what `bumpymap diff` wrote, and not the layers of a map."""
+    return (folder / _MANIFEST).is_file() and not (folder / "run.json").exists()
+
+
+def read_comparison(folder: Path) -> dict[str, Any]:
+    """Read change.json. Raises BadInputError if it is damaged."""
+    record = read_record(folder / _MANIFEST)
+    if record is None or record.get("format") != _FORMAT:
+        raise BadInputError(f"{folder / _MANIFEST} is not that of a comparison. Compare the surveys again")
+    if fault := shape_fault(record, _SHAPE):
+        raise BadInputError(f"{folder / _MANIFEST} is damaged: {fault}. Compare the surveys again")
+    return record
+
+
+def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> None:
+    """Write the page of the changes in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        change.tif and change.geojson.
+    record : mapping
+        The content of change.json, which need not be there yet.
+    path : Path
+        The page.
+
+    Raises
+    ------
+    BadInputError
+        A file cannot be read.
+    OutputError
+        The page cannot be written.
+    """
+    site = ChangeSite.read(folder, record)
+    runs = [record["sources"][side]["runs"][0] for side in _SIDES]  # sheets of one map have the same survey
+    classes = [*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known"]
+    codes = {
+        "unknownFrom": NOT_COMPARED,
+        "classes": list(CHANGE_KINDS),
+        "reasons": ["not compared: may have changed or not"],
+        "outside": "outside of what the surveys share: not compared",
+        "classColours": [CHANGE_COLOURS[code] for code in range(len(CHANGE_KINDS))],
+        "ramp": _RAMP,
+    }
+    write_page(
+        path,
+        "change.html",
+        name=_title(runs),
+        site=site,
+        class_names=classes,
+        class_rows=[
+            (name, *map(whole, row)) for name, row in zip(classes, record["classes"]["tiles_before_after"], strict=True)
+        ],
+        command=_command(record["settings"]),
+        kind_rows=_kind_rows(site),
+        place_rows=[_place_row(site, place) for place in site.places],
+        ramp_colours=_RAMP,
+        survey_rows=_survey_rows(record["fit"], runs),
+        data={"maps": [site.map_record()], "together": False, "codes": codes},
+    )
+
+
+_SIDES = ("before", "after")
+_USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
+"""Settings of a comparison that `--out` alone gives."""
+
+
+def _title(runs: list[Mapping[str, Any]]) -> str:
+    """Return what the two surveys are called: by name, with dates if the names are the same."""
+    names = [survey_name(run) for run in runs]
+    if names[0] == names[1]:
+        days = [_dates(run) for run in runs]
+        told = days if None not in days and days[0] != days[1] else _SIDES
+        names = [f"{name} ({what})" for name, what in zip(names, told, strict=True)]
+    return " to ".join(names)
+
+
+def _dates(run: Mapping[str, Any]) -> str | None:
+    dates = (run.get("survey") or {}).get("dates")
+    if not dates:
+        return None
+    return str(dates[0]) if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
+
+
+def _command(settings: Mapping[str, Any]) -> str:
+    """Return the command that compares the surveys in the same way."""
+    changed = [name for name, usual in _USUAL.items() if settings[name] != usual]
+    options = [f"--{name.replace('_', '-')} {shlex.quote(f'{settings[name]:g}')}" for name in changed]
+    return " ".join(["bumpymap diff BEFORE AFTER --out DIR", *options])
+
+
+_MEANING = {
+    "not changed": "no change was found; one smaller than the noise stays unseen",
+    "ground changed, ride as before": "the ground has another height or shape; no change of the ride was found",
+    "rougher": "the ground has changed and is rougher to ride on",
+    "smoother": "the ground has changed and is smoother to ride on",
+    "ground changed, ride unknown": "the ground has changed; the ride over it is not known in one survey or in both",
+}
+
+
+_APART = "too few places where both have points: may have changed or not"
+
+
+def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
+    """Return what became of the tiles."""
+    counts = site.record["counts"]
+    compared, apart = int(counts["compared"]), int(counts["in_both"] - counts["compared"])
+    found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]
+    entries = [
+        *(
+            ({"text": name, "meaning": _MEANING[name]}, told, tiles)
+            for name, told, tiles in zip(CHANGE_KINDS, shares(found), found, strict=True)
+        ),
+        ("compared", share(compared, compared), compared),
+        ({"text": "in both surveys, not compared", "meaning": _APART}, share(apart, 0), apart),
+    ]
+    return [(name, told, area(site.area_of(tiles)), whole(tiles)) for name, told, tiles in entries]
+
+
+def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    inputs = [run.get("inputs") or () for run in runs]
+    return [
+        ("name", *map(survey_name, runs)),
+        ("dates in the files", *(_dates(run) or "not stated" for run in runs)),
+        ("files", *(whole(len(items)) for items in inputs)),
+        ("points in the files", *(whole(sum(int(item.get("points") or 0) for item in items)) for items in inputs)),
+        ("points per m² where both have tiles, median", *(number(value, 1) for value in fit["median_density_m2"])),
+        ("made by version", *(str(version or "not stated") for version in fit["versions"])),
+    ]
+
+
+def _place_row(site: ChangeSite, place: ChangedPlace) -> tuple[Any, ...]:
+    """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
+    about = place.about
+    tiles = int(about["tiles"])
+    kinds = [
+        (name.removeprefix("ground changed, ride "), int(about[name.replace(",", "").replace(" ", "_")]))
+        for name in CHANGE_KINDS[1:]
+    ]
+    found = [(name, count) for name, count in kinds if count]
+    ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
+    low, high = (signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
+    return (
+        {"text": place.number, "meaning": ride},
+        area(site.area_of(tiles)),
+        whole(tiles),
+        signed(about["d_height"], 2),
+        f"{low} to {high}",
+        signed(about["volume_m3"], 1),
+        number(about["c_r_before"], 3),
+        number(about["c_r_after"], 3),
+        signed(about["d_c_r"], 3),
+        *(f"{value:.{6 if site.degrees else 1}f}" for value in place.where),
+    )

@@ -1,0 +1,315 @@
+"""Charts as inline SVG: one frame with two axes, in which bars, marks and lines are drawn.
+
+They hold numbers and words that stand here, nothing that a file or a user wrote: templates do not escape them.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import CheckResult, count_text
+from bumpymap.layers import OFF_COLOURS, MapOffset
+from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
+from bumpymap.views.pictures.drawing import tick_step
+from bumpymap.views.words import share, shares, whole
+
+__all__ = ["Chart", "along_chart", "c_r_chart", "drive_chart", "slope_chart"]
+
+_LINES, _FAINT, _DARK, _ERROR, _MARK = "#e2e4e8", "#6b7280", "#1f2937", "#9aa0a8", "#a3261b"
+_STEPS = (1, 2, 5)
+_ROOM = 1.15
+"""Factor between the outermost value and the end of the axis."""
+_LEAST_SPAN = 4.0
+"""Least ratio of the ends."""
+
+
+@dataclass(frozen=True, slots=True)
+class _LogAxis:
+    """From a lowest to a highest value, both above 0."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def around(cls, values: NDArray[np.float64]) -> "_LogAxis":
+        """Return an axis with room for values above 0, at least one."""
+        low, high = float(values.min()) / _ROOM, float(values.max()) * _ROOM
+        wider = float(max(1.0, np.sqrt(_LEAST_SPAN * low / high)))
+        return cls(low / wider, high * wider)
+
+    def part(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where values lie, 0 at the lower end to 1 at the upper; those beyond are at the ends."""
+        share = np.log(np.clip(values, self.low, self.high) / self.low) / np.log(self.high / self.low)
+        return np.asarray(share, dtype=np.float64)
+
+    @property
+    def ticks(self) -> list[float]:
+        """1, 2 and 5 times powers of ten."""
+        powers = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
+        found = [float(f"{step}e{power}") for power in powers for step in _STEPS]
+        return [value for value in found if self.low <= value <= self.high]
+
+
+Part = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+"""From values to their place along an axis: 0 at its lower end, 1 at its upper."""
+
+
+@dataclass
+class Chart:
+    """A chart in the making."""
+
+    title: str
+    """Read to those who do not see it."""
+    key: str
+    """Its id on the page."""
+    width: int
+    height: int
+    sides: tuple[int, int, int, int]
+    """Space left of the frame, right of it, above and below, pixels."""
+    x_part: Part
+    y_part: Part
+    caption: str
+    note: str = ""
+    axis: str = ""
+    """Head of the first column of ``rows``."""
+    rows: Sequence[tuple[str, ...]] = ()
+    """Table of its numbers."""
+    is_narrow: bool = False
+    """Whether it must not grow as wide as the page."""
+    elements: list[str] = field(default_factory=list)
+
+    @property
+    def frame(self) -> tuple[int, int, int, int]:
+        """Left, right, top and bottom of the frame, pixels."""
+        left, right, top, bottom = self.sides
+        return left, self.width - right, top, self.height - bottom
+
+    def x(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels to the right."""
+        left, right, _, _ = self.frame
+        return np.asarray(left + (right - left) * self.x_part(values), dtype=np.float64)
+
+    def y(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels down."""
+        _, _, top, foot = self.frame
+        return np.asarray(foot - (foot - top) * self.y_part(values), dtype=np.float64)
+
+    def path(self, shape: str, stroke: str, more: str = "") -> None:
+        """Draw a path; ``more`` holds other attributes."""
+        self.elements.append(f'<path d="{shape}" stroke="{stroke}"{more}/>')
+
+    def paths(self, shape: str, stroke: str, *columns: NDArray[np.float64], more: str = "") -> None:
+        """Draw one path of a shape for each row of some columns of numbers, in pixels."""
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        self.path("".join(shape.format(*row) for row in rows), stroke, more)
+
+    def text(self, x: float, y: float, text: str, anchor: str = "middle", more: str = "") -> None:
+        """Write a text."""
+        place = " ".join(
+            f'{key}="{at if isinstance(at, int) else format(at, ".1f")}"' for key, at in (("x", x), ("y", y))
+        )
+        self.elements.append(f'<text {place} text-anchor="{anchor}"{more}>{text}</text>')
+
+    def names(self, below: str, beside: str = "", gap: int = 8) -> None:
+        """Write what the axes show; that of the lower one ``gap`` pixels above the foot of the chart."""
+        left, right, top, foot = self.frame
+        self.text((left + right) / 2, self.height - gap, below)
+        if beside:
+            turned = f'transform="translate(16 {(top + foot) / 2}) rotate(-90)"'
+            self.elements.append(f'<text {turned} text-anchor="middle">{beside}</text>')
+
+    def discs(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], offset: MapOffset, order: NDArray[np.int64], size: float
+    ) -> None:
+        """Draw the marks of stretches: larger where errors do not explain how far the map is off."""
+        marks = zip(x.tolist(), y.tolist(), offset.kind[order].tolist(), offset.is_off[order].tolist(), strict=True)
+        self.elements += [
+            '<circle cx="{:.1f}" cy="{:.1f}" r="{:g}" fill="#{:02x}{:02x}{:02x}" stroke="#1c1e22" stroke-width="{}"/>'
+            "".format(at, up, (5.5 if off else 4) * size, *OFF_COLOURS[kind][:3], 2 if off else 1)
+            for at, up, kind, off in marks
+        ]
+
+
+def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Chart:
+    """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
+
+    Parameters
+    ----------
+    bins : int64 (n,)
+        Tiles in each bin of ``C_R_EDGES``.
+    limits : sequence of float
+        Limits of the classes, rad/m.
+    key : str
+        Makes ids on the page differ.
+    """
+    used = np.flatnonzero(bins)
+    first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
+    # the first and the last bin have no length of their own on the axis
+    edges = np.log10([C_R_EDGES[1] * 10 ** (-1 / 8), *C_R_EDGES[1:-1], C_R_EDGES[-2] * 10 ** (1 / 8)])
+    ticks = [(math.log10(value), f"{value:g}") for value in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0)]
+    marks = [(math.log10(limit), f"{limit:g}") for limit in limits if limit > 0]
+    names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
+    names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
+    note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
+    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", f"ride-{key}")
+    return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
+
+
+def slope_chart(bins: NDArray[np.int64], limit: float, key: str) -> Chart:
+    """Return the histogram of the slope; ``limit`` is the steepest that the vehicle may drive, degrees."""
+    used = np.flatnonzero(bins)
+    last = max(int(used[-1]) + 1 if len(used) else 1, 4)
+    ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
+    names = [f"{low:g} to {high:g}" for low, high in pairwise(SLOPE_EDGES[: last + 1])]
+    note = f"Red line: steepest slope for the vehicle, {limit:g} degrees."
+    about = ("Slope of the tiles", note, "slope, degrees", f"slope-{key}")
+    return _histogram(about, bins[:last], SLOPE_EDGES[: last + 1], names, ticks, [(limit, f"{limit:g}°")])
+
+
+def _histogram(
+    about: tuple[str, str, str, str],
+    counts: NDArray[np.int64],
+    edges: NDArray[np.float64],
+    names: Sequence[str],
+    ticks: Iterable[tuple[float, str]],
+    marks: Iterable[tuple[float, str]],
+) -> Chart:
+    """Return a histogram with its numbers: caption, note, axis and key; bins with their names; labels and red lines."""
+    caption, note, axis, key = about
+    most, low, high = max(int(counts.max()), 1), edges[0], edges[-1]
+    rows = list(zip(names, map(whole, counts.tolist()), shares(counts.tolist()), strict=True))
+    title = f"{caption}: histogram, numbers in the table below it"
+    parts: tuple[Part, Part] = (lambda x: (x - low) / (high - low), lambda y: y / most)
+    chart = Chart(title, f"chart-{key}", 560, 210, (44, 12, 24, 40), *parts, caption, note, axis, rows)
+    left, right, top, foot = chart.frame
+    for part in (0.0, 0.5, 1.0):
+        (y,) = chart.y(np.array([most * part]))
+        chart.elements.append(f'<line x1="{left}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}" stroke="#d8dbdf"/>')
+        label = share(most * part, max(int(counts.sum()), 1)) if part else "0"
+        chart.text(left - 6, y + 4, label, "end")
+    sides, tops = chart.x(edges), chart.y(counts.astype(np.float64))
+    for west, east, up in zip(sides[:-1], sides[1:], tops, strict=True):
+        size = f'width="{max(east - west - 1, 0.5):.1f}" height="{foot - up:.1f}"'
+        chart.elements.append(f'<rect x="{west + 0.5:.1f}" y="{up:.1f}" {size} fill="#3f6488"/>')
+    for lines, shown in ((False, ticks), (True, marks)):
+        for value, text in shown:
+            (x,) = chart.x(np.array([value]))
+            if lines and low <= value <= high:
+                place = f'x1="{x:.1f}" x2="{x:.1f}" y1="{top - 6}" y2="{foot}"'
+                chart.elements.append(f'<line {place} stroke="{_MARK}"/>')
+                chart.text(x, top - 10, text, more=f' fill="{_MARK}"')
+            elif low <= value <= high:
+                chart.text(x, foot + 16, text)
+    chart.names(axis, gap=6)
+    return chart
+
+
+_SIDES = (64, 12, 12, 48)
+_FACTOR = 1.5
+"""Thin lines: map and drive differ by this factor."""
+_NORMAL_80 = 1.2816
+
+
+def drive_chart(result: CheckResult, key: str) -> Chart | None:
+    """Return measured over predicted C_r, one mark a stretch; None if nothing can be compared.
+
+    Parameters
+    ----------
+    result : CheckResult
+    key : str
+        Makes ids on the page differ.
+    """
+    stretches, offset = result.stretches, MapOffset.of(result.stretches)
+    shown = np.flatnonzero(np.isfinite(offset.ratio))
+    if not len(shown):
+        return None
+    axis = _LogAxis.around(np.concatenate([stretches.c_r[shown], stretches.measured[shown]]))
+    caption = "Ride cost of the map and as the drives measured it"
+    title = f"{caption}: a mark for each of {count_text(len(shown), 'stretch', 'stretches')}"
+    note = (
+        "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
+        f"measurement. Thick line: both agree; thin lines: a factor of {_FACTOR:g}. Brown lines: limits of the classes."
+    )
+    chart = Chart(title, f"chart-{key}", 560, 440, _SIDES, axis.part, axis.part, caption, note, is_narrow=True)
+    left, right, top, foot = chart.frame
+    limits = () if result.ground is None else result.ground.class_limits
+    lines = [(value, _LINES) for value in axis.ticks]
+    for value, colour in [*lines, *((limit, "#c49678") for limit in limits if axis.low < limit < axis.high)]:
+        (x,), (y,) = chart.x(np.array([value])), chart.y(np.array([value]))
+        chart.path(f"M{x:.1f} {top}V{foot}M{left} {y:.1f}H{right}", colour)
+    for value in axis.ticks:
+        (x,), (y,) = chart.x(np.array([value])), chart.y(np.array([value]))
+        chart.text(x, foot + 16, f"{value:g}")
+        chart.text(left - 6, y + 4, f"{value:g}", "end")
+    for factor, colour, width in ((1 / _FACTOR, _FAINT, 1), (1.0, _DARK, 2), (_FACTOR, _FAINT, 1)):
+        ends = np.array([max(axis.low, axis.low / factor), min(axis.high, axis.high / factor)])
+        (west, east), (low, high) = chart.x(ends), chart.y(ends * factor)
+        chart.path(f"M{west:.1f} {low:.1f}L{east:.1f} {high:.1f}", colour, f' stroke-width="{width}"')
+    chart.names("C_r of the map, rad/m", "C_r measured by the drive, rad/m")
+    c_r, measured = stretches.c_r[shown], stretches.measured[shown]
+    half = _NORMAL_80 * np.nan_to_num(stretches.measured_sd[shown])
+    low, high = (np.where(np.isfinite(end), end, c_r) for end in (stretches.c_r_low[shown], stretches.c_r_high[shown]))
+    x, y = (chart.x(low), chart.x(high), chart.x(c_r)), (chart.y(measured - half), chart.y(measured + half))
+    shape = "M{:.1f} {:.1f}H{:.1f}M{:.1f} {:.1f}V{:.1f}"
+    chart.paths(shape, _ERROR, x[0], chart.y(measured), x[1], x[2], *y, more=' fill="none"')
+    order = shown[np.argsort(offset.beyond[shown], kind="stable")]
+    chart.discs(chart.x(stretches.c_r[order]), chart.y(stretches.measured[order]), offset, order, 1.0)
+    return chart
+
+
+def along_chart(result: CheckResult, key: str) -> Chart | None:
+    """Return what was measured and what the map says, one stretch after another; None if nothing was measured.
+
+    Parameters
+    ----------
+    result : CheckResult
+    key : str
+        Makes ids on the page differ.
+    """
+    stretches = result.stretches
+    length = float(np.sum(stretches.way_m))
+    values = np.concatenate([stretches.measured, stretches.c_r, stretches.c_r_high])
+    known = values[np.isfinite(values)]
+    if length <= 0.0 or not len(known):
+        return None
+    highest = max(float(np.quantile(known, 0.99)), float(np.nanmax(stretches.measured, initial=0.0))) * 1.08 or 0.1
+    on_map = np.flatnonzero(np.isfinite(stretches.c_r))
+    caption = "Ride cost along the way"
+    title = f"{caption}: {count_text(len(stretches.way_m), 'stretch', 'stretches')}"
+    note = "Marks: the drive, with the 80 % error of the measurement."
+    note += " Lines on grey: the map, with its 80 % interval." if len(on_map) else ""
+    parts: tuple[Part, Part] = (lambda x: x / length, lambda y: np.clip(y / highest, 0.0, 1.0))
+    chart = Chart(title, f"along-{key}", 1120, 260, _SIDES, *parts, caption, note)
+    left, right, top, foot = chart.frame
+    for value in _round_steps(highest, 5):
+        (y,) = chart.y(np.array([value]))
+        chart.path(f"M{left} {y:.1f}H{right}", _LINES)
+        chart.text(left - 6, y + 4, f"{value:g}", "end")
+    for value in _round_steps(length, 10):
+        chart.text(float(chart.x(np.array([value]))[0]), foot + 16, f"{value:,g}")
+    sides = chart.x(np.concatenate([[0.0], np.cumsum(stretches.way_m)]))
+    ends = [np.where(np.isfinite(end), end, stretches.c_r)[on_map] for end in (stretches.c_r_low, stretches.c_r_high)]
+    west, east, low, high = sides[on_map], sides[on_map + 1], chart.y(ends[0]), chart.y(ends[1])
+    columns = zip(west.tolist(), low.tolist(), east.tolist(), high.tolist(), strict=True)
+    boxes = "".join(f"M{a:.1f} {b:.1f}H{c:.1f}V{d:.1f}H{a:.1f}Z" for a, b, c, d in columns)
+    chart.elements.append(f'<path d="{boxes}" fill="#d9dce1"/>')
+    chart.paths("M{:.1f} {:.1f}H{:.1f}", _DARK, west, chart.y(stretches.c_r[on_map]), east, more=' stroke-width="2"')
+    starts = "".join(f"M{x:.1f} {top}V{foot}" for x in sides[1:-1][np.diff(stretches.drive) != 0].tolist())
+    chart.path(starts, _FAINT, ' stroke-width="1.5"')
+    offset, measured = MapOffset.of(stretches), np.flatnonzero(np.isfinite(stretches.measured))
+    half = _NORMAL_80 * np.nan_to_num(stretches.measured_sd[measured])
+    felt, x = stretches.measured[measured], ((sides[:-1] + sides[1:]) / 2)[measured]
+    chart.paths("M{:.1f} {:.1f}V{:.1f}", _ERROR, x, chart.y(felt - half), chart.y(felt + half))
+    chart.discs(x, chart.y(felt), offset, measured, min(1.0, float(np.median(np.diff(sides))) / 9.0))
+    chart.names("length of the stretches, one after another, m", "C_r, rad/m")
+    return chart
+
+
+def _round_steps(end: float, most: int) -> list[float]:
+    """Return 0 and the multiples of 1, 2 or 5 times a power of ten up to ``end``, at most ``most`` of them."""
+    step = tick_step(end, most)
+    return [round(step * number, 12) for number in range(int(end / step + 1e-9) + 1)]

@@ -1,0 +1,171 @@
+"""Pages of HTML from the templates beside this module: the engine, which escapes every text, and their frame."""
+
+import base64
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import cache
+from importlib.util import cache_from_source
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import quote
+
+from bumpymap.core import (
+    BARRED_TEXT,
+    CHANGE_KINDS,
+    CLASS_NAMES,
+    Barred,
+    atomic,
+    count_text,
+    escape_controls,
+)
+from bumpymap.layers import (
+    BARRED_COLOURS,
+    CHANGE_COLOURS,
+    CLASS_COLOURS,
+    OBJECT_COLOURS,
+    OFF_COLOURS,
+    OFF_KINDS,
+    REPORT_NAME,
+)
+from bumpymap.views.words import DASH, area, base_name, degrees, number, share, whole
+
+if TYPE_CHECKING:
+    import jinja2
+
+__all__ = ["compile_pages", "render_page", "write_page"]
+
+_HERE = Path(__file__).parent
+
+
+def write_page(path: Path, template: str, **context: Any) -> None:
+    """Write a page, which appears only when it is complete; see `render_page`.
+
+    Raises
+    ------
+    OutputError
+        The page cannot be written.
+    """
+    text = render_page(template, **context)
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def render_page(
+    template: str,
+    *,
+    style: str = "report.css",
+    script: str = "report.js",
+    data: Mapping[str, Any] | None = None,
+    **context: Any,
+) -> str:
+    """Return a page as HTML: it holds all that it shows, and its policy forbids a browser to fetch anything else.
+
+    Parameters
+    ----------
+    template : str
+        Name of a template.
+    style, script : str
+        Names of files in ``data``; the policy lets a browser run these two alone.
+    data : mapping
+        What the script needs, as plain JSON; None for a script that needs nothing.
+    **context
+        What the template needs. All of it is escaped where it is written.
+
+    Raises
+    ------
+    LookupError
+        The template names what a record does not hold.
+    """
+    import jinja2
+
+    # In a script element only "<" could end it.
+    text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    try:
+        return _engine().get_template(template).render(style=_asset(style), script=_asset(script), data=text, **context)
+    except jinja2.UndefinedError as error:
+        raise LookupError(str(error)) from error
+
+
+def compile_pages() -> None:
+    """Compile all templates now, instead of when the first page is made."""
+    engine = _engine()
+    for name in engine.list_templates(extensions=["html"]):
+        engine.get_template(name)
+
+
+@cache
+def _asset(name: str) -> str:
+    return (_HERE / "data" / name).read_text(encoding="utf-8")
+
+
+@cache
+def _engine() -> "jinja2.Environment":
+    """Return the engine; it is imported here alone, since most that imports this package writes no page."""
+    import jinja2
+
+    class _Compiled(jinja2.FileSystemBytecodeCache):
+        """Compiled templates beside their sources, as Python keeps its own; without a place to write, none are kept."""
+
+        def load_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+            with suppress(OSError):
+                super().load_bytecode(bucket)
+
+        def dump_bytecode(self, bucket: jinja2.bccache.Bucket) -> None:
+            if not sys.dont_write_bytecode:
+                with suppress(OSError):
+                    Path(self.directory).mkdir(parents=True, exist_ok=True)
+                    super().dump_bytecode(bucket)
+
+    engine = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(_HERE / "templates"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        finalize=_printable,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        auto_reload=False,
+        bytecode_cache=_Compiled(str(Path(cache_from_source(str(_HERE / "templates" / "page.py"))).parent)),
+    )
+    engine.filters.update(_FILTERS)
+    engine.globals.update(_NAMES)
+    return engine
+
+
+def _printable(value: Any) -> Any:
+    """Show as escapes what UTF-8 cannot hold, and control characters and marks of text direction but line breaks."""
+    if not isinstance(value, str) or value.isprintable():
+        return value
+    if hasattr(value, "__html__"):  # of a template
+        text = value.encode("utf-8", "backslashreplace").decode()
+        return value if text == value else text
+    return "\n".join(map(escape_controls, value.split("\n")))
+
+
+_FILTERS: dict[str, Callable[..., str]] = {
+    "address": lambda text: quote(os.fsencode(text)),
+    "area": area,
+    "base64": lambda data: base64.b64encode(data).decode(),
+    "base_name": base_name,
+    "degrees": degrees,
+    "digest": lambda text: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode(),
+    "hex": lambda colour: "#{:02x}{:02x}{:02x}".format(*colour[:3]),
+    "number": number,
+    "share": share,
+    # text that shows what it holds: control characters and bytes that are not UTF-8 as escapes
+    "shown": lambda text: escape_controls(" ".join(text.split())),
+    "whole": whole,
+}
+_NAMES = {
+    "DASH": DASH,
+    "REPORT_NAME": REPORT_NAME,
+    "barred": [(code, BARRED_TEXT[code], BARRED_COLOURS[code]) for code in Barred if code != Barred.UNKNOWN],
+    "changes": [(name, CHANGE_COLOURS[code]) for code, name in enumerate(CHANGE_KINDS)],
+    "classes": [(name, CLASS_COLOURS[code]) for code, name in enumerate(CLASS_NAMES)],
+    "count_text": count_text,
+    "object_colours": OBJECT_COLOURS,
+    "off_kinds": [(name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)],
+}

@@ -1,0 +1,553 @@
+"""What a page shows of one folder of layers: its record, its ways, and the ground under the colours."""
+
+import base64
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
+
+from bumpymap.core import (
+    CANOPY,
+    FREE,
+    NO_CLASS,
+    OBSTACLE,
+    BadInputError,
+    Barred,
+    Nullable,
+    Number,
+    shape_fault,
+    stated_crs,
+)
+from bumpymap.layers import (
+    CLASS_COLOURS,
+    UNKNOWN_OBJECT,
+    MapSummary,
+    class_limits,
+    class_ranges,
+    geojson_features,
+    line_parts,
+    open_layer,
+    raster_in,
+    read_averaged,
+    sheets_of,
+)
+from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
+from bumpymap.views.page.drives import DrawnCheck
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
+from bumpymap.views.words import survey_name
+
+__all__ = [
+    "WAY_FIGURES",
+    "DrawnWay",
+    "Site",
+    "jpeg",
+    "object_grid",
+    "read_heights",
+    "read_ways",
+    "shade",
+    "tile_heights",
+]
+
+_STRIP_PIXELS = 16_000_000
+"""Most pixels of obstacle.tif to read at a time."""
+_NORTH_WEST = (-0.5, 0.5, 0.7071)
+"""Where the light comes from: east, north, up."""
+_TYPICAL = 0.35
+"""Slope, m per m, that the steepest tenth of the ground is exaggerated to."""
+_EXAGGERATION = (0.5, 6.0)
+_FLAT = 0.84
+"""Brightness where no height is known."""
+_WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
+"""What wins in a pixel, each over those before it."""
+_QUALITIES = (72, 55, 40, 25)
+
+
+def finer(spot: Spot, side: int) -> int:
+    """Return how many pixels a picture may have along each pixel of the page's grid, with at most ``side`` in all."""
+    return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
+
+
+def _halves(pixels: int) -> Iterator[int]:
+    """Yield the pixels along a tile, half of them and so on to 1: what overviews hold, or a little less."""
+    while pixels > 1:
+        yield pixels
+        pixels //= 2
+    yield 1
+
+
+def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.float32]:
+    """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
+
+    GDAL averages its overviews. The rasters of sheets are read one by one, since between two that lie far apart a
+    virtual raster has more pixels than can be averaged.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        The folder of the map, or those of its sheets.
+    spot : Spot
+        Where the whole map lies.
+    side : int
+
+    Returns
+    -------
+    float32
+        Metres; NaN where there is no point.
+    """
+    factor = next(half for half in _halves(spot.pixels) if half <= finer(spot, side))
+    shape = tuple(pixels * factor for pixels in spot.shape)
+    total, weight = np.zeros(shape), np.zeros(shape)
+    for folder in folders:
+        with open_layer(folder / "heightmap.tif") as file:
+            _add_heights(file, spot, factor, total, weight)
+    return np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan).astype(np.float32)
+
+
+def _add_heights(file: Any, spot: Spot, factor: int, total: NDArray[np.float64], weight: NDArray[np.float64]) -> None:
+    """Add mean heights times tiles to ``total``, and tiles to ``weight``, in the pixels that a raster covers."""
+    left = round((file.transform.c * spot.unit - spot.west) / spot.tile_size)
+    top = round((spot.north - file.transform.f * spot.unit) / spot.tile_size)
+    for line, lines, rows in _spans(top, file.height // spot.pixels, spot.step):
+        for column, columns, cols in _spans(left, file.width // spot.pixels, spot.step):
+            high, wide = (
+                (first * spot.pixels, (first + tiles) * spot.pixels)
+                for first, tiles in ((line - top, rows * lines), (column - left, cols * columns))
+            )
+            found = read_averaged(file, (lines * factor, columns * factor), (high, wide))
+            row, col = line // spot.step * factor, column // spot.step * factor
+            place = np.s_[row : row + lines * factor, col : col + columns * factor]
+            known = np.isfinite(found)
+            total[place] += np.where(known, found, np.float32(0)).astype(np.float64) * (rows * cols)
+            weight[place] += known * (rows * cols)
+
+
+def _spans(start: int, count: int, step: int) -> list[tuple[int, int, int]]:
+    """Divide ``count`` tiles from ``start`` on, so that a part has whole pixels of ``step`` tiles, or lies in one.
+
+    Returns
+    -------
+    list of tuple of int
+        First tile, number of pixels, and tiles in each of them.
+    """
+    end = start + count
+    whole = min(-(-start // step) * step, end), max(end // step * step, start)
+    parts = []
+    for first, last in pairwise(sorted({start, *whole, end})):
+        pixels = max(1, (last - first) // step)
+        parts.append((first, pixels, (last - first) // pixels))
+    return parts
+
+
+def tile_heights(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.float32]:
+    """Return mean heights on the page's grid, (rows, cols), NaN where there is none."""
+    rows, cols = spot.shape
+    blocks = heights.reshape(rows, heights.shape[0] // rows, cols, heights.shape[1] // cols)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
+    """Return how bright the light from the north-west leaves each pixel of ``metres``, 0 to 255."""
+    if min(heights.shape) < 2:
+        return np.full(heights.shape, round(255 * _FLAT), np.uint8)
+    down, east = (np.asarray(np.gradient(heights, metres, axis=axis), np.float32) for axis in (0, 1))
+    steep: NDArray[np.float32] = np.hypot(east[::3, ::3], down[::3, ::3])
+    few = steep[np.isfinite(steep)]
+    typical = float(np.quantile(few, 0.9)) if len(few) else _TYPICAL
+    factor = np.float32(np.clip(_TYPICAL / max(typical, 1e-6), *_EXAGGERATION))
+    east *= factor
+    down *= factor
+    light = (-_NORTH_WEST[0] * east + _NORTH_WEST[1] * down + _NORTH_WEST[2]) / np.sqrt(1 + east * east + down * down)
+    bright = np.nan_to_num(np.clip(light * (_FLAT / _NORTH_WEST[2]), 0.15, 1.0), nan=_FLAT)
+    picture: NDArray[np.uint8] = np.rint(bright * 255).astype(np.uint8)
+    return picture
+
+
+def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
+    """Return what stands on the ground: FREE, OBSTACLE, CANOPY or UNKNOWN_OBJECT, the worst in each pixel; else 255.
+
+    It has at most ``side`` pixels along a side; on maps so large that each of them spans a tile or more, the tiles tell
+    of obstacles alone.
+    """
+    spot = tiles.spot
+    factor = finer(spot, side)
+    if factor == 1:
+        return tiles.objects
+    rows, cols = spot.rows * factor, spot.cols * factor
+    rank = np.zeros(256, np.uint8)
+    rank[list(_WORST)] = np.arange(1, len(_WORST) + 1)
+    canvas = np.empty((rows, cols), np.uint8)
+    starts = np.arange(cols) * spot.pixels // factor
+    lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
+    with open_layer(raster_in(folder, "obstacle.tif")) as file:
+        for top in range(0, spot.rows, lines):
+            count = min(lines, spot.rows - top)
+            window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))
+            found = rank[file.read(1, window=window)]
+            across = np.maximum.reduceat(found, starts, axis=1)
+            down = np.arange(count * factor) * spot.pixels // factor
+            canvas[top * factor : (top + count) * factor] = np.maximum.reduceat(across, down, axis=0)
+    return np.array([NO_CLASS, *_WORST], np.uint8)[canvas]
+
+
+def jpeg(picture: NDArray[np.uint8], most: int) -> str:
+    """Return a picture as a data URI of at most ``most`` characters.
+
+    It is stored more coarsely, then halved in size, until it fits.
+    """
+    image = Image.fromarray(picture)
+    while True:
+        for quality in _QUALITIES:
+            buffer = io.BytesIO()
+            image.save(buffer, "JPEG", quality=quality)
+            text = "data:image/jpeg;base64," + base64.b64encode(buffer.getvalue()).decode()
+            if len(text) <= most or max(image.size) <= 64:
+                return text
+        image = image.resize((max(1, image.width // 2), max(1, image.height // 2)))
+
+
+_FILE = "route.geojson"
+_DECIMALS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class DrawnWay:
+    """One way over the map."""
+
+    name: str
+    lines: tuple[NDArray[np.float64], ...]
+    """Each (n, 2), m: easting and northing in the survey's CRS."""
+    figures: Mapping[str, Any]
+    """The properties of its line in route.geojson."""
+
+
+WAY_FIGURES = (
+    ("length_m", "length", 0, " m"),
+    ("detour", "length over the straight line", 2, ""),
+    ("seconds", "time at the vehicle's speed", 0, " s"),
+    ("c_r_mean", "mean C_r", 3, " rad/m"),
+    ("c_r_max", "largest C_r", 3, " rad/m"),
+    ("p_arrives", "chance to arrive", 2, ""),
+    ("unknown_m", "on ground that is not known", 0, " m"),
+    ("obstacle_m", "touching obstacles", 1, " m"),
+    ("tight_turns_deg", "turns close to what stops the vehicle", 0, "°"),
+    ("climb_m", "climb", 1, " m"),
+    ("descent_m", "descent", 1, " m"),
+)
+"""Figures of a way on a page: property of its line, label, decimals, unit."""
+_WAY_SHAPE = {"name?": Nullable(str)} | {f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES}
+
+
+def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
+    """Read the ways of a folder, or of a file, that `bumpymap route` wrote.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder, or route.geojson itself.
+    record : mapping
+        The content of run.json of the map: its CRS and units.
+
+    Raises
+    ------
+    BadInputError
+        There is no route.geojson, or it is not one of `bumpymap route`, or its coordinates are not those of the map.
+    """
+    path = folder / _FILE if folder.is_dir() else folder
+    remedy = "Give the folder of a route from one place to another, which `bumpymap route` wrote, as `route`"
+    if not path.is_file():
+        raise BadInputError(f"there is no file {path}. {remedy}")
+    try:
+        ways = tuple(_ways(path, record))
+    except (OSError, ValueError, ProjError) as error:
+        raise BadInputError(f"cannot read {path} as a route: {error}. {remedy}") from error
+    if not ways:
+        raise BadInputError(f"{path} holds no way. {remedy}")
+    return ways
+
+
+def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
+    metres = _placer(record)
+    for geometry, about in geojson_features(path)[0]:
+        if geometry["type"] in {"LineString", "MultiLineString"}:
+            if fault := shape_fault(about, _WAY_SHAPE):
+                raise ValueError(fault)
+            yield DrawnWay(about.get("name") or "way", tuple(map(metres, line_parts(geometry))), about)
+
+
+def _placer(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return how positions of route.geojson become metres of the map's grid, (n, 2)."""
+    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
+    forward = None
+    if crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
+
+    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        if forward is not None:
+            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
+        if not np.isfinite(part).all():
+            raise ValueError("a position has no coordinates in the CRS of the map")
+        return np.round(part * unit, _DECIMALS)
+
+    return metres
+
+
+_BUDGET = 1_700_000
+"""Characters for the maps of a page; its text takes some 60,000 more."""
+_SIDE = 1_500
+"""Most pixels of a grid of tiles, or of objects, along a side."""
+_RELIEF_SIDE = 1_000
+"""Most pixels of the relief along a side: what GDAL reads from an overview then takes half the time of 1500."""
+_TILES = 220_000
+"""Most pixels with a tile in the grids: six bytes or so each."""
+_STILL_SIDE = 700
+_DENSE = 0.1
+"""From this share of pixels with an obstacle on, as in a forest, they would hide the classes: they start hidden."""
+_LINES = 6
+"""Fewest pixels of a tile that lines over ground which is not passable do not miss; smaller ones are all dark."""
+_UNKNOWN_GREY, _BLANK = (150, 150, 150), (255, 255, 255)
+
+
+@dataclass(frozen=True, slots=True)
+class Site:
+    """One map of a page."""
+
+    name: str
+    record: Mapping[str, Any]
+    """The content of run.json."""
+    summary: MapSummary
+    tiles: PageTiles
+    grids: tuple[ByteGrid, ...]
+    """Values of tiles."""
+    objects: NDArray[np.uint8]
+    """See `object_grid`."""
+    packed_objects: str
+    relief: str
+    """Shaded relief, a data URI."""
+    still: str
+    """The classes over the relief, a data URI: for readers and printers without scripts."""
+    ways: tuple[DrawnWay, ...] = ()
+    has_links: bool = True
+    """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
+    check: DrawnCheck | None = None
+    """What real drives show of the map."""
+    letter: str = ""
+    """What the page calls it beside another."""
+
+    @classmethod
+    def read(
+        cls,
+        folder: Path,
+        record: Mapping[str, Any],
+        ways: tuple[DrawnWay, ...] = (),
+        maps: int = 1,
+        *,
+        has_links: bool = True,
+        check: DrawnCheck | None = None,
+    ) -> Self:
+        """Read a folder of layers.
+
+        Parameters
+        ----------
+        folder : Path
+            Complete layers of a run.
+        record : mapping
+            The content of its run.json, which may not be there yet.
+        ways : tuple of DrawnWay
+            Ways to draw.
+        maps : int
+            Maps that share the page.
+        has_links : bool
+            Whether the page lies beside the layers.
+        check : DrawnCheck, optional
+            What real drives show of the map.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, damaged, or was written by an earlier version.
+        """
+        try:
+            summary = MapSummary.of(record["counts"])
+            spot = Spot.of(folder, record, _SIDE)
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise BadInputError(
+                f"run.json of {folder} is not that of a map of this version: {error!r}. Map the survey again"
+            ) from error
+        budget = _BUDGET // maps
+        step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles * maps / _TILES))))
+        while True:
+            spot = replace(spot, step=step)
+            tiles = PageTiles.read(folder, record, spot)
+            heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
+            grids = _grids(tiles, tile_heights(heights, spot))
+            taken = sum(len(packed(grid.codes)) for grid in grids)
+            if taken < 0.7 * budget or max(spot.shape) < 100:
+                break
+            step *= 2
+        light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
+        relief = jpeg(light, int(0.2 * budget))
+        side = _SIDE
+        while True:
+            objects = object_grid(folder, tiles, side)
+            text = packed(objects)
+            if len(text) < 0.2 * budget or side < 100:
+                break
+            side //= 2
+        still = _still(tiles, light)
+        shown = (tiles, grids, objects, text, relief, still)
+        return cls(survey_name(record), record, summary, *shown, ways, has_links, check)
+
+    @property
+    def title(self) -> str:
+        """Name of the map, with the letter by which the page calls it."""
+        return f"{self.letter}: {self.name}" if self.letter else self.name
+
+    @property
+    def vehicle(self) -> str:
+        """Name of the vehicle; ``vehicle`` if the record has none."""
+        known, driven = self.record.get("calibration") or {}, self.record.get("vehicle") or {}
+        return str(known.get("vehicle") or driven.get("name") or "vehicle")
+
+    @property
+    def points(self) -> int:
+        """Points of the survey."""
+        return int(self.record.get("points") or self.summary.points)
+
+    @property
+    def ground(self) -> float:
+        """Area of the tiles with points, m2."""
+        return self.summary.tiles * self.tile_area
+
+    @property
+    def sheets(self) -> list[Mapping[str, Any]]:
+        """What run.json says of each sheet; empty for a map in one folder."""
+        return self.record.get("sheets") or []
+
+    @property
+    def leads_to_sheets(self) -> bool:
+        """Whether there are pages of sheets that can be opened from this one."""
+        return self.has_links and bool(self.sheets)
+
+    @property
+    def crs_name(self) -> str:
+        """Name of the CRS."""
+        crs = self.record.get("crs")
+        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+
+    @property
+    def tile_area(self) -> float:
+        """Area of a tile, m2."""
+        return self.tiles.spot.tile_size**2
+
+    @property
+    def objects_known(self) -> bool:
+        """Whether anything is known to be free of objects or to hold one."""
+        return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
+
+    @property
+    def class_ranges(self) -> tuple[str, ...]:
+        """What is in each class, in words; empty if the ride cost does not decide."""
+        return class_ranges(self.record)
+
+    @property
+    def layers(self) -> list[tuple[str, str]]:
+        """Keys and names of the colourings of the map: those of which something is known."""
+        named = {grid.key: grid.label[:1].upper() + grid.label[1:] for grid in self.grids if grid.is_known}
+        values = [(key, named[key]) for key in ("c_r", "p_fail", "slope", "cost") if key in named]
+        return [("class", "Class"), *values, ("barred", "What can be crossed"), ("none", "Relief only")]
+
+    @property
+    def overlays(self) -> list[tuple[str, str, bool]]:
+        """Keys and names of what is drawn over the colours, and whether it is at first."""
+        overlays = [("relief", "Relief", True), ("barred", "Not passable", True)]
+        if self.objects_known:
+            dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
+            overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
+        overlays += [("ways", "Way", True)] if self.ways else []
+        return [*overlays, ("stretches", "Real drives", True)] if self.check is not None else overlays
+
+    def charts(self) -> tuple[Chart, Chart]:
+        """Return the histograms of the ride cost and of the slope."""
+        key = str("AB".find(self.letter or "A"))
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or (), key)
+        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"], key)
+
+    @property
+    def rounding(self) -> str:
+        """How far shown values may be from those in the layers."""
+        return "; ".join(grid.rounding for grid in self.grids if grid.is_known)
+
+    def map_record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        spot = self.tiles.spot
+        rows, cols = spot.shape
+        return {
+            "name": self.name,
+            "crs": self.crs_name,
+            "west": spot.west,
+            "north": spot.north,
+            "unit": spot.unit,
+            "metres": spot.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": spot.cols * spot.tile_size,
+            "height": spot.rows * spot.tile_size,
+            "ground": packed(self.tiles.ground),
+            "barred": packed(self.tiles.barred),
+            "grids": [grid.record() for grid in self.grids],
+            "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
+            "relief": self.relief,
+            "stretches": [] if self.check is None else self.check.places(),
+            "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
+        }
+
+
+def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ...]:
+    return (
+        ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
+        ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
+        ByteGrid.of(("slope", "slope", "°", 1), tiles.slope),
+        ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
+        ByteGrid.of(("height", "height", "m", 1), heights),
+    )
+
+
+def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
+    """Return the classes over the relief as one picture, hatched where the vehicle cannot cross.
+
+    Unknown ground is grey; nothing is drawn where there are no points.
+    """
+    colours = np.full((256, 3), _UNKNOWN_GREY, np.float32)
+    for code, colour in CLASS_COLOURS.items():
+        if code != NO_CLASS:
+            colours[code] = colour[:3]
+    colours[NO_POINTS] = _BLANK
+    factor = max(1, _STILL_SIDE // max(tiles.spot.shape))
+    rows, cols = (side * factor for side in tiles.spot.shape)
+    size = (min(cols, _STILL_SIDE * cols // max(rows, cols)), min(rows, _STILL_SIDE * rows // max(rows, cols)))
+    width, height = (max(1, side) for side in (size if max(rows, cols) > _STILL_SIDE else (cols, rows)))
+    line = (np.arange(height) + 0.5) * tiles.spot.shape[0] / height
+    column = (np.arange(width) + 0.5) * tiles.spot.shape[1] / width
+    shown = np.ix_(line.astype(int), column.astype(int))
+    ground, barred = tiles.ground[shown], tiles.barred[shown]
+    ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
+    bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
+    bright = np.where(ground == NO_POINTS, 1.0, np.minimum(1.0, bright + 0.2))
+    hatch = (ground >= UNKNOWN_FROM) & (ground != NO_POINTS)
+    down, right = np.arange(height)[:, None], np.arange(width)[None, :]
+    bright[hatch & ((down + right) % 6 < 1)] *= 0.7
+    closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
+    lines = (down - right) % 6 < 2
+    bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
+    return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)

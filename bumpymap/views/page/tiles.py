@@ -1,0 +1,268 @@
+"""The tiles of a map as a page shows them: small grids in which the worst tile decides, histograms, as base 64."""
+
+import base64
+import math
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any, Literal, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
+from bumpymap.layers import UNKNOWN_OBJECT, open_layer, raster_in, read_tiles, sheets_of
+
+__all__ = [
+    "C_R_EDGES",
+    "NOT_KNOWN",
+    "NO_POINTS",
+    "SLOPE_EDGES",
+    "UNKNOWN_FROM",
+    "ByteGrid",
+    "PageTiles",
+    "Spot",
+    "packed",
+]
+
+NOT_KNOWN = 255
+"""Byte where a value is not known."""
+_STEPS = 254
+_LEAST = 1e-4
+"""Smallest value of a logarithmic scale."""
+
+
+Scale: TypeAlias = Literal["linear", "log", "root"]
+"""``root``: steps of the square root, for differences of which most are small."""
+
+
+@dataclass(frozen=True, slots=True)
+class ByteGrid:
+    """A grid whose byte b stands for ``low + b step``, for its exponential, or for its square with the sign kept."""
+
+    key: str
+    label: str
+    unit: str
+    decimals: int
+    scale: Scale
+    low: float
+    step: float
+    codes: NDArray[np.uint8]
+    """(rows, cols), north row first; ``NOT_KNOWN`` where there is no value."""
+
+    @classmethod
+    def of(
+        cls,
+        about: tuple[str, str, str, int],
+        values: NDArray[np.float32],
+        scale: Scale = "linear",
+        limits: tuple[float, float] | None = None,
+    ) -> Self:
+        """Round values, (rows, cols), NaN where unknown, to 255 steps between ``limits``, or between their extremes.
+
+        ``about`` is key, label, unit, and how many decimals are worth showing. Values beyond the limits take those.
+        """
+        with np.errstate(divide="ignore"):
+            plain = values.astype(np.float64)
+            if scale == "log":
+                plain = np.log(np.maximum(values, _LEAST))
+            elif scale == "root":
+                plain = np.sign(plain) * np.sqrt(np.abs(plain))
+        known = np.isfinite(plain)
+        if scale == "root" and known.any():  # as far down as up, so that 0 is in the middle, and exact
+            most = float(np.abs(plain[known]).max())
+            limits = (-most, most)
+        low, high = limits or ((float(plain[known].min()), float(plain[known].max())) if known.any() else (0.0, 1.0))
+        step = (high - low) / _STEPS or 1.0
+        codes = np.full(values.shape, NOT_KNOWN, np.uint8)
+        codes[known] = np.clip(np.rint((plain[known] - low) / step), 0, _STEPS).astype(np.uint8)
+        return cls(*about, scale, low, step, codes)
+
+    @property
+    def rounding(self) -> str:
+        """How far a shown value may be from the one in the layers."""
+        if not self.is_known:
+            return f"{self.label}: no value"
+        if self.scale == "log":
+            return f"{self.label} ±{100 * math.expm1(self.step / 2):.2g} %"
+        unit = f" {self.unit}" if self.unit not in {"", "°"} else self.unit
+        if self.scale == "root":  # most where values are largest
+            most = max(abs(self.low), abs(self.low + _STEPS * self.step))
+            return f"{self.label} at most ±{self.step * most:.1g}{unit}"
+        return f"{self.label} ±{self.step / 2:.2g}{unit}"
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it has a value anywhere."""
+        return bool((self.codes != NOT_KNOWN).any())
+
+    def words(self) -> list[str]:
+        """Return the least value of the scale, that in its middle, and the largest, with their unit."""
+        ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
+        values = [float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends]
+        return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
+
+    def values(self) -> NDArray[np.float64]:
+        """Return what the page shows, NaN where unknown."""
+        plain = self.low + self.step * self.codes.astype(np.float64)
+        return np.where(self.codes == NOT_KNOWN, np.nan, self._value(plain))
+
+    def _value(self, plain: NDArray[np.float64]) -> NDArray[np.float64]:
+        if self.scale == "linear":
+            return plain
+        return np.asarray(np.exp(plain) if self.scale == "log" else plain * np.abs(plain))
+
+    def record(self) -> dict[str, Any]:
+        """Return the grid as plain JSON."""
+        keys = ("key", "label", "unit", "decimals", "scale", "low", "step")
+        return {key: getattr(self, key) for key in keys} | {"codes": packed(self.codes)}
+
+
+def packed(codes: NDArray[np.uint8]) -> str:
+    """Return bytes compressed (zlib) in base 64."""
+    return base64.b64encode(zlib.compress(np.ascontiguousarray(codes).tobytes(), 6)).decode()
+
+
+UNKNOWN_FROM = 16
+"""``ground`` of an unknown tile is this plus its `Reason`."""
+NO_POINTS = 255
+"""``ground`` and ``barred`` where no tile holds a point."""
+C_R_EDGES = np.concatenate([[0.0], np.geomspace(0.01, 10.0, 25), [np.inf]])
+"""Limits of the bins of the ride cost, rad/m: eight for each factor of ten."""
+SLOPE_EDGES = np.arange(0.0, 92.5, 2.5)
+"""Limits of the bins of the slope, degrees."""
+_NUMBERS = ("c_r", "p_fail", "slope", "obstacle")
+_AGAIN = "Map the survey again"
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a map lies, and the grid on which a page shows it."""
+
+    west: float
+    """m, in the survey's CRS: its units times metres per unit."""
+    north: float
+    tile_size: float
+    """m."""
+    pixels: int
+    """Pixels of heightmap.tif along a side of a tile."""
+    cols: int
+    """Tiles."""
+    rows: int
+    step: int
+    """Tiles along a side of a pixel of the page."""
+    unit: float
+    """Metres per unit of the CRS."""
+
+    @classmethod
+    def of(cls, folder: Path, record: Mapping[str, Any], side: int) -> Self:
+        """Read the place of a map from class.tif; the grid has at most ``side`` pixels a side."""
+        with open_layer(raster_in(folder, "class.tif")) as file:
+            place, width, height = file.transform, file.width, file.height
+        unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
+        grid = record["grid"]
+        step = max(1, math.ceil(max(width, height) / side))
+        tile, pixels = float(grid["tile_size_m"]), int(grid["pixels"])
+        return cls(place.c * unit, place.f * unit, tile, pixels, width, height, step, unit)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the page's grid."""
+        return -(-self.rows // self.step), -(-self.cols // self.step)
+
+    @property
+    def metres(self) -> float:
+        """Side of a pixel of the page's grid, m."""
+        return self.tile_size * self.step
+
+
+@dataclass(frozen=True, slots=True)
+class PageTiles:
+    """The tiles on the grid of a page, (rows, cols), north row first, and counts over all of them."""
+
+    spot: Spot
+    ground: NDArray[np.uint8]
+    """Class 0 to 3, ``UNKNOWN_FROM`` plus a `Reason`, or ``NO_POINTS``. A pixel of several tiles is unknown if one of
+    them is unknown or, at the survey's edge or in a hole, holds no point; else it has the roughest class."""
+    barred: NDArray[np.uint8]
+    """A `Barred`, or ``NO_POINTS``; not passable if one tile is not."""
+    objects: NDArray[np.uint8]
+    """OBSTACLE where a tile holds one, FREE where none does, UNKNOWN_OBJECT where that is not known, else 255."""
+    c_r: NDArray[np.float32]
+    """rad/m, the largest; NaN where the pixel is unknown (so are the next two)."""
+    p_fail: NDArray[np.float32]
+    slope: NDArray[np.float32]
+    cost: NDArray[np.float32]
+    """Factor on distance, the largest; NaN where a tile is not passable."""
+    c_r_bins: NDArray[np.int64]
+    """Tiles in each bin of ``C_R_EDGES``."""
+    slope_bins: NDArray[np.int64]
+    """Tiles in each bin of ``SLOPE_EDGES``: unknown tiles that have a slope count too."""
+    calm: int
+    """Tiles that are passable and of the two smoothest classes."""
+
+    @classmethod
+    def read(cls, folder: Path, record: Mapping[str, Any], spot: Spot) -> Self:
+        """Read tiles.parquet, that of each sheet if there are sheets, some thousand tiles at a time.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing, damaged, or was written by an earlier version.
+        """
+        shape = spot.shape
+        # One more than the code, so that 0 stands for no points and the largest is the worst.
+        ground, barred = np.zeros(shape, np.uint8), np.zeros(shape, np.uint8)
+        known = np.zeros(shape, np.uint16 if spot.step < 256 else np.uint32)
+        numbers = {name: np.full(shape, -1.0, np.float32) for name in (*_NUMBERS, "cost")}
+        bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
+        rates = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        rule, calm = CostRule(*(float(record["cost"][name]) for name in rates)), 0
+        tables = [sheet / "tiles.parquet" for sheet in sheets_of(folder, record)]
+        for found in chain.from_iterable(map(read_tiles, tables)):
+            place = _place(found, spot)
+            unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
+            kind = np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)
+            np.maximum.at(ground, place, kind + 1)
+            np.maximum.at(barred, place, found["barred"] + 1)
+            np.add.at(known, place, 1)
+            calm += int(np.count_nonzero((found["class"] < 2) & (found["barred"] == Barred.NO)))
+            found["cost"] = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"])).astype(np.float32)
+            for name, canvas in numbers.items():
+                np.fmax.at(canvas, place, found[name])
+            for name, edges in (("c_r", C_R_EDGES), ("slope", SLOPE_EDGES)):
+                bins[name] += np.histogram(found[name][np.isfinite(found[name])], edges)[0]
+        empty = known == 0
+        part = ~empty & (known < _tiles_of(spot))  # next to tiles without points
+        ground[part] = np.maximum(ground[part], UNKNOWN_FROM + Reason.NO_POINTS + 1)
+        barred[part] = np.maximum(barred[part], Barred.UNKNOWN + 1)
+        ground, barred = (ground - 1).astype(np.uint8), (barred - 1).astype(np.uint8)  # 0 becomes 255
+        for name, canvas in numbers.items():
+            canvas[(canvas < 0) | ((ground >= UNKNOWN_FROM) & (name != "obstacle"))] = np.nan
+        numbers["cost"][barred != Barred.NO] = np.nan
+        share = numbers.pop("obstacle")
+        objects = np.select(
+            [ground == NO_POINTS, share > 0, share == 0], [NO_CLASS, OBSTACLE, FREE], UNKNOWN_OBJECT
+        ).astype(np.uint8)
+        return cls(spot, ground, barred, objects, **numbers, c_r_bins=bins["c_r"], slope_bins=bins["slope"], calm=calm)
+
+
+def _place(found: Mapping[str, NDArray[Any]], spot: Spot) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return rows and columns on the grid of the page."""
+    col = found["col"].astype(np.intp) - round(spot.west / spot.tile_size)
+    line = round(spot.north / spot.tile_size) - 1 - found["row"].astype(np.intp)
+    inside = len(col) == 0 or (col.min() >= 0 and line.min() >= 0 and col.max() < spot.cols and line.max() < spot.rows)
+    if not inside:
+        raise BadInputError(f"tiles.parquet holds tiles outside of class.tif: they are not of one run. {_AGAIN}")
+    return line // spot.step, col // spot.step
+
+
+def _tiles_of(spot: Spot) -> NDArray[np.int64]:
+    """Return how many tiles each pixel of the page spans, (rows, cols): fewer at the south and east edges."""
+    sides = [
+        np.minimum(spot.step, tiles - spot.step * np.arange(pixels))
+        for tiles, pixels in zip((spot.rows, spot.cols), spot.shape, strict=True)
+    ]
+    return np.asarray(sides[0][:, None] * sides[1][None, :], dtype=np.int64)

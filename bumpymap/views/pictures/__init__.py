@@ -1,0 +1,1 @@
+"""Draw pictures: ways over a map, classified scans."""

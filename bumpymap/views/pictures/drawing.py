@@ -1,0 +1,447 @@
+"""What pictures of routes are drawn with: smooth lines, shaded ground under them, the profile, scale and north arrow.
+
+Edges are smooth because everything is drawn at twice its size and averaged at the end.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from bumpymap.core import NO_TILE, Barred, RouteProfile
+from bumpymap.layers import MapSource, RideScale, box_sum
+from bumpytiles import Grid, TileWindow
+
+__all__ = [
+    "BARRED_SHADE",
+    "FAINT",
+    "HATCH",
+    "INK",
+    "NO_DATA",
+    "UNKNOWN_SHADE",
+    "Colour",
+    "MapView",
+    "Pen",
+    "Pixels",
+    "bar_length",
+    "draw_north",
+    "draw_profile",
+    "draw_scale",
+    "font",
+    "hatched",
+    "paint_ground",
+    "tick_step",
+    "ticks",
+]
+
+Colour = tuple[int, int, int]
+_TWICE = 2
+
+
+@lru_cache(maxsize=16)
+def font(size: int) -> ImageFont.FreeTypeFont:
+    """Return Pillow's own font with Pillow's own layout engine, so that pixels are the same on every machine."""
+    found = ImageFont.load_default(size)
+    if not isinstance(found, ImageFont.FreeTypeFont):
+        raise TypeError("this Pillow was built without FreeType")
+    return found.font_variant(layout_engine=ImageFont.Layout.BASIC)
+
+
+class Pen:
+    """Draws on a white sheet. Coordinates are pixels of the finished picture, to the right and down."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._sheet = Image.new("RGB", (width * _TWICE, height * _TWICE), "white")
+        self._draw = ImageDraw.Draw(self._sheet)
+
+    def finished(self) -> Image.Image:
+        """Return the picture."""
+        return self._sheet.reduce(_TWICE)
+
+    def paste(self, left: int, top: int, pixels: NDArray[np.uint8]) -> None:
+        """Paint an array (rows, columns, 3) with its top left corner at a point."""
+        size = (pixels.shape[1] * _TWICE, pixels.shape[0] * _TWICE)
+        whole = Image.fromarray(pixels).resize(size, Image.Resampling.NEAREST)
+        self._sheet.paste(whole, (left * _TWICE, top * _TWICE))
+
+    def line(self, points: NDArray[np.float64], colour: Colour, width: float = 1.0) -> None:
+        """Draw a line through points, (n, 2)."""
+        xy = [tuple(point) for point in (points * _TWICE).tolist()]
+        thick = max(1, round(width * _TWICE))
+        self._draw.line(xy, colour, thick, joint="curve")
+        if thick > 3:  # round ends
+            for x, y in (xy[0], xy[-1]):
+                self._draw.ellipse((x - thick / 2, y - thick / 2, x + thick / 2, y + thick / 2), colour)
+
+    def polygon(self, points: Sequence[tuple[float, float]], fill: Colour, outline: Colour | None = None) -> None:
+        """Fill a polygon."""
+        self._draw.polygon([(x * _TWICE, y * _TWICE) for x, y in points], fill, outline, width=_TWICE)
+
+    def rectangle(self, box: tuple[float, float, float, float], fill: Colour | None, outline: Colour | None) -> None:
+        """Draw a rectangle: left, top, right, bottom."""
+        left, top, right, bottom = (round(side * _TWICE) for side in box)
+        self._draw.rectangle((left, top, right - 1, bottom - 1), fill, outline, width=_TWICE)
+
+    def disc(self, centre: tuple[float, float], radius: float, fill: Colour, outline: Colour) -> None:
+        """Draw a disc with an outline of 2 pixels."""
+        x, y = centre[0] * _TWICE, centre[1] * _TWICE
+        r = radius * _TWICE
+        self._draw.ellipse((x - r, y - r, x + r, y + r), fill, outline, width=2 * _TWICE)
+
+    def text(
+        self,
+        place: tuple[float, float],
+        text: str,
+        colour: Colour,
+        *,
+        size: int = 16,
+        anchor: str = "lm",
+        halo: Colour | None = None,
+    ) -> None:
+        """Write one line; ``anchor`` as Pillow names it, ``halo`` the colour of an outline of 2 pixels."""
+        self._draw.text(
+            (place[0] * _TWICE, place[1] * _TWICE),
+            text,
+            colour,
+            font(size * _TWICE),
+            anchor,
+            stroke_width=2 * _TWICE if halo else 0,
+            stroke_fill=halo,
+        )
+
+    def upright_text(self, place: tuple[float, float], text: str, colour: Colour, size: int = 16) -> None:
+        """Write one line from bottom to top, its middle at a point."""
+        left, top, right, bottom = font(size * _TWICE).getbbox(text)
+        lying = Image.new("L", (math.ceil(right - left) + 4, math.ceil(bottom - top) + 4))
+        ImageDraw.Draw(lying).text((2 - left, 2 - top), text, 255, font(size * _TWICE))
+        upright = lying.transpose(Image.Transpose.ROTATE_90)
+        corner = (round(place[0] * _TWICE - upright.width / 2), round(place[1] * _TWICE - upright.height / 2))
+        self._sheet.paste(colour, corner, upright)
+
+
+def tick_step(span: float, most: int) -> float:
+    """Return the smallest of 1, 2 and 5 times a power of ten that divides a span into at most ``most`` steps."""
+    least = span / most
+    power = 10.0 ** math.floor(math.log10(least))
+    return next(step for step in (power, 2 * power, 5 * power, 10 * power) if step >= least * (1 - 1e-9))
+
+
+def bar_length(most: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above ``most``."""
+    power = 10.0 ** math.floor(math.log10(most))
+    return next(step for step in (10 * power, 5 * power, 2 * power, power) if step <= most * (1 + 1e-9))
+
+
+def ticks(low: float, high: float, most: int) -> tuple[list[float], int]:
+    """Return round numbers from low to high (low < high), and the decimals that tell them apart."""
+    step = tick_step(high - low, most)
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return [number * step for number in range(first, last + 1)], max(0, -math.floor(math.log10(step) + 1e-9))
+
+
+Pixels = NDArray[np.uint8]
+BARRED_SHADE, HATCH, UNKNOWN_SHADE, NO_DATA = (222, 219, 213), (112, 108, 102), (168, 172, 184), (250, 250, 250)
+"""Colours of barred ground and its hatching, of unknown ground, and where nothing was measured."""
+_HATCH_PERIOD, _HATCH_WIDTH = 9, 1
+_STRIP_TILES = 4_000_000
+"""Most tiles to read at a time."""
+_DARKEST = (0.45, 0.62)
+"""Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
+_TYPICAL_GRADIENT = 0.35
+_EXAGGERATION = (0.5, 6.0)
+_GAPS = (1, 3, 7)
+"""Half widths of the boxes from which holes in the relief are filled, pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapView:
+    """The part of the grid that a panel shows."""
+
+    grid: Grid
+    west: float
+    """Easting of the left edge, m."""
+    north: float
+    """Northing of the top edge, m."""
+    metres: float
+    """Side of a pixel, m."""
+    width: int
+    """Pixels."""
+    height: int
+    """Pixels."""
+
+    @classmethod
+    def around(cls, grid: Grid, points: NDArray[np.float64], width: int, heights: tuple[int, int]) -> "MapView":
+        """Return the view around points, (n, 2) in metres, with a margin of an eighth and of 5 tiles.
+
+        The panel is ``width`` pixels wide; its height, between the two ``heights``, fits the points.
+        """
+        low, high = points.min(axis=0), points.max(axis=0)
+        size = high - low
+        size = size + 2 * np.maximum(size.max() / 8, 5 * grid.tile_size)
+        height = int(np.clip(round(width * size[1] / size[0]), *heights))
+        metres = float(max(size[0] / width, size[1] / height))
+        middle = (low + high) / 2
+        west, north = middle[0] - metres * width / 2, middle[1] + metres * height / 2
+        return cls(grid, float(west), float(north), metres, width, height)
+
+    def pixels(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where points, (n, 2) in metres, lie: (n, 2) pixels right and down."""
+        return np.column_stack([points[:, 0] - self.west, self.north - points[:, 1]]) / self.metres
+
+    @property
+    def eastings(self) -> NDArray[np.float64]:
+        """(width,) middles of the columns, m."""
+        return np.asarray(self.west + self.metres * (np.arange(self.width) + 0.5), dtype=np.float64)
+
+    @property
+    def northings(self) -> NDArray[np.float64]:
+        """(height,) middles of the rows, m."""
+        return np.asarray(self.north - self.metres * (np.arange(self.height) + 0.5), dtype=np.float64)
+
+    def window(self, rows: slice = slice(None)) -> TileWindow:
+        """Return the tiles under some rows of pixels."""
+        cols, lines = self.grid.index(self.eastings[[0, -1]]), self.grid.index(self.northings[rows][[0, -1]])
+        return TileWindow.around(cols, lines)
+
+
+def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
+    """Paint the ground.
+
+    Returns
+    -------
+    uint8 (height, width, 3)
+    RideScale
+        The scale of the colours of passable ground.
+    """
+    barred, c_r = _sample(source, view)
+    passable = barred == Barred.NO
+    scale = RideScale.of(next(iter(source.manifests), {}), c_r[passable])
+    colour = scale.colours(np.where(passable, c_r, 0.0))
+    colour[~passable] = BARRED_SHADE
+    colour[barred == Barred.UNKNOWN] = UNKNOWN_SHADE
+    darkest = np.where(passable, *_DARKEST)
+    colour *= (darkest + (1 - darkest) * _shade(source, view))[:, :, None]
+    colour[barred == NO_TILE] = NO_DATA
+    closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
+    colour[closed & hatched(view.height, view.width)] = HATCH
+    return np.clip(colour, 0, 255).astype(np.uint8), scale
+
+
+def hatched(height: int, width: int) -> NDArray[np.bool_]:
+    """Return which pixels of a panel lie on the lines of the hatching, (height, width)."""
+    across = np.arange(height)[:, None] + np.arange(width)[None, :]
+    return np.asarray(across % _HATCH_PERIOD < _HATCH_WIDTH, dtype=np.bool_)
+
+
+def _sample(source: MapSource, view: MapView) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return what bars the tile in the middle of each pixel, and its ride cost, (height, width) each."""
+    barred = np.empty((view.height, view.width), np.uint8)
+    c_r = np.empty(barred.shape, np.float32)
+    whole = view.window()
+    strips = max(1, -(-whole.cols * whole.rows // _STRIP_TILES))
+    edges = np.linspace(0, view.height, min(strips, view.height) + 1).astype(int)
+    col = view.grid.index(view.eastings)
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        rows = slice(start, stop)
+        window = view.window(rows)
+        field = source.read(window, ("c_r",))
+        line = window.row + window.rows - 1 - view.grid.index(view.northings[rows])
+        place = np.ix_(line, col - window.col)
+        barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
+    return barred, c_r
+
+
+def _shade(source: MapSource, view: MapView) -> NDArray[np.float64]:
+    """Return how bright the light from the north-west leaves each pixel, 0 to 1, (height, width)."""
+    window, grid = view.window(), view.grid
+    finest = grid.pixel_size
+    step = max(view.metres, finest)
+    shape = tuple(max(1, round(tiles * grid.tile_size / step)) for tiles in (window.rows, window.cols))
+    heights = _fill(source.relief(window, (shape[0], shape[1])).astype(np.float64))
+    down, right = (np.gradient(heights, axis=axis) if heights.shape[axis] > 1 else heights * 0.0 for axis in (0, 1))
+    # m per m; rows and columns may differ a little in size, since both are whole numbers
+    east = right / (window.cols * grid.tile_size / shape[1])
+    north = -down / (window.rows * grid.tile_size / shape[0])
+    steepness = np.hypot(east, north)
+    known = steepness[np.isfinite(steepness)]
+    typical = float(np.quantile(known, 0.9)) if len(known) else _TYPICAL_GRADIENT
+    factor = np.clip(_TYPICAL_GRADIENT / max(typical, 1e-6), *_EXAGGERATION)
+    east, north = east * factor, north * factor
+    # Normal (-east, -north, 1) on the light (-1, 1, sqrt(2)) / 2 from the north-west, 45 degrees up; flat ground: 0.71.
+    light = (east - north + np.sqrt(2.0)) / 2 / np.sqrt(1 + east**2 + north**2)
+    light = np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), np.sqrt(0.5))
+    bounds = grid.window_bounds(window)
+    row = (bounds.north - view.northings) / (bounds.north - bounds.south) * shape[0]
+    column = (view.eastings - bounds.west) / (bounds.east - bounds.west) * shape[1]
+    place = np.ix_(*(np.clip(at.astype(np.int64), 0, n - 1) for at, n in ((row, shape[0]), (column, shape[1]))))
+    return np.asarray(light[place], dtype=np.float64)
+
+
+def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fill holes with the mean of the heights around them; NaN stays where nothing is near."""
+    for half in _GAPS:
+        known = np.isfinite(heights)
+        if known.all() or not known.any():
+            break
+        base = float(heights[known].mean())  # sums of small numbers lose no digits
+        count = box_sum(known.astype(np.float64), half)
+        total = box_sum(np.where(known, heights - base, 0.0), half)
+        near = ~known & (count > 0.5)
+        heights = heights.copy()
+        heights[near] = total[near] / count[near] + base
+    return heights
+
+
+INK, FAINT, GRID, INTERVAL = (28, 30, 34), (92, 96, 104), (226, 228, 232), (196, 200, 208)
+_LEAST_RELIEF_M = 2.0
+"""Least span of the height axis, m: a level way must not look like mountains."""
+_LEAST_LENGTH_M = 1.0
+"""Least length of the axis of distance, m: a way of length 0 has none."""
+_FILL = 0.75
+
+
+@dataclass(frozen=True, slots=True)
+class _Axes:
+    """A rectangle of the picture, pixels, and the values at its sides."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    far: float
+    """Distance at the right side, m."""
+    low: float
+    """Value at the lower side."""
+    high: float
+    """Value at the upper side."""
+
+    def points(self, distance: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return where points of a curve lie, (n, 2) pixels right and down."""
+        return np.column_stack([self.left + distance / self.far * self.width, self.rows(values)])
+
+    @property
+    def distances(self) -> NDArray[np.float64]:
+        """(width,) distance in the middle of each column of pixels, m."""
+        return (np.arange(self.width) + 0.5) / self.width * self.far
+
+    def rows(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return pixels down the picture of values."""
+        share = np.clip((values - self.low) / (self.high - self.low), 0.0, 1.0)
+        return np.asarray(self.top + (1.0 - share) * self.height, dtype=np.float64)
+
+
+def draw_profile(pen: Pen, profile: RouteProfile, box: tuple[int, int, int, int], scale: RideScale) -> None:
+    """Draw height over distance, filled with the colours of the ride cost, and the ride cost with its interval.
+
+    Parameters
+    ----------
+    pen : Pen
+    profile : RouteProfile
+    box : tuple
+        Left, top, width and height of the drawing without its labels, pixels; they need 80 to the left, 50 below.
+    scale : RideScale
+        The colours of the ride cost.
+    """
+    left, top, width, height = box
+    split = round(height * 0.6)
+    far = max(float(profile.distance[-1]), _LEAST_LENGTH_M)
+    known = profile.z[np.isfinite(profile.z)]
+    low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, _LEAST_RELIEF_M)
+    room = max(high - low, _LEAST_RELIEF_M) * 0.12
+    middle, half = (low + high) / 2, max(high - low, _LEAST_RELIEF_M) / 2
+    ground = _Axes(left, top, width, split, far, middle - half - room, middle + half + room)
+    ends = profile.c_r_high[np.isfinite(profile.c_r_high)]
+    most = max(scale.end, float(np.quantile(ends, 0.98))) if len(ends) else scale.end
+    ride = _Axes(left, top + split + 14, width, height - split - 14, far, 0.0, most * 1.05)
+    _fill_ground(pen, ground, profile, scale)
+    _frame(pen, ground, "height [m]", 4)
+    _curve(pen, ground, profile.distance, profile.z)
+    nearest = _nearest(profile.distance, ride.distances)
+    upper, lower = (ride.rows(side[nearest]) - ride.top for side in (profile.c_r_high, profile.c_r_low))
+    line = np.arange(ride.height)[:, None] + 0.5
+    canvas: Pixels = np.full((ride.height, ride.width, 3), 255, np.uint8)
+    canvas[(line >= upper[None, :]) & (line <= lower[None, :])] = INTERVAL
+    pen.paste(ride.left, ride.top, canvas)
+    _frame(pen, ride, "ride cost [rad/m]", 3)
+    _curve(pen, ride, ride.distances, profile.c_r[nearest])
+    _distances(pen, ride)
+    if not len(known):
+        pen.text((left + width / 2, top + split / 2), "heights along the way are not known", FAINT, anchor="mm")
+
+
+def _frame(pen: Pen, axes: _Axes, label: str, most: int) -> None:
+    right, bottom = axes.left + axes.width, axes.top + axes.height
+    values, decimals = ticks(axes.low, axes.high, most)
+    for value, row in zip(values, axes.rows(np.array(values)).tolist(), strict=True):
+        pen.line(np.array([[axes.left, row], [right, row]]), GRID)
+        pen.text((axes.left - 8, row), f"{value:,.{decimals}f}", FAINT, size=14, anchor="rm")
+    pen.rectangle((axes.left, axes.top, right, bottom), None, FAINT)
+    pen.upright_text((axes.left - 68, axes.top + axes.height / 2), label, INK, 15)
+
+
+def _distances(pen: Pen, axes: _Axes) -> None:
+    bottom = axes.top + axes.height
+    in_km = axes.far >= 5000.0
+    values, decimals = ticks(0.0, axes.far / (1000.0 if in_km else 1.0), 10)
+    for value in values:
+        place = axes.left + value * (1000.0 if in_km else 1.0) / axes.far * axes.width
+        pen.line(np.array([[place, bottom], [place, bottom + 6]]), FAINT)
+        pen.text((place, bottom + 17), f"{value:,.{decimals}f}", FAINT, size=14, anchor="mm")
+    unit = "km" if in_km else "m"
+    pen.text((axes.left + axes.width / 2, bottom + 40), f"distance along the way [{unit}]", INK, size=15, anchor="mm")
+
+
+def _fill_ground(pen: Pen, axes: _Axes, profile: RouteProfile, scale: RideScale) -> None:
+    """Fill the ground under the curve of the heights, each column in the colour of its ride cost."""
+    # NaN on either side makes what lies between unknown too
+    row = axes.rows(np.interp(axes.distances, profile.distance, profile.z)) - axes.top
+    c_r = profile.c_r[_nearest(profile.distance, axes.distances)]
+    colour = scale.colours(c_r)
+    colour[np.isnan(c_r)] = UNKNOWN_SHADE
+    colour = 255.0 + _FILL * (colour - 255.0)
+    canvas: Pixels = np.full((axes.height, axes.width, 3), 255, np.uint8)
+    under = np.arange(axes.height)[:, None] + 0.5 >= row[None, :]  # False where the height is unknown
+    canvas[under] = np.broadcast_to(colour.astype(np.uint8), canvas.shape)[under]
+    pen.paste(axes.left, axes.top, canvas)
+
+
+def _curve(pen: Pen, axes: _Axes, distance: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+    """Draw a curve, with gaps where values are NaN."""
+    known = np.flatnonzero(np.isfinite(values))
+    for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+        if len(run) > 1:
+            pen.line(axes.points(distance[run], values[run]), INK, 1.5)
+
+
+def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return the index of the nearest of sorted values."""
+    after = np.clip(np.searchsorted(known, wanted), 0, len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(wanted - known[before]) <= np.abs(known[after] - wanted), before, after)
+
+
+_WHITE = (255, 255, 255)
+
+
+def draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> None:
+    """Draw the scale bar at the lower left of a panel: a round length, a fifth of the panel at most."""
+    metres = bar_length(view.width * view.metres / 5)
+    length, left, bottom = metres / view.metres, left_edge + 20.0, top_edge + view.height - 22.0
+    pen.rectangle((left - 10, bottom - 34, left + length + 10, bottom + 12), _WHITE, FAINT)
+    for part, fill in ((0, INK), (1, _WHITE)):
+        start = left + part * length / 2
+        pen.rectangle((start, bottom - 6, start + length / 2, bottom + 2), fill, INK)
+    text = f"{metres:g} m" if metres < 1000 else f"{metres / 1000:g} km"
+    pen.text((left + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
+
+
+def draw_north(pen: Pen, place: tuple[float, float]) -> None:
+    """Draw an arrow to the north of the grid, which is up."""
+    x, y = place
+    pen.disc((x, y), 27, _WHITE, FAINT)
+    pen.polygon([(x, y - 22), (x + 9, y + 6), (x, y), (x - 9, y + 6)], INK)
+    pen.text((x, y + 15), "N", INK, size=15, anchor="mm")

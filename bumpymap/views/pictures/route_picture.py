@@ -1,0 +1,225 @@
+"""Write route.png: ways on the shaded relief in the colours of the ride cost, and the profile of the first."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from bumpymap.core import Route, atomic
+from bumpymap.layers import MapSource, RideScale, stop_roles
+from bumpymap.views.pictures.drawing import (
+    BARRED_SHADE,
+    FAINT,
+    HATCH,
+    INK,
+    NO_DATA,
+    UNKNOWN_SHADE,
+    Colour,
+    MapView,
+    Pen,
+    draw_north,
+    draw_profile,
+    draw_scale,
+    hatched,
+    paint_ground,
+    ticks,
+)
+from bumpymap.views.words import metres
+
+__all__ = ["ROUTE_COLOURS", "paint_route", "write_route_picture"]
+
+WIDTH = 1600
+"""Width of the picture, pixels."""
+_EDGE = 24
+_PANEL = 1200
+"""Width of the map, pixels."""
+_PANEL_HEIGHTS = (520, 900)
+_TITLE = 56
+_CHART = 300
+_CHART_LEFT = 104
+_BELOW = 70
+ROUTE_COLOURS: tuple[Colour, ...] = ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160))
+"""Colours of ways, dark on their white border: told apart by lightness and by their labels too."""
+_WHITE = (255, 255, 255)
+_BAR = 250
+"""Length of the bar of colours, pixels."""
+_LEGEND_ROUTES = 3
+"""Most ways with figures in the legend."""
+
+
+def write_route_picture(routes: Sequence[Route], source: MapSource, path: Path) -> None:
+    """Draw routes and write the picture as PNG, at most 1600 pixels wide.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        At least one, all on the grid of ``source``; the profile is that of the first.
+    source : MapSource
+        The map under them.
+    path : Path
+        The file, which appears only when it is complete.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The layers cannot be read.
+    """
+    picture = paint_route(routes, source)
+    with atomic(path) as temporary:
+        picture.save(temporary, "PNG", compress_level=4)
+
+
+def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
+    """Draw routes on the map, the legend to its right, the profile of the first below.
+
+    Parameters
+    ----------
+    routes : sequence of Route
+        At least one.
+    source : MapSource
+
+    Returns
+    -------
+    Image
+        RGB.
+    """
+    first = routes[0]
+    points = np.concatenate([part for route in routes for part in (route.line, route.stops)])
+    view = MapView.around(first.grid, points, _PANEL, _PANEL_HEIGHTS)
+    ground, scale = paint_ground(source, view)
+    pen = Pen(WIDTH, _TITLE + view.height + 40 + _CHART + _BELOW)
+    pen.text((_EDGE, _TITLE / 2 + 2), _title(routes), INK, size=24)
+    pen.paste(_EDGE, _TITLE, ground)
+    corner = np.array([_EDGE, _TITLE], np.float64)
+    for number, route in reversed(list(enumerate(routes))):  # the first on top
+        _draw_way(pen, view.pixels(route.line) + corner, _colour(number))
+    for route in reversed(routes):
+        # S at the start, G at the goal, numbers between; where start and goal are one place, the start is on top
+        marks = list(enumerate(zip(stop_roles(len(route.stops)), view.pixels(route.stops) + corner, strict=True)))
+        for number, (role, (x, y)) in reversed(marks):
+            _draw_stop(pen, (float(x), float(y)), role, number)
+    draw_scale(pen, view, _EDGE, _TITLE)
+    draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
+    pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
+    _draw_legend(pen, routes, scale)
+    top = _TITLE + view.height + 40
+    draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
+    _draw_chart_notes(pen, first, len(routes), top)
+    return pen.finished()
+
+
+def _title(routes: Sequence[Route]) -> str:
+    first = routes[0]
+    length = metres(first.figures.length_m)
+    if len(routes) == 1:
+        return f"{_shortened(first.name, 80)}: {length} for {first.vehicle.name}"
+    vehicles = dict.fromkeys(route.vehicle.name for route in routes)
+    return _shortened(f"{len(routes)} ways for {', '.join(vehicles)}, the first {length}", 100)
+
+
+def _shortened(name: str, most: int) -> str:
+    return name if len(name) <= most else f"{name[: most - 3]}..."
+
+
+def _colour(number: int) -> Colour:
+    return ROUTE_COLOURS[number % len(ROUTE_COLOURS)]
+
+
+def _draw_way(pen: Pen, points: NDArray[np.float64], colour: Colour) -> None:
+    if len(points) > 1:
+        pen.line(points, _WHITE, 7)
+        pen.line(points, colour, 3.5)
+
+
+def _draw_stop(pen: Pen, place: tuple[float, float], role: str, number: int = 1) -> None:
+    fill = {"start": _WHITE, "via": (255, 236, 170), "goal": (0, 0, 0)}[role]
+    ink = _WHITE if role == "goal" else (0, 0, 0)
+    pen.disc(place, 13, fill, ink)
+    label = str(number) if role == "via" else role[0].upper()
+    pen.text(place, label, ink, size=15, anchor="mm")
+
+
+def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
+    left, row = _EDGE + _PANEL + 24, _TITLE
+    first = routes[0]
+    several = len({route.vehicle.name for route in routes}) > 1
+    of_whom = f"for {_shortened(first.vehicle.name, 22)}" if several else "of the ground"
+    pen.text((left, row + 8), f"ride cost {of_whom} [rad/m]", INK, size=16)
+    bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
+    pen.paste(left, row + 24, bar)
+    pen.rectangle((left, row + 24, left + _BAR, row + 46), None, FAINT)
+    pen.text((left + _BAR + 8, row + 35), "and more", FAINT, size=14)
+    values, decimals = ticks(0.0, scale.end, 5)
+    for value in values:
+        place = left + _BAR * value / scale.end
+        pen.line(np.array([[place, row + 46.0], [place, row + 51.0]]), FAINT)
+        pen.text((place, row + 60), f"{value:.{decimals}f}", FAINT, size=14, anchor="mm")
+    row += 92
+    barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
+    barred[hatched(24, 40)] = HATCH
+    swatches = ((barred, "not passable"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
+    for colour, text in swatches:
+        pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
+        pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
+        pen.text((left + 54, row + 12), text, INK, size=16)
+        row += 34
+    row += 12
+    # Where start and goal are one place, the mark of the goal lies under that of the start.
+    is_round = all((route.stops[0] == route.stops[-1]).all() for route in routes)
+    marks = {"start": "start and goal"} if is_round else {"start": "start", "goal": "goal"}
+    if any(len(route.stops) > 2 for route in routes):
+        marks["via"] = "via"
+    for role in ("start", "via", "goal"):
+        if role in marks:
+            _draw_stop(pen, (left + 20, row + 12), role)
+            pen.text((left + 54, row + 12), marks[role], INK, size=16)
+            row += 34
+    _draw_figures(pen, routes, left, row + 12)
+
+
+def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> None:
+    """Write what each way costs under the legend."""
+    shown = routes[:_LEGEND_ROUTES]
+    several = len({route.vehicle.name for route in routes}) > 1
+    for number, route in enumerate(shown):
+        figures = route.figures
+        _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
+        vehicle = f", {route.vehicle.name}" if several else ""  # ways that are compared have it in their name
+        name = route.name if route.name.endswith(vehicle) else route.name + vehicle
+        pen.text((left + 54, row + 12), _shortened(name, 32), INK, size=16)
+        # on unknown ground, and over no length, the ride cost is not known
+        ride = {"mean": figures.c_r_mean, "most": figures.c_r_max}.items()
+        known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
+        lines = (
+            f"{metres(figures.length_m)}, cost {figures.cost_m:,.0f} m",
+            f"{known} rad/m" if known else "ride cost not known",
+            f"P(arrives) {figures.p_arrives:.3f} (an estimate)",
+            *([f"touches obstacles on {figures.obstacle_m:.1f} m"] if figures.obstacle_m > 0.0 else []),
+        )
+        for place, text in enumerate(lines):
+            pen.text((left + 54, row + 34 + 20 * place), text, FAINT, size=14)
+        row += 46 + 20 * len(lines)
+    if len(routes) > len(shown):
+        pen.text((left + 54, row), f"and {len(routes) - len(shown)} more", FAINT, size=14)
+
+
+def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
+    """Explain the profile to its right."""
+    left = _EDGE + _PANEL + 24
+    of_which = f" of {_shortened(route.name, 16)}" if routes > 1 else ""
+    figures = route.figures
+    lines = [
+        (f"height of the ground{of_which}", INK),
+        (f"climb {figures.climb_m:,.0f} m, descent {figures.descent_m:,.0f} m", FAINT),
+        ("filled with the colour of the ride cost", FAINT),
+    ]
+    for number, (text, colour) in enumerate(lines):
+        pen.text((left, top + 12 + 22 * number), text, colour, size=15)
+    below = top + round(_CHART * 0.6) + 14
+    pen.text((left, below + 12), "ride cost, with the 80 % interval", INK, size=15)
+    pen.text((left, below + 34), "of each tile in grey", FAINT, size=15)

@@ -1,0 +1,308 @@
+"""Numbers as pages show them, and texts that take more than a template: commands, names, degrees, a check in words."""
+
+import math
+import shlex
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
+
+import numpy as np
+
+from bumpymap.core import (
+    CLASS_NAMES,
+    CheckedDrive,
+    CheckResult,
+    MapAgreement,
+    MapConfig,
+    count_text,
+    parse_json,
+    share_text,
+    shares_text,
+)
+
+__all__ = [
+    "DASH",
+    "FEW",
+    "area",
+    "base_name",
+    "check_headline",
+    "check_verdict",
+    "columns_words",
+    "command_of",
+    "degrees",
+    "degrees_line",
+    "drive_notes",
+    "level_words",
+    "metres",
+    "names_of",
+    "number",
+    "percent",
+    "read_surfaces",
+    "settings_of",
+    "share",
+    "shares",
+    "signed",
+    "skipped_words",
+    "sorted_reasons",
+    "survey_name",
+    "warnings_of",
+    "whole",
+]
+
+DASH = "\N{EN DASH}"
+"""Stands where nothing is known."""
+_PERCENT = "\N{NO-BREAK SPACE}%"
+_SQUARE_KILOMETRE, _HECTARE = 1e6, 1e4
+
+
+def number(value: Any, decimals: int, unit: str = "") -> str:
+    """Return a number with its unit; a dash if it is not known."""
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        return DASH
+    return f"{value:,.{decimals}f}{unit}"
+
+
+def whole(value: int) -> str:
+    """Return a whole number with its thousands apart."""
+    return f"{value:,}"
+
+
+def share(part: float, total: float, percent: str = _PERCENT) -> str:
+    """Return a share in per cent; small shares are not rounded to nothing, nor large ones to all."""
+    return share_text(part / total, percent=percent) if total else DASH
+
+
+def shares(counts: Sequence[float], alone: Collection[int] = ()) -> list[str]:
+    """Return the shares of all parts of a whole, which make 100 % together; see `shares_text`."""
+    return shares_text(counts, alone, percent=_PERCENT) if sum(counts) else [DASH] * len(counts)
+
+
+def area(square_metres: float) -> str:
+    """Return an area in m2, ha or km2."""
+    if square_metres >= _SQUARE_KILOMETRE:
+        return f"{square_metres / _SQUARE_KILOMETRE:,.2f} km²"
+    if square_metres >= _HECTARE:
+        return f"{square_metres / _HECTARE:,.2f} ha"
+    return f"{square_metres:,.0f} m²"
+
+
+def signed(value: Any, decimals: int) -> str:
+    """Return a difference with its sign."""
+    text = number(value, decimals)
+    if text == DASH or not text.strip("-0."):
+        return text.removeprefix("-")
+    return f"+{text}" if value > 0 else text
+
+
+def degrees(radians: float) -> str:
+    """Return an angle in radians as degrees."""
+    return f"{math.degrees(radians):.1f}"
+
+
+_FILE = Path(__file__).with_name("page") / "data" / "surfaces.json"
+_NAMED = ("asphalt", "snow", "silty loam")
+"""Surfaces in a line of a summary, which everyone has walked on."""
+
+
+def read_surfaces() -> dict[str, Any]:
+    """Read the C_r that one real vehicle measured on named surfaces, from the file that comes with the package.
+
+    Returns
+    -------
+    dict
+        ``vehicle``, ``kind``, ``speed``, ``source`` and ``method`` in words; ``floor``, rad/m: what the vehicle itself
+        gives on even ground, from and to; ``c_r``: surface -> rad/m, rising.
+    """
+    known: dict[str, Any] = parse_json(_FILE.read_text(encoding="utf-8"))
+    rising = sorted(known.pop("surfaces"), key=lambda one: float(one["c_r"]))
+    return known | {"c_r": {str(one["name"]): float(one["c_r"]) for one in rising}}
+
+
+def degrees_line(median_c_r: Sequence[float]) -> str:
+    """Say in degrees of pitch per metre what classes cost, beside named surfaces.
+
+    Parameters
+    ----------
+    median_c_r : sequence
+        Of each class, rad/m; NaN without tiles.
+    """
+    known = zip(CLASS_NAMES, median_c_r, strict=False)
+    classes = ", ".join(f"{name} {degrees(c_r)}" for name, c_r in known if math.isfinite(c_r))
+    if not classes:
+        return ""
+    real = read_surfaces()
+    named = ", ".join(f"{degrees(real['c_r'][name])} on {name}" for name in _NAMED)
+    return f"Median c_r in degrees of pitch per metre: {classes}; a real {real['vehicle']} measured {named}"
+
+
+_PRIVATE = {
+    *("surveys", "out", "threads", "memory", "scratch", "scheduler", "overwrite"),
+    *("features", "csf"),
+}
+"""Settings that do not change the layers, or that are tables of their own."""
+_FILES = ("vehicle", "calibration", "model")
+"""Settings that may be paths. The name of a CRS may hold a slash too."""
+
+
+def command_of(record: Mapping[str, Any]) -> str | None:
+    """Return the command that makes these layers again, without the folders of the machine; None if not of `map`."""
+    settings = record.get("settings") or {}
+    if not settings.get("surveys"):
+        return None
+    surveys = " ".join(shlex.quote(base_name(path)) for path in settings["surveys"])
+    words = [f"bumpymap map {surveys} --out LAYERS"]
+    for name, usual in {one.name: one.default for one in fields(MapConfig) if one.name not in _PRIVATE}.items():
+        value = settings.get(name, usual)
+        if value == usual or value is None or value is False:
+            continue
+        option = f"--{name.replace('_', '-')}"
+        text = ",".join(f"{one:g}" for one in value) if isinstance(value, list) else str(value)
+        text = base_name(text) if name in _FILES else text
+        words.append(option if value is True else f"{option} {shlex.quote(text)}")
+    return " ".join(words)
+
+
+def settings_of(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return names and values of the settings that have no option of their own: how tiles are measured."""
+    settings = record.get("settings") or {}
+    names = ("features", "csf") if settings.get("ground") == "csf" else ("features",)
+    return [(f"{group}.{name}", str(value)) for group in names for name, value in (settings.get(group) or {}).items()]
+
+
+def base_name(path: str) -> str:
+    """Return the last part of a path or URL: folders are private."""
+    return PurePosixPath(PureWindowsPath(path.partition("?")[0]).as_posix()).name or path
+
+
+def survey_name(record: Mapping[str, Any]) -> str:
+    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
+    sheet = (record.get("sheet") or {}).get("name")
+    name = (record.get("survey") or {}).get("name")
+    if not name:
+        given = (record.get("settings") or {}).get("surveys") or [item["path"] for item in record.get("inputs") or ()]
+        stems = [PurePosixPath(PureWindowsPath(path).as_posix()).stem for path in map(str, given) if path]
+        name = (f"{stems[0]} and {len(stems) - 1} more" if len(stems) > 1 else stems[0]) if stems else "Survey"
+    return f"{name}, sheet {sheet}" if sheet else str(name)
+
+
+FEW = 5
+"""Fewer stretches on the map say nothing about it."""
+LEVEL = 1.15
+"""Up to this factor of its median ratio from 1 a map holds."""
+INSIDE = 0.8
+"""Share of readings that the map's interval should hold; a level that is off with fewer is off beyond all errors."""
+RANKS, ROUGHLY = 0.8, 0.5
+"""From these Spearman correlations on a map ranks ground rightly, and roughly."""
+EVEN = 1.5
+"""Ground is too even to rank if its 90 % quantile is less than this factor above its 10 % quantile."""
+
+
+def check_headline(result: CheckResult) -> str:
+    """Return the result in two or three sentences: whether the map holds, over how much ground, how well."""
+    agreement = result.agreement
+    if agreement is None:
+        measured, lengths = result.stretches.measured, result.stretches.way_m
+        known = np.isfinite(measured) & (lengths > 0.0)
+        count = count_text(len(result.drives), "drive")
+        if not known.any():
+            return f"Nothing was measured on {count}."
+        mean, way = float(np.average(measured[known], weights=lengths[known])), float(np.sum(lengths))
+        return f"{count} measured over {metres(way)}: a ride cost of {mean:.3f} rad/m on average. No map was checked."
+    over = f"{metres(agreement.way_m)} in {count_text(agreement.stretches, 'stretch', 'stretches')}"
+    if agreement.stretches < FEW:
+        return f"Too little was driven on the map to judge it: {over}. Drive at least {FEW} stretches of it."
+    parts = [f"{check_verdict(result)}. Over {over} it {level_words(agreement)} in the median"]
+    parts[0] += f", and half of the stretches are off by less than {percent(agreement.median_error)}."
+    parts.append(f"{percent(agreement.inside)} of the drives' readings lie in its 80 % interval.")
+    return " ".join(parts)
+
+
+def check_verdict(result: CheckResult) -> str:
+    """Return whether the map holds, in one sentence without its full stop; for at least ``FEW`` stretches."""
+    agreement = result.agreement
+    if agreement is None or not np.isfinite(agreement.median_ratio):
+        return "The map cannot be judged"
+    level = 1 / LEVEL <= agreement.median_ratio <= LEVEL
+    allowed = "" if round(agreement.inside, 2) < INSIDE else " by no more than its interval allows"
+    rank = agreement.spearman
+    stretches = result.stretches
+    known = stretches.measured[np.isfinite(stretches.c_r) & (stretches.measured > 0.0)]
+    low, high = np.quantile(known, [0.1, 0.9]) if len(known) else (1.0, 1.0)
+    if high < EVEN * low or not np.isfinite(rank):
+        even = "the ground driven is too even to say whether the map ranks ground rightly"
+        return f"The level of the map holds; {even}" if level else f"The map's level is off{allowed}; {even}"
+    if round(rank, 2) >= RANKS:  # as it is shown
+        return "The map holds" if level else f"The map ranks the ground rightly, but its level is off{allowed}"
+    if round(rank, 2) >= ROUGHLY:
+        return f"The map ranks the ground only roughly{'' if level else f', and its level is off{allowed}'}"
+    return "The map does not rank this ground as the vehicle felt it"
+
+
+def columns_words(drive: CheckedDrive) -> list[str]:
+    """Return which columns a drive was read from, and the quantity where its name differs, for each file."""
+    found: dict[str, list[str]] = {}
+    for quantity, column in drive.columns.items():
+        place, separator, name = column.rpartition(": ")
+        said = name if name.startswith(quantity) else f"{name} as {quantity}"
+        found.setdefault(place if separator else "the log", []).append(said)
+    return [f"read from {place}: {', '.join(columns)}" for place, columns in found.items()]
+
+
+def level_words(agreement: MapAgreement) -> str:
+    """Return "reads 8 % low" for a median ratio of 0.92."""
+    ratio = agreement.median_ratio
+    if not np.isfinite(ratio):
+        return "cannot be compared"
+    if abs(ratio - 1.0) < 0.005:
+        return "reads neither high nor low"
+    if ratio > 2.0:
+        return f"reads {ratio:.1f} times too high"
+    return f"reads {percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
+
+
+def metres(length: float) -> str:
+    """Return a length in m, or in km from 5 km on."""
+    return f"{length:,.0f} m" if length < 5000.0 else f"{length / 1000:,.1f} km"
+
+
+def percent(part: float) -> str:
+    """Return a share in per cent without decimals; a dash if it is not known."""
+    return f"{100 * part:.0f} %" if np.isfinite(part) else "\N{EN DASH}"
+
+
+def sorted_reasons(result: CheckResult) -> list[tuple[str, float]]:
+    """Return why parts of the ways do not count, and their length over all drives, m; the longest first."""
+    total: dict[str, float] = {}
+    for drive in result.drives:
+        for reason, length in drive.left_out_m.items():
+            total[reason] = total.get(reason, 0.0) + length
+    return sorted(((reason, length) for reason, length in total.items() if length > 0.0), key=lambda item: -item[1])
+
+
+def names_of(items: Sequence[str], most: int = 3) -> str:
+    """Return names, the first few of them."""
+    shown = ", ".join(items[:most])
+    return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
+
+
+def drive_notes(result: CheckResult) -> list[str]:
+    """Return from which columns each drive was read and what was guessed, a sentence each."""
+    return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
+
+
+def skipped_words(result: CheckResult) -> list[str]:
+    """Return which drives are left out, and why, a sentence each."""
+    return [f"{drive} is left out: {why}" for drive, why in result.skipped.items()]
+
+
+def warnings_of(result: CheckResult) -> list[str]:
+    """Return the warnings of the whole check and of each drive that counts, each once."""
+    own = [text for drive in result.drives for text in _named(result, drive, drive.warnings)]
+    return list(dict.fromkeys([*result.warnings, *own]))
+
+
+def _named(result: CheckResult, drive: CheckedDrive, texts: Iterable[str]) -> list[str]:
+    """Put the name of a drive before texts that do not say it, where there are several drives."""
+    several, name = len(result.drives) > 1, drive.name
+    return [f"{name}: {text}" if several and not text.startswith(name) else text for text in texts]

@@ -1,0 +1,205 @@
+"""The folder of a run: all files or none, nothing replaced that was not meant, no link followed."""
+
+import hashlib
+import json
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from route_records import CORNERS, UTM, MadeUpMap, make_route
+
+from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
+from bumpymap.layers import ReachField
+from bumpymap.route import output as folder_module
+from bumpymap.route.output import (
+    ROUTE_MANIFEST_NAME,
+    ROUTE_NAMES,
+    ReachLevels,
+    check_reach_out,
+    check_route_out,
+    write_reach_files,
+    write_routes,
+)
+from bumpytiles import Grid, TileWindow
+
+FOUR = ["profile.csv", "route.geojson", "route.gpx", "route.json", "route.png"]
+SETTINGS = {"settings": {"risk_m": 25.0, "robust": False}}
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+@pytest.fixture(scope="module")
+def source():
+    return MadeUpMap.around()
+
+
+@pytest.fixture(autouse=True)
+def no_picture(monkeypatch):
+    """A picture takes a quarter of a second; its own tests look at it."""
+    monkeypatch.setattr(folder_module, "write_route_picture", lambda *given: given[-1].write_bytes(b"PNG"))
+
+
+@pytest.fixture
+def reach():
+    cost = np.arange(12, dtype=np.float32).reshape(3, 4)
+    back, moves = np.zeros((3, 4), np.uint8), np.array([[0, 1]])
+    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, None, back, moves)
+
+
+def names(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+def write(out, source, **options):
+    return write_routes([make_route()], source, out, manifest=SETTINGS, **options)
+
+
+def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
+    out = tmp_path / "new" / "routes"
+    check_route_out(out, overwrite=False)
+    assert not out.exists()
+    files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
+    assert names(out) == FOUR
+    assert [path.name for path in files] == [name for name in ROUTE_NAMES if name in FOUR]
+    record = json.loads((out / ROUTE_MANIFEST_NAME).read_text())
+    assert record["format"] == "bumpymap-route"
+    assert record["settings"] == SETTINGS["settings"]
+    assert record["calibration"] == {"id": "c0ffee"}
+    assert "bumpymap" in record["versions"]
+    assert [route["name"] for route in record["routes"]] == ["route", "two"]
+    assert [stop["name"] for stop in record["routes"][1]["stops"]] == ["start", "via 1", "goal"]
+    assert record["routes"][0]["stops"][0]["x"] == CORNERS[0, 0]
+    assert record["notes"] == []
+    for entry in record["files"]:
+        content = (out / entry["path"]).read_bytes()
+        assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
+
+
+def test_the_layers_are_named_with_their_checksum(tmp_path):
+    (tmp_path / "layers").mkdir()
+    (tmp_path / "layers" / "run.json").write_text("{}")
+    write(tmp_path / "out", replace(MadeUpMap.around(), folders=(tmp_path / "layers",)))
+    (entry,) = json.loads((tmp_path / "out" / "route.json").read_text())["layers"]
+    assert entry == {"path": str(tmp_path / "layers"), "run_sha256": hashlib.sha256(b"{}").hexdigest()}
+
+
+@pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".csv", ".png", ".GPX"])
+def test_one_file_by_its_suffix(suffix, source, tmp_path):
+    out = tmp_path / f"way{suffix}"
+    assert write(out, source) == [out]
+    assert names(tmp_path) == [out.name]
+    with pytest.raises(OutputError, match="exists"):
+        write(out, source)
+    assert write(out, source, overwrite=True) == [out]
+
+
+@pytest.mark.parametrize("name", ["way.kml", "way.json", "way.tif", "way.PDF"])
+def test_a_file_of_another_kind_is_refused(name, source, tmp_path):
+    words = r"\.geojson, \.gpx, \.csv, \.png"
+    with pytest.raises(UsageError, match=words):
+        check_route_out(tmp_path / name, overwrite=False)
+    with pytest.raises(UsageError, match=words):
+        write(tmp_path / name, source)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_may_have_any_name(source, tmp_path):
+    assert names(write(tmp_path / "site.v2", source)[0].parent) == FOUR
+    (tmp_path / "old.csv").mkdir()
+    assert names(write(tmp_path / "old.csv", source)[0].parent) == FOUR
+
+
+def test_files_of_an_earlier_run_are_replaced_only_if_allowed(source, reach, tmp_path):
+    write_reach_files(reach, source, tmp_path, levels=ReachLevels([5.0]), manifest={})
+    (tmp_path / "notes.txt").write_text("mine")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(OutputError, match="already holds"):
+        check_route_out(tmp_path, overwrite=False)
+    with pytest.raises(OutputError, match="already holds"):
+        write(tmp_path, source)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    write(tmp_path, source, overwrite=True)
+    assert names(tmp_path) == sorted([*FOUR, "notes.txt"])  # reach.tif would not belong to the new route.json
+
+
+@pytest.mark.parametrize("name", ["routes", "way.csv"])
+def test_links_are_replaced_never_followed(name, source, tmp_path):
+    precious = tmp_path / "precious"
+    precious.write_text("keep")
+    out = tmp_path / name
+    link = out
+    if name == "routes":
+        out.mkdir()
+        link = out / "profile.csv"
+    link.symlink_to(precious)
+    with pytest.raises(OutputError):
+        write(out, source)
+    write(out, source, overwrite=True)
+    assert precious.read_text() == "keep"
+    assert not link.is_symlink()
+    assert link.stat().st_size > 100
+
+
+@pytest.mark.parametrize("kind", ["routes", "way.png"])
+def test_when_one_file_fails_none_is_left(kind, source, tmp_path, monkeypatch):
+    def fail(routes, source, path):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(folder_module, "write_route_picture", fail)
+    with pytest.raises(OutputError, match="full"):
+        write(tmp_path / kind, source)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_failure_leaves_the_files_of_the_run_before(source, tmp_path, monkeypatch):
+    write(tmp_path, source)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def fail(routes, path):
+        raise OutputError("the disk is full")
+
+    monkeypatch.setattr(folder_module, "write_profile", fail)
+    with pytest.raises(OutputError, match="full"):
+        write(tmp_path, source, overwrite=True)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
+    route = make_route(georeference=Georeference(None))
+    with caplog.at_level(logging.WARNING):
+        files = write_routes([route], source, tmp_path, manifest={})
+    assert names(tmp_path) == [name for name in FOUR if name != "route.gpx"]
+    assert "route.gpx" not in {path.name for path in files}
+    assert "no CRS" in caplog.text
+    record = json.loads((tmp_path / "route.json").read_text())
+    assert "no CRS" in record["notes"][0]
+    assert "lon" not in record["routes"][0]["stops"][0]
+    with pytest.raises(BadInputError, match="no CRS"):
+        write_routes([route], source, tmp_path / "way.gpx", manifest={})
+
+
+def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="it is a file"):
+        check_route_out(tmp_path / "file", overwrite=True)
+    with pytest.raises(OutputError, match="there is no folder"):
+        check_route_out(tmp_path / "missing" / "way.csv", overwrite=False)
+    (tmp_path / "route.png").mkdir()
+    with pytest.raises(OutputError, match="is not a file"):
+        write(tmp_path, source, overwrite=True)
+
+
+def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
+    check_reach_out(tmp_path / "all", overwrite=False)
+    files = write_reach_files(reach, source, tmp_path / "all", levels=ReachLevels([5.0, 9.0]), manifest=SETTINGS)
+    assert [path.name for path in files] == ["reach.tif", "reach_back.tif", "isochrones.geojson", "route.json"]
+    assert names(tmp_path / "all") == sorted(path.name for path in files)
+    few = write_reach_files(replace(reach, back=None, moves=None), source, tmp_path / "few", manifest=SETTINGS)
+    assert [path.name for path in few] == ["reach.tif", "route.json"]
+    for name in ("cost.tif", "within.geojson"):
+        out = tmp_path / name
+        assert write_reach_files(reach, source, out, levels=ReachLevels([5.0]), manifest={}) == [out]
+    with pytest.raises(UsageError, match="levels"):
+        write_reach_files(reach, source, tmp_path / "other.geojson", manifest={})
+    with pytest.raises(UsageError, match=r"\.tif, \.geojson"):
+        check_reach_out(tmp_path / "way.gpx", overwrite=False)

@@ -1,0 +1,170 @@
+"""The graph of ways, read by a port of nav2_route's rules.
+
+github.com/ros-navigation/navigation2, nav2_route: src/plugins/graph_file_loaders/geojson_graph_file_loader.cpp, and
+src/route_planner.cpp (which cost of an edge counts).
+"""
+
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from scipy.ndimage import gaussian_filter, label
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components, dijkstra
+
+from bumpymap.core import BadInputError
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.graph import SQUARES, line_cost, make_lattice, make_squares
+
+
+def load_graph(path):
+    """Nodes (points) by id, edges (lines) as start, end, cost; what the loader requires is there."""
+    nodes, edges, ids = {}, [], []
+    for feature in json.loads(path.read_text())["features"]:
+        properties, geometry = feature["properties"], feature["geometry"]
+        ids.append(properties["id"])
+        if geometry["type"] == "Point":
+            assert properties["frame"] == "map"
+            nodes[properties["id"]] = tuple(geometry["coordinates"][:2])
+        else:
+            assert geometry["type"] in {"LineString", "MultiLineString"}
+            assert properties["startid"] in nodes
+            assert properties["endid"] in nodes
+            assert properties["cost"] > 0.0
+            assert not properties["overridable"], "scorers would take its place"
+            assert geometry["coordinates"][0] == [list(nodes[properties[end]]) for end in ("startid", "endid")]
+            edges.append((properties["startid"], properties["endid"], properties["cost"]))
+    assert nodes
+    assert edges
+    assert len(set(ids)) == len(ids)
+    assert all(type(one) is int and one >= 0 for one in ids)
+    return nodes, edges
+
+
+def closed_factor(route_map):
+    with rasterio.open(route_map.folders[0] / "cost.tif") as file:
+        cost = file.read(1).astype(float)
+    return np.where(np.isnan(cost), np.inf, cost)
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_every_edge_crosses_only_passable_tiles_at_its_cost(easy_map, tmp_path, every):
+    done = export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
+    nodes, edges = load_graph(tmp_path / "out" / "graph.geojson")
+    assert done.record["graph"]["nodes"] == len(nodes)
+    assert done.record["graph"]["edges"] == len(edges)
+    window, factor = easy_map.window, closed_factor(easy_map)
+    place = np.array([nodes[number] for number in range(len(nodes))]) / 3.0 - 0.5
+    row = np.rint(window.row + window.rows - 1 - place[:, 1]).astype(int)
+    col = np.rint(place[:, 0] - window.col).astype(int)
+    np.testing.assert_allclose(place[:, 1], window.row + window.rows - 1 - row, atol=1e-6)
+    tiles = np.stack([row, col], axis=1)
+    assert np.isfinite(factor[row, col]).all()
+    start, end, cost = (np.array(part) for part in zip(*edges, strict=True))
+    np.testing.assert_allclose(cost, 3.0 * line_cost(factor, tiles[start], tiles[end]), rtol=1e-6)
+    back = {(one, other): price for one, other, price in edges}
+    assert all(back[other, one] == price for one, other, price in edges)
+    graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes),) * 2)
+    assert connected_components(graph, directed=True, connection="strong")[0] == 1
+
+
+def ways(lattice):
+    """Cost of the cheapest way between any two nodes."""
+    number = len(lattice.row)
+    return dijkstra(coo_array((lattice.cost, (lattice.first, lattice.second)), shape=(number, number)), directed=False)
+
+
+def field(seed, closed, size=(40, 50)):
+    """Smooth costs from 1 upward; patches of closed ground, and single closed tiles."""
+    rng = np.random.default_rng(seed)
+    factor = 1.0 + gaussian_filter(rng.gamma(1.0, 8.0, size), 3.0)
+    patches = gaussian_filter(rng.random(size), 1.0)
+    factor[(patches < np.quantile(patches, closed)) | (rng.random(size) < closed / 10)] = np.inf
+    return factor
+
+
+def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long():
+    lattice = make_lattice(*((ground := np.ones((90, 90))), make_squares(ground, 9, (0, 0))))
+    assert len(lattice.row) == 100
+    straight = np.hypot(*(axis[:, None] - axis for axis in (lattice.row, lattice.col)))
+    ratio = ways(lattice)[straight > 0] / straight[straight > 0]
+    assert ratio.min() >= 1.0 - 1e-12
+    assert ratio.max() <= 1.0 / np.cos(np.pi / 8) + 1e-12  # 8 directions
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_squares_cover_the_open_tiles_and_are_open_and_alike(seed):
+    factor = field(seed, 0.3)
+    for largest in SQUARES:
+        squares = make_squares(factor, largest, (-17, 5))
+        np.testing.assert_array_equal(squares.number >= 0, np.isfinite(factor))
+        tiles = np.bincount(squares.number[squares.number >= 0], minlength=len(squares.row))
+        np.testing.assert_array_equal(tiles, squares.side**2)
+        assert set(squares.side.tolist()) <= {side for side in SQUARES if side <= largest}
+        for number in range(len(squares.row)):
+            costs = factor[squares.number == number]
+            assert costs.max() <= 1.5 * costs.min()
+            row, col = np.nonzero(squares.number == number)
+            assert (row.mean(), col.mean()) == (squares.row[number], squares.col[number])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_thinning_cuts_nothing_off(seed):
+    """What is connected over sides of tiles (a corner is no way) is connected in the graph, and nothing else is."""
+    factor = field(seed, 0.45)
+    parts, count = label(np.isfinite(factor))
+    assert count > 1
+    sizes = np.bincount(parts.ravel())[1:]
+    for largest in SQUARES:
+        squares = make_squares(factor, largest, (3, 8))
+        lattice = make_lattice(factor, squares)
+        kept = np.unique(parts[lattice.row, lattice.col])
+        assert len(kept) == 1
+        assert sizes[kept[0] - 1] == sizes.max()
+        assert lattice.tiles_left_out == sizes.sum() - sizes.max()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_ways_over_large_squares_cost_little_more_than_over_tiles(seed):
+    factor = field(seed, 0.3)
+    fine, thin = (make_lattice(factor, make_squares(factor, largest, (0, 0))) for largest in (1, 9))
+    assert len(thin.row) < 0.8 * len(fine.row)
+    place = {(row, col): number for number, (row, col) in enumerate(zip(fine.row, fine.col, strict=True))}
+    same = [place[row, col] for row, col in zip(thin.row, thin.col, strict=True)]
+    far = np.hypot(*(axis[:, None] - axis for axis in (thin.row, thin.col))) > 10
+    ratio = ways(thin)[far] / ways(fine)[np.ix_(same, same)][far]
+    assert np.median(ratio) < 1.03
+    assert np.quantile(ratio, 0.99) < 1.15
+
+
+def test_crops_of_one_map_share_their_squares():
+    factor = field(3, 0.2, (60, 70))
+    whole = make_squares(factor, 9, (-60, 4))
+    cut = make_squares(factor[6:51, 5:59], 9, (-54, 9))  # whole squares of 9
+    places = set(zip(whole.row.tolist(), whole.col.tolist(), strict=True))
+    assert {(row + 6, col + 5) for row, col in zip(cut.row.tolist(), cut.col.tolist(), strict=True)} <= places
+
+
+def test_no_way_leads_over_a_corner():
+    factor = np.full((9, 9), np.inf)
+    factor[:3] = 1.0
+    factor[3, 3] = factor[4, 4] = 1.0  # touch at a corner
+    factor[5:7, 5:7] = 1.0
+    lattice = make_lattice(factor, make_squares(factor, 3, (0, 0)))
+    assert len(lattice.row) == 4
+    assert lattice.tiles_left_out == 5
+
+
+def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
+    lone = open_map([write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone")])
+    with pytest.raises(BadInputError, match="no two nodes are connected"):
+        export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_NODES", 10)
+    with pytest.raises(BadInputError, match=r"`every=1`.*larger"):
+        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=1))
+    monkeypatch.setattr("bumpymap.views.export.graph._MAX_TILES", 10)
+    with pytest.raises(BadInputError, match="480 tiles"):
+        export_map(easy_map, tmp_path / "out", ExportSettings(to="graph"))
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,259 @@
+"""Maps for Nav2, read by ports of the rules of their readers in Nav2 (github.com/ros-navigation/navigation2):
+
+nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw), nav2_costmap_2d/plugins/static_layer.cpp
+(interpretValue), nav2_costmap_2d/src/costmap_2d.cpp (a costmap of an occupancy grid), plugins/costmap_filters
+(keepout_filter.cpp, speed_filter.cpp), nav2_smac_planner/src/node_2d.cpp (getTraversalCost).
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import rasterio
+import yaml
+from PIL import Image
+
+from bumpymap.core import NO_TILE, BadInputError, Barred, UsageError
+from bumpymap.views import ExportSettings, export_map
+from bumpymap.views.export.area import CostScale, cost_values, keepout_values, speed_values
+from bumpymap.views.export.nav2 import travel_multiplier
+
+FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
+
+
+@dataclass
+class OccupancyGrid:
+    data: np.ndarray  # int8 (rows, cols), row 0 is the south
+    resolution: float
+    x: float
+    y: float
+
+    def world(self, row, col):
+        return self.x + (col + 0.5) * self.resolution, self.y + (row + 0.5) * self.resolution
+
+
+def load_map(path):
+    """map_io: all keys are required, the image lies beside the file, rows are turned upside down."""
+    doc = yaml.safe_load(path.read_text())
+    assert {"image", "resolution", "origin", "free_thresh", "occupied_thresh", "negate"} <= set(doc)
+    assert doc["mode"] == "raw"
+    assert len(doc["origin"]) == 3
+    assert doc["origin"][2] == 0.0
+    assert 0.0 < doc["free_thresh"] < doc["occupied_thresh"] < 1.0
+    shade = np.asarray(Image.open(path.parent / doc["image"]).convert("L"), float) / 255.0
+    value = np.round(shade * 255.0)
+    cells = np.where((value >= 0) & (value <= 100), value, -1).astype(np.int8)
+    return OccupancyGrid(cells[::-1], float(doc["resolution"]), *map(float, doc["origin"][:2]))
+
+
+def static_layer(grid, params):
+    """interpretValue for each cell, as unsigned char."""
+    value = grid.data.astype(np.uint8).astype(int)
+    threshold = params["lethal_cost_threshold"]
+    scaled = np.floor(value / threshold * LETHAL).astype(int)
+    if params.get("trinary_costmap", True):
+        scaled[:] = FREE
+    scaled[value >= threshold] = LETHAL
+    scaled[value == params.get("inscribed_obstacle_cost_value", 99)] = INSCRIBED
+    unknown = NO_INFORMATION if params["track_unknown_space"] else FREE
+    scaled[value == params["unknown_cost_value"]] = unknown
+    return scaled
+
+
+def keepout(grid, master):
+    """The mask as a costmap, laid on another where it is known and higher."""
+    mask = np.where(grid.data == -1, NO_INFORMATION, np.rint(grid.data.astype(float) * LETHAL / 100.0))
+    higher = (mask != NO_INFORMATION) & ((mask > master) | (master == NO_INFORMATION))
+    return np.where(higher, mask, master)
+
+
+def speed_limit(value, base, multiplier):
+    """Percent of the top speed; None: no limit."""
+    assert value != -1, "unknown cells are errors: the last limit stays"
+    limit = value * multiplier + base
+    return None if value == 0 or not 0.0 <= limit <= 100.0 else limit
+
+
+def exported(route_map, out, **settings):
+    done = export_map(route_map, out, ExportSettings(to="nav2", **settings))
+    params = yaml.safe_load((out / "nav2_params.yaml").read_text())
+    grids = [load_map(out / f"{name}.yaml") for name in ("map", "keepout_mask", "speed_mask")]
+    return done.record, params, grids
+
+
+def tile_values(route_map, folder, name, band=1):
+    with rasterio.open(folder / name) as file:
+        return file.read(band)[::-1]  # row 0 is the south
+
+
+@pytest.fixture(scope="module")
+def whole(route_map, tmp_path_factory):
+    return exported(route_map, tmp_path_factory.mktemp("nav2") / "out")
+
+
+def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder, route_map):
+    record, params, (grid, _, _) = whole
+    settings = params["global_costmap"]["global_costmap"]["ros__parameters"]
+    costmap = static_layer(grid, settings)
+    barred, cost = tile_values(route_map, folder, "barred.tif"), tile_values(route_map, folder, "cost.tif")
+    assert costmap.shape == barred.shape
+    unknown = (barred == Barred.UNKNOWN) | (barred == NO_TILE)
+    passable = barred == Barred.NO
+    assert (costmap[unknown] == NO_INFORMATION).all()
+    assert (costmap[~unknown & ~passable] == LETHAL).all()
+    assert (costmap[passable] < INSCRIBED).all()
+    assert len(np.unique(costmap[passable])) > 10
+    multiplier = params["planner_server"]["ros__parameters"]["GridBased"]["cost_travel_multiplier"]
+    planner = 1.0 + multiplier * costmap[passable] / 252.0
+    step = (record["cost"]["value_98"] - 1.0) / 98.0
+    assert np.abs(planner - cost[passable]).max() < 1.1 * step  # half a step of rounding, and decimals dropped
+    assert record["cost"]["value_98"] == pytest.approx(np.nanmax(cost), rel=1e-6)
+    assert record["tiles"]["passable"] == passable.sum()
+    assert record["tiles"]["unknown"] == (barred == Barred.UNKNOWN).sum()
+
+
+def test_with_the_defaults_of_a_costmap_all_graded_cost_is_free(whole):
+    """Why the parameters are part of the export."""
+    _, _, (grid, _, _) = whole
+    usual = {"lethal_cost_threshold": 100, "track_unknown_space": False, "unknown_cost_value": 255}
+    assert set(np.unique(static_layer(grid, usual))) == {FREE, LETHAL}
+
+
+def test_the_keepout_filter_leaves_only_passable_tiles(whole, folder, route_map):
+    _, params, (_, mask, _) = whole
+    passable = tile_values(route_map, folder, "barred.tif") == Barred.NO
+    for master in (FREE, NO_INFORMATION):
+        laid = keepout(mask, np.full(passable.shape, master))
+        assert (laid[~passable] == LETHAL).all()
+        assert (laid[passable] < INSCRIBED).all()
+    info = params["keepout_info_server"]["ros__parameters"]
+    assert (info["type"], info["base"], info["multiplier"]) == (0, 0.0, 1.0)
+    assert info["mask_topic"] == params["keepout_mask_server"]["ros__parameters"]["topic_name"]
+
+
+def test_the_speed_filter_keeps_the_ride_under_the_limit(route_map, folder, tmp_path):
+    _, params, (_, _, mask) = exported(route_map, tmp_path / "out", comfort=0.2)
+    info = params["speed_info_server"]["ros__parameters"]
+    assert info["type"] == 1
+    c_r = tile_values(route_map, folder, "roughness.tif")
+    for value, ride in zip(mask.data.ravel().tolist(), c_r.ravel().tolist(), strict=True):
+        limit = speed_limit(value, info["base"], info["multiplier"])
+        assert limit is not None, "0 would mean: no limit"
+        if math.isnan(ride):
+            assert limit == 1
+        elif limit > 1:
+            assert ride * 2.0 * limit / 100.0 <= 0.2 * (1 + 1e-9)
+            assert limit == 100 or ride * 2.0 * (limit + 1) / 100.0 > 0.2
+
+
+@pytest.mark.parametrize("around", [None, (110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0)])
+@pytest.mark.parametrize("resolution", ["tile", "pixel"])
+def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around, resolution):
+    """Origin at the lower left corner, the first row of the image in the north, shifted by the datum."""
+    crop = {} if around is None else {"around": around, "radius": 9.0}
+    record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", resolution=resolution, **crop)
+    datum = record["datum"]
+    rng = np.random.default_rng(1)
+    rows, cols = (rng.integers(0, size, 300) for size in grid.data.shape)
+    x, y = grid.world(rows, cols)
+    places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
+    with rasterio.open(folder / "barred.tif") as file:
+        barred = np.array([value[0] for value in file.sample(places)])
+    with rasterio.open(folder / "obstacle.tif") as file:
+        pixel = np.array([value[0] for value in file.sample(places)])
+    cell, kept = grid.data[rows, cols], mask.data[rows, cols]
+    unknown, passable = np.isin(barred, [Barred.UNKNOWN, NO_TILE]), barred == Barred.NO
+    obstacle, unseen = ((pixel == 1), (pixel == 3)) if resolution == "pixel" else (pixel == 9, pixel == 9)
+    assert (cell[~unknown & ~passable] == 100).all()
+    assert (cell[obstacle] == 100).all()
+    assert (cell[unknown & ~obstacle] == -1).all()
+    assert (cell[passable & unseen] == -1).all()
+    seen = passable & ~obstacle & ~unseen
+    assert ((cell[seen] >= 0) & (cell[seen] <= 98)).all()
+    assert (kept == np.where(seen, 0, 100)).all()
+    size = 3.0 if resolution == "tile" else 0.2
+    assert grid.resolution == pytest.approx(size, abs=1e-12)
+    assert np.fmod(abs(grid.x) + 1e-7, grid.resolution) < 1e-5  # aligned with the origin
+    if around is not None:
+        assert grid.data.shape == (7 * round(3 / size), 7 * round(3 / size))
+
+
+def test_where_objects_are_part_of_the_relief_pixels_are_as_their_tile(easy_map, easy_folder, tmp_path):
+    """A survey without ground classes: obstacle.tif is unknown throughout."""
+    with rasterio.open(easy_folder / "obstacle.tif") as file:
+        assert set(np.unique(file.read(1))) == {3, 255}
+    _, _, tiles = exported(easy_map, tmp_path / "tiles")
+    _, _, pixels = exported(easy_map, tmp_path / "pixels", resolution="pixel")
+    for coarse, fine in zip(tiles, pixels, strict=True):
+        np.testing.assert_array_equal(fine.data, np.repeat(np.repeat(coarse.data, 15, axis=0), 15, axis=1))
+
+
+def test_unknown_ground_is_never_free(route_map):
+    field = route_map.read(route_map.window)
+    lost = replace(field, barred=np.zeros_like(field.barred))  # passable as they say, but with no ride cost
+    for one in (field, lost):
+        blind = np.isnan(one.c_r) | np.isin(one.barred, [Barred.UNKNOWN, NO_TILE])
+        assert blind.any()
+        assert (cost_values(one, CostScale(3.0))[blind] == 255).all()
+        assert (keepout_values(one)[blind] == 100).all()
+        assert (speed_values(one, 0.3)[np.isnan(one.c_r)] == 1).all()
+
+
+def test_cost_is_scaled_linearly_and_the_same_in_every_crop_if_asked(route_map, tmp_path):
+    scale = CostScale(5.0)
+    np.testing.assert_array_equal(scale.values(np.array([1.0, 3.0, 5.0, 90.0])), [0, 49, 98, 98])
+    assert CostScale(1.0).values(np.array([1.0])) == 0
+    assert travel_multiplier(scale) * 248 / 252 == pytest.approx(4.0)
+    middle = ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3)
+    crops = [
+        exported(route_map, tmp_path / str(radius), around=middle, radius=radius, datum=(0.0, 0.0), dearest=7.0)
+        for radius in (4.0, 13.0)
+    ]
+    (small, large) = (crop[2][0] for crop in crops)
+    off = [round((small.x - large.x) / 3), round((small.y - large.y) / 3)]
+    rows, cols = small.data.shape
+    np.testing.assert_array_equal(small.data, large.data[off[1] : off[1] + rows, off[0] : off[0] + cols])
+    assert crops[0][0]["datum"]["x"] == 0.0
+
+
+def test_parameters_fit_together(whole):
+    _, params, _ = whole
+    servers = {name: part["ros__parameters"] for name, part in params.items() if "ros__parameters" in part}
+    costmap = params["global_costmap"]["global_costmap"]["ros__parameters"]
+    assert costmap["static_layer"]["map_topic"] == servers["map_server"]["topic_name"]
+    for name in ("keepout", "speed"):
+        topic = servers[f"{name}_info_server"]["filter_info_topic"]
+        assert costmap[f"{name}_filter"]["filter_info_topic"] == topic
+        assert servers[f"{name}_info_server"]["mask_topic"] == servers[f"{name}_mask_server"]["topic_name"]
+    managed = set(servers["lifecycle_manager_bumpymap"]["node_names"])
+    assert managed == {name for name in servers if name.endswith("_server")} - {"controller_server", "planner_server"}
+    assert costmap["robot_radius"] == 0.7
+
+
+def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
+    corner = (110_000.0 * 3 - 500, 680_000.0 * 3)
+    with pytest.raises(BadInputError, match="nothing of the map lies within"):
+        export_map(route_map, tmp_path / "out", ExportSettings(around=corner))
+    monkeypatch.setattr("bumpymap.views.export.nav2._MAX_CELLS", 100)
+    with pytest.raises(BadInputError, match="`around`"):
+        export_map(route_map, tmp_path / "out", ExportSettings())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"to": "ros"},
+        {"resolution": "cm"},
+        {"comfort": 0.0},
+        {"comfort": float("nan")},
+        {"radius": -1.0},
+        {"dearest": 1.0},
+        {"every": 0},
+        {"around": (float("inf"), 0.0)},
+    ],
+)
+def test_settings_that_mean_nothing(wrong):
+    with pytest.raises(UsageError, match=next(iter(wrong))):
+        ExportSettings(**wrong)

@@ -1,0 +1,191 @@
+"""What QGIS makes of the layers of a run when they are dragged in, and of map.qgs."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import geopandas
+import pytest
+
+from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
+from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.products import PRODUCT_NAMES
+from bumpymap.views import write_map_views
+from bumpytiles import BLOCK_TILES
+
+pytestmark = pytest.mark.qgis
+
+SCRIPT = Path(__file__).with_name("load_in_qgis.py")
+RASTERS = {
+    "class.tif": "paletted",
+    "reason.tif": "paletted",
+    "barred.tif": "paletted",
+    "obstacle.tif": "paletted",
+    "passage.tif": "paletted",
+    "roughness.tif": "singlebandpseudocolor",
+    "cost.tif": "singlebandpseudocolor",
+    "heightmap.tif": "hillshade",
+    "relief.tif": "hillshade",
+}
+RASTERS = {name: kind for name, kind in RASTERS.items() if name in PRODUCT_NAMES}
+AREAS = ("cost.geojson", "cost.fgb", "tiles.gpkg")
+RUN = {
+    "calibration": {"id": "c0ffee", "vehicle": "warthog", "class_limits": (0.1, 0.2, 0.4)},
+    "survey": {"name": "Pit 7"},
+}
+
+
+def seen_by_qgis(folder, cost_map, *, local=False):
+    """Write layers and let QGIS load them; its version here may not read Parquet, so tiles come as GeoPackage."""
+    write_products(CostTable.of(cost_map), folder, views=write_map_views, local=local, manifest=RUN)
+    tiles = geopandas.read_parquet(folder / "tiles.parquet", columns=["geometry", "class", "passable", "c_r"])
+    tiles.to_file(folder / "tiles.gpkg", driver="GPKG")
+    return load(folder)
+
+
+def load(folder):
+    """What QGIS makes of the files in a folder."""
+    report = folder.parent / f"{folder.name}.json"
+    command = ["/usr/bin/python3", str(SCRIPT), str(folder), str(report)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return json.loads(report.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(name="seen", scope="module")
+def seen_fixture(tmp_path_factory, cost_map):
+    return seen_by_qgis(tmp_path_factory.mktemp("layers"), cost_map)
+
+
+@pytest.fixture(name="seen_local", scope="module")
+def seen_local_fixture(tmp_path_factory, make_field):
+    cost_map = make_field(20, 15, georeference=Georeference(None))
+    return seen_by_qgis(tmp_path_factory.mktemp("local"), cost_map, local=True)
+
+
+def test_every_layer_opens_with_its_renderer(seen):
+    layers = seen["layers"]
+    assert {name: layer["renderer"] for name, layer in layers.items()} == {
+        **RASTERS,
+        **dict.fromkeys(AREAS, "categorizedSymbol"),
+    }
+    assert all(layer["valid"] and layer["crs_valid"] for layer in layers.values())
+    assert {name: layer["crs"] for name, layer in layers.items()} == {
+        name: "EPSG:4326" if name == "cost.geojson" else "EPSG:32614" for name in layers
+    }
+    assert all(layer["name"] == Path(name).stem for name, layer in layers.items())
+    assert all(layer["colours"] > 1 for layer in layers.values())
+
+
+def test_colours_and_names_are_those_of_the_table(seen):
+    layers = seen["layers"]
+    legend = layers["class.tif"]["legend"]
+    assert [colour for _, colour, _ in legend] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
+    assert [label.split(": ")[0] for label, _, _ in legend] == list(CLASS_NAMES)
+    assert layers["class.tif"]["values"] == [0, 1, 2, 3]
+    assert [label for label, _, _ in layers["cost.fgb"]["legend"]] == [
+        *(label for label, _, _ in legend),
+        "unknown",
+        "not passable",
+    ]
+    green = "#{:02x}{:02x}{:02x}".format(*BARRED_COLOURS[0])
+    assert layers["barred.tif"]["legend"][0] == ["passable", green, 255]
+
+
+def test_numbers_have_the_colours_of_their_stops(seen):
+    shades = seen["layers"]["roughness.tif"]["shades"]
+    assert seen["layers"]["roughness.tif"]["bands"] == [1]
+    assert shades["0.05"] == list(CLASS_COLOURS[0])
+    assert shades["0.3"] == list(CLASS_COLOURS[2])
+    assert shades["2.0"] == shades["99.0"] == list(CLASS_COLOURS[3])
+    costs = seen["layers"]["cost.tif"]["shades"]
+    assert costs["-1.0"] != costs["2.0"] != costs["99.0"]
+    assert seen["layers"]["relief.tif"]["resampling"] == ["bilinear", "bilinear"]
+    assert seen["layers"]["class.tif"]["resampling"] == ["nearest", "nearest"]
+
+
+def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):
+    known = cost_map.class_id != NO_CLASS
+    table = CostTable.of(cost_map).tiles.read(("passable",), CostTable.of(cost_map).tiles.window)
+    drawn = seen["layers"]["tiles.gpkg"]["drawn"]
+    assert "nothing" not in drawn
+    assert drawn["unknown"] == int((~known).sum())
+    assert sum(drawn.values()) == len(known)
+    assert drawn["not passable"] == int(known.sum() - table["passable"].sum())
+    regions = seen["layers"]["cost.fgb"]["drawn"]
+    assert regions == seen["layers"]["cost.geojson"]["drawn"]
+    assert "nothing" not in regions
+    assert sum(regions.values()) == seen["layers"]["cost.fgb"]["features"]
+    assert set(regions) == set(drawn)
+
+
+def test_the_project_opens_as_a_map(seen):
+    project = seen["project"]
+    assert project["read"]
+    assert not project["error"]
+    assert project["title"] == "Pit 7: ride cost"
+    assert "warthog" in project["abstract"]
+    assert project["crs"] == "EPSG:32614"
+    fails = project["layers"].pop("bumpymap_roughness_tif_p_fail")
+    assert fails["values"] == [0.5, 1.0]
+    layers = {Path(layer["source"]).name: layer for layer in project["layers"].values()}
+    assert {name: layer["renderer"] for name, layer in layers.items()} == RASTERS | {"cost.fgb": "categorizedSymbol"}
+    assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in layers.values())
+    assert layers["class.tif"]["multiply"]
+    assert not layers["relief.tif"]["multiply"]
+    assert all(found for *_, found in project["tree"])
+    shown = {layer_id for _, _, layer_id, is_shown, _ in project["tree"] if is_shown}
+    assert shown - {"bumpymap_reason_tif"} == {"bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert project["colours"] > 100  # four classes, each as bright as the relief under it
+    west, south, east, north = layers["class.tif"]["extent"]
+    assert project["extent"][0] < west < east < project["extent"][2]
+    assert project["extent"][1] < south < north < project["extent"][3]
+    assert project["extent"][3] - project["extent"][1] < 1.3 * (north - south)
+
+
+def test_other_speeds_open_in_the_colours_of_the_map(tmp_path, at_two_speeds):
+    write_products(
+        at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=RUN | {"settings": {"speeds": (0.5, 2.0)}}
+    )
+    seen = load(tmp_path)
+    own, other = (seen["layers"][name] for name in ("roughness.tif", "speeds.tif"))
+    assert (other["renderer"], other["bands"], other["shades"]) == (own["renderer"], [1], own["shades"])
+    assert seen["project"]["read"]
+    assert not seen["project"]["error"]
+    bands = {part: seen["project"]["layers"][f"bumpymap_speeds_tif_{part}"]["bands"] for part in ("0.5", "2")}
+    assert bands == {"0.5": [1], "2": [4]}
+    assert all(found for *_, found in seen["project"]["tree"])
+    shown = {layer_id for _, _, layer_id, is_shown, _ in seen["project"]["tree"] if is_shown}
+    assert not any("speeds" in layer_id for layer_id in shown)
+
+
+def test_a_map_without_a_crs_lies_where_its_coordinates_say(seen_local):
+    project = seen_local["project"]
+    assert not project["crs_valid"]
+    for layer in project["layers"].values():
+        assert layer["valid"]
+        assert not layer["crs_valid"]
+        assert layer["extent"] == pytest.approx([330_000, 2_040_000, 330_060, 2_040_045])
+    assert 329_900 < project["extent"][0] < 330_000
+    assert project["colours"] > 100
+
+
+def test_a_map_in_sheets_opens_as_one(tmp_path, cost_map):
+    table = CostTable.of(cost_map)
+    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
+    (tmp_path / "out").mkdir()
+    write_sheets(table, tmp_path / "out", run, views=write_map_views, local=False, manifest=RUN)
+    seen = load(tmp_path / "out")
+    assert len(list((tmp_path / "out" / "sheets").iterdir())) > 1
+    expected = {name.replace(".tif", ".vrt"): kind for name, kind in RASTERS.items()}
+    assert {name: layer["renderer"] for name, layer in seen["layers"].items()} == expected
+    assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in seen["layers"].values())
+    assert all(layer["colours"] > 1 for layer in seen["layers"].values())
+    project = seen["project"]
+    assert project["read"]
+    assert not project["error"]
+    assert project["crs"] == "EPSG:32614"
+    assert {Path(layer["source"]).name: layer["renderer"] for layer in project["layers"].values()} == expected
+    assert all(found for *_, found in project["tree"])
+    assert project["colours"] > 100

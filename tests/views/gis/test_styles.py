@@ -1,0 +1,304 @@
+"""Styles and project as XML: every value has its colour, paths are relative, and layers are found by their ids."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from xml.etree import ElementTree as ET
+
+import pytest
+from pyproj import CRS
+
+from bumpymap.core import (
+    BANDS,
+    BARRED_TEXT,
+    CLASS_NAMES,
+    FAIL_SHARE,
+    OBJECT_NAMES,
+    REASON_TEXT,
+    Barred,
+    CostTable,
+    Georeference,
+)
+from bumpymap.layers import write_products
+from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
+from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.views import write_map_views
+from bumpymap.views.gis.project import write_project
+from bumpymap.views.gis.styles import write_styles
+
+LIMITS = (0.1, 0.2, 0.4)
+CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
+INTERVALS = ("0 to 0.1 rad/m", "0.1 to 0.2 rad/m", "0.2 to 0.4 rad/m", "from 0.4 rad/m")
+GIS_FILES = tuple(name for name in VIEW_NAMES if name.endswith((".qml", ".qgs")))
+
+
+@pytest.fixture(name="folder", scope="module")
+def folder_fixture(tmp_path_factory, cost_map):
+    folder = tmp_path_factory.mktemp("site of a user")
+    write_products(
+        CostTable.of(cost_map), folder, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
+    )
+    return folder
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """A folder with names of layers, for styles that do not read any."""
+    for name in (*PRODUCT_NAMES, "reason.tif"):
+        (tmp_path / name).touch()
+    return tmp_path
+
+
+def read(path):
+    return ET.parse(path).getroot()  # noqa: S314 (our own file)
+
+
+def palette(style):
+    return {
+        int(entry.get("value")): (entry.get("label"), entry.get("color"), int(entry.get("alpha")))
+        for entry in style.iter("paletteEntry")
+    }
+
+
+def expected(names, colours):
+    visible = ((value, name) for value, name in names if colours[value][3])
+    return {value: (name, "#{:02x}{:02x}{:02x}".format(*colours[value]), colours[value][3]) for value, name in visible}
+
+
+def styled(folder, **record):
+    write_styles(folder, {"calibration": CALIBRATION} | record)
+    return {path.name: read(path) for path in folder.glob("*.qml")}
+
+
+def test_every_visible_value_has_the_colour_of_the_table_and_its_name(alone):
+    styles = styled(alone)
+    labels = [f"{name}: c_r {text}" for name, text in zip(CLASS_NAMES, INTERVALS, strict=True)]
+    labels[3] += ", or too steep, or drives fail"
+    assert palette(styles["class.qml"]) == expected(enumerate(labels), CLASS_COLOURS)
+    assert palette(styles["reason.qml"]) == expected(REASON_TEXT.items(), REASON_COLOURS)
+    assert palette(styles["barred.qml"]) == expected(BARRED_TEXT.items(), BARRED_COLOURS)
+    assert palette(styles["obstacle.qml"]) == expected(enumerate(OBJECT_NAMES), OBJECT_COLOURS)
+    for name in ("cost.qml", "tiles.qml"):
+        root = styles[name]
+        categories = {category.get("value"): category for category in root.iter("category")}
+        assert [*categories] == [*CLASS_NAMES, "unknown", "not passable"]
+        for number, category in enumerate(CLASS_NAMES):
+            assert categories[category].get("label") == labels[number]
+            symbol = root.find(f".//symbol[@name='{categories[category].get('symbol')}']")
+            colour = symbol.find(".//Option[@name='color']").get("value")
+            assert colour == ",".join(map(str, CLASS_COLOURS[number]))
+            assert symbol.find(".//Option[@name='style']").get("value") == "solid"
+        for other in ("unknown", "not passable"):
+            symbol = root.find(f".//symbol[@name='{categories[other].get('symbol')}']")
+            assert symbol.find(".//Option[@name='style']").get("value") in {"b_diagonal", "diagonal_x"}
+
+
+def test_the_style_of_costs_serves_pixels_and_regions(alone):
+    root = styled(alone)["cost.qml"]
+    assert [element.tag for element in root].count("pipe") == 1
+    assert root.find("pipe/rasterrenderer").get("type") == "singlebandpseudocolor"
+    assert root.find("renderer-v2").get("type") == "categorizedSymbol"
+    assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
+    assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
+    (alone / "cost.tif").unlink()
+    assert styled(alone)["cost.qml"].find("pipe") is None
+
+
+def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
+    (renderer,) = styled(alone)["roughness.qml"].iter("rasterrenderer")
+    assert (renderer.get("type"), renderer.get("band")) == ("singlebandpseudocolor", "1")
+    items = [(float(item.get("value")), item.get("label"), item.get("color")) for item in renderer.iter("item")]
+    assert [value for value, _, _ in items] == pytest.approx([0.05, 0.15, 0.3, 0.5])
+    assert [label for _, label, _ in items] == [
+        f"{text} ({name})" for text, name in zip(INTERVALS, CLASS_NAMES, strict=True)
+    ]
+    assert [colour for _, _, colour in items] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
+
+
+def test_without_limits_the_ride_cost_of_the_map_sets_the_scale(tmp_path, cost_map):
+    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={})
+    items = [float(item.get("value")) for item in read(tmp_path / "roughness.qml").iter("item")]
+    assert items == pytest.approx([0.0, items[-1] / 3, 2 * items[-1] / 3, items[-1]])
+    assert 0.1 <= items[-1] <= 2.0
+    assert [label for label, _, _ in palette(read(tmp_path / "class.qml")).values()] == list(CLASS_NAMES)
+
+
+@pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
+def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
+    styles = styled(alone, settings=settings)
+    assert [label for label, _, _ in palette(styles["class.qml"]).values()] == list(CLASS_NAMES)
+    assert "from 0.4 rad/m (very rough)" in {item.get("label") for item in styles["roughness.qml"].iter("item")}
+
+
+def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
+    foot = {"metres_per_unit": {"horizontal": 1200 / 3937, "vertical": 1.0}}
+    for record, factor in (({}, 1.0), (foot, 3937 / 1200)):
+        styles = styled(alone, **record)
+        root = styles["relief.qml"]
+        assert ET.tostring(styles["heightmap.qml"]) == ET.tostring(root)
+        renderer, sampler = root.find("pipe/rasterrenderer"), root.find("pipe/rasterresampler")
+        assert renderer.get("type") == "hillshade"
+        assert float(renderer.get("zfactor")) == pytest.approx(factor)
+        assert {sampler.get("zoomedInResampler"), sampler.get("zoomedOutResampler")} == {"bilinear"}
+    assert root.find("pipe/resamplingStage").text == "resamplingFilter"
+    assert styled(alone)["class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
+
+
+def test_styles_are_written_for_layers_that_are_there(tmp_path):
+    (tmp_path / "barred.tif").touch()
+    assert set(styled(tmp_path)) == {"barred.qml"}
+
+
+def test_a_project_lists_what_is_there(folder):
+    root = read(folder / "map.qgs")
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    leaves = {leaf.get("id"): leaf for leaf in root.iter("layer-tree-layer")}
+    assert [*layers] == [*leaves]
+    assert all(len(name) > 10 for name in layers)
+    sources = [layer.find("datasource").text for layer in layers.values()]
+    rasters = {name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    assert {*sources} == {f"./{name}" for name in (*rasters, "cost.fgb")}
+    for name, layer in layers.items():
+        assert leaves[name].get("source") == layer.find("datasource").text
+        assert (folder / layer.find("datasource").text).is_file()
+        assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
+    checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
+    shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
+    assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
+
+
+def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds):
+    """Each with the colours of the map's own speed, under the tiles where drives fail; hidden when it is opened."""
+    manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
+    files, _ = write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
+    assert all(path.exists() for path in files)
+    assert {"speeds.tif", "speeds.qml"} <= {path.name for path in files}
+    own, other = (read(tmp_path / name).find("pipe/rasterrenderer") for name in ("roughness.qml", "speeds.qml"))
+    assert ET.tostring(own) == ET.tostring(other)
+    root = read(tmp_path / "map.qgs")
+    group = next(group for group in root.iter("layer-tree-group") if group.get("name") == "ride cost c_r")
+    assert group[0].get("id") == "bumpymap_roughness_tif_p_fail"
+    speeds = [leaf for leaf in root.iter("layer-tree-layer") if leaf.get("source") == "./speeds.tif"]
+    assert [(leaf.get("name"), leaf.get("checked")) for leaf in speeds] == [
+        ("c_r at 0.5 m/s", "Qt::Unchecked"),
+        ("c_r at 2 m/s", "Qt::Unchecked"),
+    ]
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    bands = [layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds]
+    assert bands == ["1", "4"]
+
+
+def test_a_map_without_other_speeds_removes_those_of_an_earlier_one(tmp_path, at_two_speeds, cost_map):
+    speeds = {"speeds.tif", "speeds.qml"}
+    manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
+    write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
+    assert speeds <= {path.name for path in tmp_path.iterdir()}
+    write_products(
+        CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
+    )
+    assert not speeds & {path.name for path in tmp_path.iterdir()}
+
+
+def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
+    """The c_r there is that of the drives that got through, which may be low."""
+    root = read(folder / "map.qgs")
+    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
+    ride = next(group for group in root.iter("layer-tree-group") if group.get("name") == "Ride")
+    (both,) = (group for group in ride if group.get("name") == "ride cost c_r")
+    assert [leaf.get("id") for leaf in both] == ["bumpymap_roughness_tif_p_fail", "bumpymap_roughness_tif"]
+    assert both.get("checked") == "Qt::Unchecked"
+    assert ride.get("mutually-exclusive-child") == "0"
+    renderer = layers["bumpymap_roughness_tif_p_fail"].find("pipe/rasterrenderer")
+    assert int(renderer.get("band")) == 1 + [band.name for band in BANDS].index("p_fail")
+    shader = renderer.find("rastershader/colorrampshader")
+    assert shader.get("clip") == "1"  # what is below the first stop is not drawn
+    assert [float(item.get("value")) for item in shader.iter("item")] == [FAIL_SHARE, 1.0]
+    red = "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[3])
+    assert {item.get("color") for item in shader.iter("item")} == {red}
+
+
+def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
+    layers = {layer.find("datasource").text: layer for layer in read(folder / "map.qgs").find("projectlayers")}
+    order = [*layers]
+    assert order.index("./class.tif") < order.index("./relief.tif")
+    assert layers["./class.tif"].find("blendMode").text == "6"
+    assert layers["./relief.tif"].find("blendMode").text == "0"
+    assert layers["./reason.tif"].find("blendMode").text == "6"  # unknown ground has a relief too
+    bars = palette(layers["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
+    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
+    palette_of = layers["./barred.tif"].iter("paletteEntry")
+    alpha = {int(entry.get("value")): int(entry.get("alpha")) for entry in palette_of}
+    assert 128 < alpha.pop(Barred.UNKNOWN) < 255  # the relief shows through
+    assert set(alpha.values()) == {255}
+
+
+def test_a_project_has_the_crs_of_the_survey_and_shows_all_of_it(folder, cost_map):
+    root = read(folder / "map.qgs")
+    assert CRS.from_wkt(root.find("projectCrs/spatialrefsys/wkt").text).to_epsg() == 32614
+    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == "1"
+    assert root.find("properties/Paths/Absolute").text == "false"
+    extent = {side.tag: float(side.text) for side in root.find("mapcanvas/extent")}
+    col, row = cost_map.patches.col, cost_map.patches.row
+    assert extent["xmin"] < 3 * col.min()
+    assert extent["xmax"] > 3 * col.max() + 3
+    assert extent["ymin"] < 3 * row.min()
+    assert extent["ymax"] > 3 * row.max() + 3
+
+
+def test_a_compound_crs_is_split(tmp_path, make_field):
+    georeference = Georeference(CRS.from_user_input("EPSG:32614+5703"))
+    write_products(
+        CostTable.of(make_field(4, 4, georeference=georeference)),
+        tmp_path,
+        views=write_map_views,
+        local=False,
+        manifest={},
+    )
+    for reference in read(tmp_path / "map.qgs").iter("spatialrefsys"):
+        assert CRS.from_wkt(reference.find("wkt").text).to_epsg() == 32614
+
+
+def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
+    crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
+    (tmp_path / "class.tif").write_bytes((folder / "class.tif").read_bytes())
+    write_project(tmp_path, {"calibration": CALIBRATION, "crs": {"wkt": crs.to_wkt()}})
+    known = CRS.from_wkt(read(tmp_path / "map.qgs").find("projectCrs/spatialrefsys/wkt").text)
+    assert known.name == "mine \ufffd / UTM zone 14N"
+
+
+def test_a_project_without_a_crs_has_none(tmp_path, make_field):
+    cost_map = make_field(4, 4, georeference=Georeference(None))
+    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=True, manifest={})
+    root = read(tmp_path / "map.qgs")
+    assert root.find("projectCrs") is None
+    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == "0"
+    references = [*root.iter("spatialrefsys")]
+    assert len(references) > 5
+    assert not any(reference.find("wkt").text for reference in references)
+
+
+def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
+    record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}}
+    for name in ("class.tif", "heightmap.tif"):
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    write_project(tmp_path, record)
+    root = read(tmp_path / "map.qgs")
+    assert root.find("title").text == "Pit \ufffd <7> \ufffd &: ride cost"
+    assert "warthog" in root.find("projectMetadata/abstract").text
+    assert "c0ffee" in root.find("projectMetadata/abstract").text
+    assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
+    assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
+
+
+def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):
+    for name in PRODUCT_NAMES:
+        (tmp_path / name).write_bytes((folder / name).read_bytes())
+    georeferenced = {"wkt": CRS.from_epsg(32614).to_wkt()}
+    for place in (folder, tmp_path):
+        record = {"calibration": CALIBRATION, "crs": georeferenced, "seconds": {"write": id(place)}}
+        write_styles(place, record)
+        write_project(place, record)
+    for name in GIS_FILES:
+        content = (folder / name).read_bytes()
+        assert content == (tmp_path / name).read_bytes()
+        assert str(Path(folder).name).encode() not in content

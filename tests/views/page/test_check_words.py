@@ -1,0 +1,83 @@
+"""What a check says in words."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from check_records import made_up_check
+
+from bumpymap.views import check_headline
+from bumpymap.views.words import check_verdict, level_words
+
+
+def judged(n=40, **figures):
+    result = made_up_check(n)
+    return replace(result, agreement=replace(result.agreement, **figures))
+
+
+@pytest.mark.parametrize(
+    ("rank", "ratio", "words"),
+    [
+        (0.95, 1.0, "The map holds"),
+        (0.95, 1.14, "The map holds"),
+        (0.95, 1.16, "The map ranks the ground rightly, but its level is off"),
+        (0.95, 0.8, "The map ranks the ground rightly, but its level is off"),
+        (0.7, 1.0, "The map ranks the ground only roughly"),
+        (0.7, 2.0, "The map ranks the ground only roughly, and its level is off"),
+        (0.4, 1.0, "The map does not rank this ground as the vehicle felt it"),
+        (-0.9, 1.0, "The map does not rank this ground as the vehicle felt it"),
+    ],
+)
+def test_the_verdict_follows_from_rank_and_level(rank, ratio, words):
+    assert check_verdict(judged(spearman=rank, median_ratio=ratio, inside=0.79)) == words
+
+
+@pytest.mark.parametrize("rank", [0.95, 0.7])
+def test_a_level_that_errors_explain_is_said_to_be_so(rank):
+    words = check_verdict(judged(spearman=rank, median_ratio=1.4, inside=0.8))
+    assert words.endswith("its level is off by no more than its interval allows")
+
+
+def test_even_ground_cannot_be_ranked():
+    result = judged(spearman=0.1, median_ratio=0.7, inside=0.3)
+    even = replace(result.stretches, measured=np.full(40, 0.1))
+    words = check_verdict(replace(result, stretches=even))
+    assert words == "The map's level is off; the ground driven is too even to say whether the map ranks ground rightly"
+    held = replace(result, stretches=even, agreement=replace(result.agreement, median_ratio=1.05))
+    assert check_verdict(held).startswith("The level of the map holds; ")
+
+
+@pytest.mark.parametrize(
+    ("ratio", "words"),
+    [
+        (0.92, "reads 8 % low"),
+        (1.08, "reads 8 % high"),
+        (1.004, "reads neither high nor low"),
+        (2.34, "reads 2.3 times too high"),
+        (0.25, "reads 75 % low"),
+        (float("nan"), "cannot be compared"),
+    ],
+)
+def test_the_level(ratio, words):
+    assert level_words(judged(median_ratio=ratio).agreement) == words
+
+
+def test_the_headline_holds_the_figures():
+    figures = {"spearman": 0.96, "median_ratio": 0.92, "median_error": 0.11, "inside": 0.79, "way_m": 412.3}
+    assert check_headline(judged(**figures)) == (
+        "The map holds. Over 412 m in 40 stretches it reads 8 % low in the median, and half of the stretches are off "
+        "by less than 11 %. 79 % of the drives' readings lie in its 80 % interval."
+    )
+
+
+def test_few_stretches_judge_nothing():
+    result = made_up_check(3)
+    assert check_headline(result).startswith("Too little was driven on the map to judge it: 30 m in 3 stretches.")
+
+
+def test_without_a_map_the_drives_alone_are_told():
+    result = made_up_check(8, ground=False)
+    mean = np.mean(result.stretches.measured)
+    assert check_headline(result) == (
+        f"1 drive measured over 80 m: a ride cost of {mean:.3f} rad/m on average. No map was checked."
+    )

@@ -1,0 +1,243 @@
+"""The page of a batch: nothing of a file runs in it, unknown ground is grey, 500 surveys fit."""
+
+import base64
+import hashlib
+import io
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+import rasterio
+from PIL import Image
+from rasterio.enums import Resampling
+from rasterio.transform import from_origin
+
+from bumpymap.core import NO_CLASS, BadInputError, Barred
+from bumpymap.layers import SurveyRow
+from bumpymap.layers.colours import CLASS_COLOURS
+from bumpymap.views import SurveyView, read_thumbnail
+from bumpymap.views.page.batch_page import index_page
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
+HOSTILE = "<script>alert(1)</script>\"'&<img src=x onerror=alert(2)>"
+
+
+def done(name, **other):
+    known = {
+        "points": 1_228_505, "density": 96.3, "area": 12_834.0, "seconds": 3.4, "share_smooth": 0.5, "share_fair": 0.2,
+        "share_rough": 0.1, "share_very_rough": 0.05, "share_unknown": 0.15, "share_passable": 0.6,
+        "unknown_reason": "too few points", "crs": "EPSG:32614", "min_x": 5e5, "min_y": 4e6, "max_x": 5.01e5,
+        "max_y": 4.001e6,
+    }  # fmt: skip
+    return SurveyRow(name, "done", **(known | other))
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, and text."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+    def all(self, name):
+        return [attributes for tag, attributes in self.tags if tag == name]
+
+
+def test_text_of_files_is_text():
+    rows = [SurveyRow(HOSTILE, "failed", f"{HOSTILE} is broken"), done("b", crs=HOSTILE, unknown_reason=HOSTILE)]
+    page = index_page(rows, {HOSTILE: SurveyView(b"png", has_report=True)}, ["summary.csv"], HOSTILE, HOSTILE)
+    found = Reader(page)
+    assert len(found.all("script")) == 1
+    assert {name for _, attributes in found.tags for name in attributes} & {"onerror", "onclick", "onload"} == set()
+    assert len(found.all("img")) == 1
+    assert found.text.count(HOSTILE) == 7  # title, heading, note, name, message, reason, CRS
+    assert "%3Cscript%3E" in next(link["href"] for link in found.all("a") if "report" in link["href"])
+
+
+def test_the_policy_lets_the_page_s_own_style_and_script_run_and_nothing_else():
+    page = index_page([done("a")], {"a": SurveyView(b"png")}, ["summary.csv"], "night")
+    policy = next(
+        meta["content"] for meta in Reader(page).all("meta") if "content" in meta and "src" in meta["content"]
+    )
+    for tag in ("style", "script"):
+        body = re.search(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)[1]
+        digest = base64.b64encode(hashlib.sha256(body.encode()).digest()).decode()
+        assert f"{tag}-src 'sha256-{digest}'" in policy
+    assert policy.startswith("default-src 'none'; img-src data:;")
+    assert "unsafe" not in policy
+    assert not re.findall(r"https?:|//[a-z]|@import|url\(", page)
+    assert all("style" not in attributes for _, attributes in Reader(page).tags)
+
+
+def test_what_failed_comes_first_and_names_link_to_reports_that_exist():
+    rows = [done("a"), SurveyRow("b", "not reached"), SurveyRow("c", "failed", "broken"), done("d e")]
+    found = Reader(index_page(rows, {"d e": SurveyView(has_report=True)}, ["summary.csv"], "night"))
+    names = [cell["data-v"] for cell in found.all("th") if cell.get("scope") == "row"]
+    assert names == ["c", "b", "a", "d e"]
+    assert [link["href"] for link in found.all("a")] == ["summary.csv", "d%20e/report.html"]
+    assert "4 surveys: 2 done, 1 not reached, 1 failed" in found.text
+    assert "60% passable, 15.0% unknown, mostly too few points" in found.text
+    assert "smooth 50.0%, fair 20.0%, rough 10.0%, very rough 5.0%, unknown 15.0%" in found.text
+
+
+@pytest.mark.parametrize(
+    ("statuses", "words"),
+    [
+        (("done", "done"), "2 surveys: 2 done"),
+        (("already done",), "1 survey: 1 done earlier"),
+        (("done", "already done", "already done", "incomplete"), "4 surveys: 3 done (2 of them earlier), 1 incomplete"),
+        (("failed", "not reached", "failed"), "3 surveys: 1 not reached, 2 failed"),
+    ],
+)
+def test_the_headline_counts(statuses, words):
+    rows = [SurveyRow(f"s{number}", status) for number, status in enumerate(statuses)]
+    assert f"{words}\n" in Reader(index_page(rows, {}, [], "night")).text
+
+
+def test_a_name_that_is_not_utf8_has_a_link_to_its_bytes():
+    page = index_page([done("caf\udce9")], {"caf\udce9": SurveyView(has_report=True)}, [], "n\udce9")
+    assert 'href="caf%E9/report.html"' in page
+    assert "caf\\xe9" in page
+    page.encode()
+
+
+def test_a_page_of_500_surveys_is_small():
+    rows = [done(f"survey_{number:03}", min_x=5e5 + number, message="x" * 100) for number in range(500)]
+    views = {row.name: SurveyView(bytes(1_800), has_report=True) for row in rows}
+    assert len(index_page(rows, views, ["summary.csv"], "night").encode()) < 2_000_000
+
+
+def test_places_are_drawn_if_two_are_known():
+    far = done("far", crs="EPSG:32632", min_x=5e5, min_y=5e6, max_x=5.001e5, max_y=5.0001e6)
+    assert "<figure>" not in index_page([done("a")], {}, [], "night")
+    assert "<figure>" not in index_page([done("a"), done("b", crs="nonsense"), done("c", crs=None)], {}, [], "night")
+    page = index_page([done("a"), far, SurveyRow("x", "failed")], {}, [], "night")
+    boxes = re.findall(r'<rect class="good" x="([\d.]+)" y="([\d.]+)"[^>]*><title>(\w+)<', page)
+    place = {name: (float(x), float(y)) for x, y, name in boxes}
+    assert place["a"][0] < place["far"][0]  # Texas is west of Europe, and south
+    assert place["a"][1] > place["far"][1]
+    assert "1 without a known place" in page
+
+
+def write_rasters(folder, class_id, barred, heights):
+    for name, values in (("class.tif", class_id), ("barred.tif", barred), ("heightmap.tif", heights)):
+        rows, cols = values.shape
+        nodata = NO_CLASS if values.dtype == np.uint8 else np.nan
+        how = {"driver": "GTiff", "dtype": values.dtype, "count": 1, "nodata": nodata, "height": rows, "width": cols}
+        scale = 3 * class_id.shape[0] / rows
+        with rasterio.open(folder / name, "w", transform=from_origin(0, 0, scale, scale), **how) as file:
+            file.write(values, 1)
+            file.build_overviews([2, 4], Resampling.mode if values.dtype == np.uint8 else Resampling.average)
+
+
+def pixels(png):
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def test_unknown_ground_is_grey_even_among_known_tiles(tmp_path):
+    """Three of four tiles unknown: an overview of class.tif has the class of the fourth."""
+    class_id = np.zeros((192, 192), np.uint8)
+    barred = np.full((192, 192), Barred.NO, np.uint8)
+    mostly = np.zeros((192, 192), bool)
+    mostly[:96, :96] = True
+    mostly[:96:2, :96:2] = False
+    class_id[mostly], barred[mostly] = NO_CLASS, Barred.UNKNOWN
+    class_id[96:, 96:], barred[96:, 96:] = NO_CLASS, NO_CLASS
+    write_rasters(tmp_path, class_id, barred, np.zeros((192, 192), np.float32))
+    found = pixels(read_thumbnail(tmp_path, 100_000))
+    assert found.shape == (96, 96, 3)
+    assert (np.ptp(found[:48, :48], axis=2) < 4).all()
+    assert (found[:48, :48] < 200).all()
+    assert (found[48:, 48:] > 250).all()
+    assert np.abs(found[:48, 48:] - CLASS_COLOURS[0][:3]).max() < 12
+
+
+@pytest.mark.parametrize("most", [100_000, 1_000, 500, 300])
+def test_smooth_ground_that_is_not_passable_is_dark(tmp_path, most):
+    """A steep but smooth slope: its class alone would look as if it could be driven."""
+    class_id, barred = np.zeros((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    barred[:, 48:] = Barred.SLOPE
+    write_rasters(tmp_path, class_id, barred, np.zeros((96, 96), np.float32))
+    found = pixels(read_thumbnail(tmp_path, most))
+    dark = (found < 80).all(axis=2)
+    half = dark.shape[1] // 2
+    assert not dark[:, :half].any()
+    assert dark[:, half:].all()
+
+
+def test_small_shares_are_not_rounded_to_nothing():
+    page = index_page([done("a", share_passable=0.0007, share_unknown=0.99)], {}, [], "night")
+    assert "under 1% passable, 99.0% unknown" in page
+
+
+@pytest.mark.parametrize("most", [100_000, 2_000, 700])
+def test_colours_of_rare_ground_are_not_mixed(tmp_path, most):
+    """A little grey among light blue stays grey, however few colours a picture has."""
+    class_id, barred = np.ones((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    class_id[48:54, 48:54], barred[48:54, 48:54] = NO_CLASS, Barred.UNKNOWN
+    heights = np.random.default_rng(0).normal(0, 1, (96, 96)).astype(np.float32)
+    write_rasters(tmp_path, class_id, barred, heights)
+    found = pixels(read_thumbnail(tmp_path, most))
+    spread = np.ptp(found.reshape(-1, 3), axis=1)
+    assert 0.5 < (spread < 2).sum() / (6 * len(found) / 96) ** 2 < 2
+    assert ((spread < 2) | (spread > 20)).all()
+
+
+def test_relief_is_lit_from_the_north_west(tmp_path):
+    class_id, barred = np.zeros((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    rows, cols = np.mgrid[0:96, 0:96]
+    ridge = (-np.abs(cols - 48) * 2.0).astype(np.float32) + 0 * rows
+    write_rasters(tmp_path, class_id, barred, ridge.astype(np.float32))
+    found = pixels(read_thumbnail(tmp_path, 100_000)).sum(axis=2)
+    assert found[:, 10:40].mean() > found[:, 56:86].mean() + 50
+
+
+def test_a_picture_is_as_small_as_asked(tmp_path):
+    rng = np.random.default_rng(0)
+    write_rasters(
+        tmp_path,
+        rng.integers(0, 4, (96, 60)).astype(np.uint8),
+        np.full((96, 60), Barred.NO, np.uint8),
+        rng.normal(0, 5, (960, 600)).astype(np.float32),
+    )
+    sizes = [len(read_thumbnail(tmp_path, most)) for most in (12_000, 1_800, 10)]
+    assert 1_800 < sizes[0] <= 12_000
+    assert 0 < sizes[1] <= 1_800
+    assert sizes[2] == 0
+
+
+def test_a_damaged_layer_is_said(tmp_path):
+    (tmp_path / "class.tif").write_bytes(b"nothing")
+    with pytest.raises(BadInputError, match=r"cannot read .*class\.tif"):
+        read_thumbnail(tmp_path, 10_000)
+
+
+def dom(page, folder):
+    """The page as a browser leaves it."""
+    (folder / "index.html").write_text(page, encoding="utf-8")
+    words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
+    words += ["--virtual-time-budget=2000", "--dump-dom", (folder / "index.html").as_uri()]
+    return subprocess.run(words, capture_output=True, text=True, check=True, timeout=120).stdout
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium")
+def test_the_table_is_sorted_in_a_browser(tmp_path):
+    rows = [done("a", points=90), done("b", points=1_000), SurveyRow("c", "failed"), done("d", points=200)]
+    page = index_page(rows, {}, [], "night")
+    assert dom(page, tmp_path).count("<button") == 8  # under its own policy
+    script = "<script>document.querySelectorAll('button')[2].click()</script></body>"
+    clicked = re.sub(r"<meta http-equiv[^>]*>", "", page).replace("</body>", script)
+    found = Reader(dom(clicked, tmp_path))
+    assert [cell["data-v"] for cell in found.all("th") if cell.get("scope") == "row"] == ["a", "d", "b", "c"]
+    assert [head.get("aria-sort") for head in found.all("th") if head.get("scope") == "col"][2] == "ascending"

@@ -1,0 +1,311 @@
+"""report.html in a real browser: no error, no request, nothing that a screen reader trips over, usable by keyboard."""
+
+import numpy as np
+import pytest
+from route_maps import RUN, copy_folder
+
+from bumpymap.core import CostTable
+from bumpymap.layers import SheetLayout, SheetRun, write_sheets
+from bumpymap.views import write_map_views, write_reports
+from bumpytiles import BLOCK_TILES
+
+pytestmark = pytest.mark.chromium
+WIDE, PHONE = (1400, 900), (400, 800)
+
+
+@pytest.fixture
+def visit(browser):
+    """Return a function that opens a page and gives it with what it complained about and asked for."""
+    contexts = []
+
+    def open_page(path, size=WIDE, **options):
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.complaints, page.requests = [], []
+        page.on("console", lambda message: page.complaints.append(message.text))
+        page.on("pageerror", lambda error: page.complaints.append(str(error)))
+        page.on("request", lambda request: page.requests.append(request.url))
+        page.goto(path.as_uri())
+        if options.get("java_script_enabled", True):
+            page.wait_for_selector("html[data-ready]")
+        return page
+
+    yield open_page
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture(scope="module")
+def pages(site, comparison, make_field, tmp_path_factory):
+    """The page of a map, of two maps, of one whose names are markup, of a map in sheets, and of what has changed."""
+    folder = tmp_path_factory.mktemp("pages")
+    bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
+    odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
+    table, sheets = CostTable.of(make_field(40, 30)), folder / "sheets"
+    sheets.mkdir()
+    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
+    write_sheets(table, sheets, run, views=write_map_views, local=False, manifest=RUN)
+    return {
+        "one": site / "report.html",
+        "two": write_reports([site, odd], folder / "two.html"),
+        "odd": write_reports([odd]),
+        "sheets": sheets / "report.html",
+        "change": comparison / "report.html",
+    }
+
+
+def outside(page):
+    return [url for url in page.requests if not url.startswith(("file:", "data:"))]
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+@pytest.mark.parametrize("name", ["one", "two", "odd", "sheets", "change"])
+def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
+    from axe_playwright_python.sync_playwright import Axe
+
+    page = visit(pages[name], size)
+    found = Axe().run(page)
+    assert found.violations_count == 0, found.generate_report()
+    assert page.complaints == []
+    assert outside(page) == []
+    assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
+    assert page.evaluate("document.documentElement.scrollWidth") == size[0]
+
+
+def test_a_click_on_a_sheet_opens_its_page(visit, pages):
+    page = visit(pages["sheets"])
+    page.click("text=the sheets")
+    name = page.inner_text("td a, th a")
+    page.click(f"text={name}")
+    page.wait_for_selector("html[data-ready]")
+    assert page.url == (pages["sheets"].parent / "sheets" / name / "report.html").as_uri()
+    assert page.inner_text("h1").endswith(f"sheet {name}")
+    assert page.complaints == []
+
+
+def test_the_policy_of_the_page_stops_requests(visit, pages):
+    """That no request is seen means something: one that is tried is refused, and complained about."""
+    page = visit(pages["one"])
+    refused = page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')")
+    assert refused == "refused"
+    assert any("Content Security Policy" in text for text in page.complaints)
+    assert outside(page) == []
+
+
+def test_the_map_goes_by_keyboard(visit, pages):
+    page = visit(pages["one"])
+    view = "(() => { const map = window.reportMaps[0]; return [map.scale, ...map.middle]; })()"
+    for _ in range(20):
+        page.keyboard.press("Tab")
+        if page.evaluate("document.activeElement.tagName") == "CANVAS":
+            break
+    assert page.evaluate("document.activeElement.tagName") == "CANVAS"
+    start = page.evaluate(view)
+    page.keyboard.press("+")
+    closer = page.evaluate(view)
+    assert closer[0] > start[0]
+    page.keyboard.press("ArrowRight")
+    page.keyboard.press("ArrowDown")
+    moved = page.evaluate(view)
+    assert moved[1] > closer[1]
+    assert moved[2] > closer[2]
+    assert "class" in page.inner_text(".readout") or "not known" in page.inner_text(".readout")
+    page.keyboard.press("-")
+    assert page.evaluate(view)[0] == pytest.approx(start[0])
+    page.keyboard.press("0")
+    assert page.evaluate(view) == pytest.approx(start)
+
+
+def test_layers_change_by_keyboard_with_their_legends(visit, pages):
+    page = visit(pages["one"])
+    pixels = "window.reportMaps[0].canvas.toDataURL().length + window.reportMaps[0].canvas.toDataURL().slice(-4000)"
+    page.focus("input[type=radio][value=class]")
+    seen = set()
+    for _ in range(7):
+        chosen = page.evaluate("document.querySelector('input[type=radio]:checked').value")
+        legends = page.evaluate(
+            "[...document.querySelectorAll('.legend[data-of]:not([hidden])')].map(e => e.dataset.of)"
+        )
+        assert legends == ([] if chosen == "none" else [chosen])
+        seen.add((chosen, page.evaluate(pixels)))
+        page.keyboard.press("ArrowDown")
+    assert len({chosen for chosen, _ in seen}) == len({picture for _, picture in seen}) == 7
+
+
+def test_the_pointer_reads_what_the_grids_hold(visit, pages, read_page):
+    page = visit(pages["one"])
+    about = read_page(pages["one"])
+    ground, (c_r, _) = about.codes("ground"), about.values("c_r")
+    row, col = (int(place[0]) for place in np.nonzero(ground == 2))
+    text = page.evaluate(
+        """([col, row]) => { const map = window.reportMaps[0];
+        const metres = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres];
+        map.read([0, 1].map((i) => (metres[i] - map.middle[i]) * map.scale + [map.width, map.height][i] / 2));
+        return map.readout.textContent; }""",
+        [col, row],
+    )
+    assert "class 2 rough" in text
+    assert f"ride cost C_r {c_r[row, col]:.3f} rad/m" in text
+    unknown = [int(place[0]) for place in np.nonzero((ground >= 16) & (ground < 255))]
+    colour = page.evaluate(
+        """([row, col]) => { const map = window.reportMaps[0];
+        for (const box of document.querySelectorAll('input[type=checkbox]')) box.checked = false;
+        for (const key of ['class', 'c_r', 'slope', 'barred', 'none']) {
+          document.querySelector(`input[value=${key}]`).checked = true;
+          map.draw();
+          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
+          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
+          const found = map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data;
+          if (Math.max(...found.slice(0, 3)) - Math.min(...found.slice(0, 3)) > 2) return key;
+        } return 'grey'; }""",
+        unknown,
+    )
+    assert colour == "grey", f"unknown ground has a colour in the layer {colour}"
+
+
+def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_what_nobody_knows_is_grey(visit, pages, read_page):
+    """In every colouring; smooth ground is blue, and steep ground fails no more drives than other."""
+    page = visit(pages["one"])
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred > 1)))
+    look = """([row, col, keys]) => { const map = window.reportMaps[0];
+        const side = map.about.metres * map.scale * map.dense;
+        const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
+        const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
+        return keys.map((key) => {
+          const radio = document.querySelector(`input[type=radio][value=${key}]`);
+          if (radio) radio.checked = true;
+          map.draw();
+          return [...map.context.getImageData(left + 2, top + 2, side - 4, side - 4).data];
+        }); }"""
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
+
+    def dark(found):
+        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for one in found]
+
+    lines = dark(page.evaluate(look, [row, col, keys]))
+    page.uncheck("input[value=barred][type=checkbox]")
+    plain = dark(page.evaluate(look, [row, col, keys]))
+    assert all(here > there + 0.04 for here, there in zip(lines, plain, strict=True))
+    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred == 0)))
+    page.evaluate(
+        """([row, col]) => { const map = window.reportMaps[0];
+        map.barred[row * map.about.cols + col] = 1;
+        map.layers = {};
+        map.masks.unknown = map.tiles((at) => map.isUnknown(at) && [178, 178, 178, 255]); }""",
+        [row, col],
+    )
+    for one in page.evaluate(look, [row, col, keys]):
+        assert np.ptp(np.reshape(one, (-1, 4))[:, :3], axis=1).max() < 3
+
+
+def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_lines(visit, pages, read_page):
+    page = visit(pages["one"], PHONE)
+    about = read_page(pages["one"])
+    ground, barred = about.codes("ground"), about.codes("barred")
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    page.evaluate("window.reportMaps[0].zoom(0.4)")
+    look = """(places) => { const map = window.reportMaps[0];
+        return places.map(([row, col]) => {
+          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
+          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
+          return [...map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data].slice(0, 3);
+        }); }"""
+    closed, free = (
+        np.argwhere((ground < 2) & chosen).tolist() for chosen in ((barred > 1) & (barred < 255), barred == 0)
+    )
+    assert len(closed) > 20 < len(free)
+    assert page.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
+    assert np.max(page.evaluate(look, closed)) < 140
+    assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
+
+
+def test_tiles_smaller_than_a_pixel_that_cannot_be_crossed_are_not_skipped(visit, pages):
+    page = visit(pages["one"])
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+    found = page.evaluate(
+        """() => { const map = window.reportMaps[0];
+        map.ground.fill(0); map.barred.fill(0); map.layers = {};
+        map.barred[15 * map.about.cols + 20] = 3;
+        map.masks.unknown = map.tiles(() => null);
+        map.masks.barred = map.tiles((at) => map.barred[at] && [0, 0, 0, 255]);
+        map.atAll = false;
+        map.scale = 0.4 / map.about.metres / map.dense;
+        return [0, 0.5, 1, 1.5, 2, 2.5].map((tiles) => {
+          map.middle = [(20 + tiles) * map.about.metres, (15 + tiles) * map.about.metres];
+          map.draw();
+          const half = [map.canvas.width / 2, map.canvas.height / 2].map(Math.round);
+          const colours = map.context.getImageData(half[0] - 4, half[1] - 4, 8, 8).data;
+          return Math.min(...colours.filter((_, at) => at % 4 === 2));
+        }); }"""
+    )
+    assert max(found) < 182 - 10  # the blue of smooth ground, and darker than it
+
+
+def test_two_maps_of_one_place_move_together(visit, pages):
+    page = visit(pages["two"])
+    page.focus("canvas")
+    page.keyboard.press("+")
+    page.keyboard.press("ArrowLeft")
+    first, second = page.evaluate("window.reportMaps.map((map) => [map.scale, ...map.middle])")
+    assert first == pytest.approx(second)
+    page.check("figure:nth-of-type(1) input[value=slope]")
+    assert page.evaluate("window.reportMaps.map((map) => map.chosen)") == ["slope", "slope"]
+
+
+def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
+    page = visit(pages["one"], java_script_enabled=False)
+    assert page.is_visible("img.still")
+    assert not page.is_visible("canvas")
+    assert not page.is_visible(".controls")
+    assert page.is_visible("table")
+
+
+def test_it_prints_on_a_few_sheets(visit, pages):
+    printed = visit(pages["one"]).pdf(format="A4", print_background=True)
+    assert printed.startswith(b"%PDF")
+    assert 2 <= printed.count(b"/Type /Page\n") <= 8
+
+
+POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
+    document.querySelector(`input[value=${key}]`).click();
+    document.querySelector('input[value=places]').checked = false;
+    map.draw();
+    const at = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres]
+      .map((metres, i) => (metres - map.middle[i]) * map.scale + [map.width, map.height][i] / 2);
+    map.read(at);
+    const pixel = map.context.getImageData(Math.round(at[0] * map.dense), Math.round(at[1] * map.dense), 1, 1).data;
+    return [map.readout.textContent, [...pixel.slice(0, 3)]]; }"""
+
+
+def test_the_pointer_reads_what_has_changed(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
+    row, col = (int(place[0]) for place in np.nonzero(kinds == 2))
+    text, colour = page.evaluate(POINT_AT, [row, col, "changed"])
+    assert "· rougher ·" in text
+    assert f"height after minus before {heights[row, col]:.2f} m" in text
+    assert f"ride cost C_r after minus before +{rides[row, col]:.3f} rad/m" in text
+    assert colour == about.data["codes"]["classColours"][2][:3]
+    calm = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isfinite(rides))]
+    assert page.evaluate(POINT_AT, [*calm, "changed"])[1] == about.data["codes"]["classColours"][0][:3]
+
+
+def test_ground_that_is_not_compared_never_looks_unchanged(visit, pages, read_page):
+    page, about = visit(pages["change"]), read_page(pages["change"])
+    kinds, (rides, _) = about.codes("ground"), about.values("d_c_r")
+    left_out = [int(place[0]) for place in np.nonzero(kinds == 16)]
+    no_ride = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isnan(rides))]
+    for place, key in ((left_out, "changed"), (left_out, "d_height"), (left_out, "d_c_r"), (no_ride, "d_c_r")):
+        text, colour = page.evaluate(POINT_AT, [*place, key])
+        assert max(colour) - min(colour) <= 2, key  # grey
+        assert max(colour) <= 180, key  # darker than white, which means no difference
+        if place == left_out:
+            assert "not compared: may have changed or not" in text
+            assert "not changed" not in text

@@ -1,0 +1,408 @@
+"""report.html holds what the layers hold, says it in tables, asks nobody for anything, and trusts no name."""
+
+import io
+import json
+import re
+import shutil
+from base64 import b64decode
+from html import unescape
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import rasterio
+from cost_maps import make_field
+from page_outline import Outline, require_no_requests
+from PIL import Image
+from route_maps import VEHICLE, copy_folder, write_folder
+
+import bumpymap
+from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
+from bumpymap.layers.manifest import describe_file
+from bumpymap.views import write_reports
+from bumpymap.views.page.map_page import write_report
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
+from bumpymap.views.words import area, number, share
+
+
+def raster(folder, name, band=1):
+    with rasterio.open(folder / name) as file:
+        return file.read(band), file
+
+
+def test_the_page_parses_and_asks_nobody(site, read_page):
+    page = read_page(site / "report.html")
+    require_no_requests(page.text)
+    assert len(page.text.encode()) < 2_000_000
+
+
+def test_tables_equal_the_counts_of_the_run(site, read_page):
+    counts = json.loads((site / "run.json").read_text())["counts"]
+    tables = Outline(read_page(site / "report.html").text).tables
+    classes = {row[0]: row[3] for row in tables["Classes"][1:]}
+    expected = {f"{code} {name}": f"{counts['by_class'][name]:,}" for code, name in enumerate(CLASS_NAMES)}
+    assert classes == expected | {"not known": f"{counts['unknown']:,}", "all": f"{counts['tiles']:,}"}
+    bars = {row[0]: row[3] for row in tables["What can be crossed"][1:]}
+    assert bars == {name: f"{count:,}" for name, count in counts["barred"].items()} | {
+        "passable": f"{counts['passable']:,}"
+    }
+    reasons = {row[0]: row[3] for row in tables["Why ground is not known"][1:]}
+    assert reasons == {name: f"{count:,}" for name, count in counts["by_reason"].items()}
+    assert sum(int(row[1].replace(",", "")) for row in tables["Ride cost C_r of the tiles"][1:]) == counts["classified"]
+
+
+def test_values_of_the_page_are_those_of_the_rasters_within_its_rounding(site, read_page):
+    page = read_page(site / "report.html")
+    classes, _ = raster(site, "class.tif")
+    ground = page.codes("ground")
+    known = classes != NO_CLASS
+    assert known.any()
+    assert (ground[known] == classes[known]).all()
+    assert (ground[~known] >= UNKNOWN_FROM).all()
+    barred, _ = raster(site, "barred.tif")
+    assert (page.codes("barred") == barred).all()
+    with rasterio.open(site / "roughness.tif") as file:
+        bands = {name: file.read(band) for band, name in enumerate(file.descriptions, 1)}
+    bands["cost"], _ = raster(site, "cost.tif")
+    for key in ("c_r", "p_fail", "slope", "cost"):
+        shown, grid = page.values(key)
+        wanted = np.where(known, bands[key], np.nan)
+        assert (np.isnan(shown) == np.isnan(wanted)).all(), key
+        if grid["scale"] == "log":
+            off = np.abs(np.log(shown) - np.log(np.maximum(wanted, 1e-4)))
+        else:
+            off = np.abs(shown - wanted)
+        assert np.nanmax(off) <= grid["step"] / 2 + 1e-6, key
+    heights, _ = raster(site, "heightmap.tif")
+    shown, grid = page.values("height")
+    blocks = heights.reshape(30, 15, 40, 15)
+    count = np.isfinite(blocks).sum(axis=(1, 3))
+    mean = np.nansum(blocks.astype(float), axis=(1, 3)) / np.maximum(count, 1)
+    assert (np.isnan(shown) == (count == 0)).all()
+    assert np.abs(shown - mean)[count > 0].max() <= grid["step"] / 2 + 1e-3
+
+
+def test_obstacles_of_the_page_are_those_of_the_raster(site, read_page):
+    page = read_page(site / "report.html")
+    about = page.data["maps"][0]["objects"]
+    found = page.bytes_of(about["codes"], about)
+    objects, _ = raster(site, "obstacle.tif")
+    assert found.shape == objects.shape
+    assert (found == objects).all()
+    assert (found == OBSTACLE).any()
+
+
+def test_the_page_made_again_has_the_same_bytes_whatever_the_folder_is_called(site, tmp_path):
+    twin = shutil.copytree(site, tmp_path / "caf\udce9")
+    (twin / "report.html").unlink()
+    assert bumpymap.open(twin).report() == twin / "report.html"
+    assert (twin / "report.html").read_bytes() == (site / "report.html").read_bytes()
+
+
+@pytest.mark.parametrize("step", [2, 7])
+def test_the_worst_tile_decides_a_pixel_of_several(site, step):
+    record = json.loads((site / "run.json").read_text())
+    fine = Spot.of(site, record, 1500)
+    assert fine.step == 1
+    one = PageTiles.read(site, record, fine)
+    spot = Spot.of(site, record, -(-40 // step))
+    assert spot.step == step
+    many = PageTiles.read(site, record, spot)
+    assert many.ground.shape == spot.shape == (-(-30 // step), -(-40 // step))
+    for row in range(spot.shape[0]):
+        for col in range(spot.shape[1]):
+            part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
+            ground, barred = one.ground[part], one.barred[part]
+            if (ground == NO_POINTS).all():
+                assert many.ground[row, col] == many.barred[row, col] == NO_POINTS
+                continue
+            unknown = ground >= UNKNOWN_FROM
+            assert (many.ground[row, col] >= UNKNOWN_FROM) == unknown.any()
+            if not unknown.any():
+                assert many.ground[row, col] == ground.max()
+                assert many.c_r[row, col] == one.c_r[part].max()
+            assert (many.barred[row, col] == 0) == (barred == 0).all()
+            assert np.isnan(many.cost[row, col]) == (barred != 0).any() or np.isnan(many.c_r[row, col])
+            assert (many.objects[row, col] == OBSTACLE) == (one.objects[part] == OBSTACLE).any()
+    assert many.c_r_bins.tolist() == one.c_r_bins.tolist()
+
+
+def test_a_large_map_is_shown_in_larger_pixels_and_says_so(site, tmp_path, monkeypatch, read_page):
+    import bumpymap.views.page.site as pages
+
+    twin = shutil.copytree(site, tmp_path / "large")
+    monkeypatch.setattr(pages, "_TILES", 100)
+    write_reports([twin])
+    page = read_page(twin / "report.html")
+    about = page.data["maps"][0]
+    assert about["metres"] == 12
+    assert "One pixel of the map is 12 m, 4 x 4 tiles of 3 m. The worst tile decides" in page.text
+    assert (page.codes("ground") >= UNKNOWN_FROM).mean() > 0.9  # one tile in five is unknown, others are missing
+
+
+def test_names_of_files_and_places_are_text(tmp_path, read_page):
+    bad = "<script>alert('x')</script>\"&amp;\udce9.laz"
+    plain = bad.replace("\udce9", "")
+    file = "<img src=x onerror=alert(1)>\"'&amp;\udce9.laz"
+    folder = write_folder(
+        tmp_path / "odd",
+        make_field(6, 5),
+        inputs=[{"path": f"/home/me/{file}", "format": bad, "points": 7, "bytes": 5, "checksum": bad}],
+        settings={"surveys": [f"/home/me/{file}"], "crs": "</script>"},
+        vehicle=VEHICLE | {"name": plain},
+        calibration={"id": plain, "vehicle": plain, "class_limits": [0.1, 0.2, 0.3]},
+        survey={"name": plain, "dates": [plain, plain]},
+        skipped={bad: "why"},
+        model=plain,
+    )
+    page = read_page(folder / "report.html")
+    outline = Outline(page.text)
+    assert page.text.count("<script") == 2
+    assert page.data["maps"][0]["name"] == plain
+    assert outline.tables["Files of the survey"][1][0] == file.replace("\udce9", "\\xe9")
+    assert "onerror" not in outline.attributes
+    assert "/home/me" not in page.text
+
+
+def change_bars(folder, wanted, bar):
+    """Give all tiles of the classes ``wanted`` another entry in the column ``barred``."""
+    path = folder / "tiles.parquet"
+    table = pq.read_table(path)
+    classes = table["class"].to_pylist()
+    bars = [bar if one in wanted else old for one, old in zip(classes, table["barred"].to_pylist(), strict=True)]
+    at = table.schema.get_field_index("barred")
+    kind = table.schema.field(at)
+    pq.write_table(table.set_column(at, kind, pa.array(bars, pa.string()).cast(kind.type)), path)
+    record = json.loads((folder / "run.json").read_text())
+    files = [entry for entry in record["files"] if entry["path"] != path.name]
+    record["files"] = [*files, describe_file(path) | {"path": path.name}]
+    (folder / "run.json").write_text(json.dumps(record))
+    return folder
+
+
+def still_of(page):
+    source = re.search(r'class="still" src="data:image/jpeg;base64,([^"]+)"', page.text)[1]
+    return np.asarray(Image.open(io.BytesIO(b64decode(source))).convert("RGB")).astype(int)
+
+
+def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_script(tmp_path, read_page):
+    """A steep but smooth slope is hatched; where nobody knows whether there is a way, there is no colour."""
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
+    blue, dark = {}, {}
+    for bar in (None, "too steep", "unknown ground"):
+        page = read_page(write_reports([change_bars(folder, {0}, bar)]))
+        picture, ground = still_of(page), page.codes("ground")
+        factor = picture.shape[0] // ground.shape[0]
+        assert picture.shape[:2] == tuple(factor * side for side in ground.shape)
+        tiles = picture.reshape(ground.shape[0], factor, ground.shape[1], factor, 3)[:, 2:-2, :, 2:-2]
+        smooth = tiles.transpose(0, 2, 1, 3, 4)[ground == 0]
+        assert len(smooth) > 20
+        blue[bar] = ((smooth[..., 2] - smooth[..., 0]) / smooth.max(axis=-1) > 0.35).mean(axis=(1, 2))
+        dark[bar] = (smooth.max(axis=-1) < 60).mean(axis=(1, 2))
+    assert blue[None].mean() > 0.9
+    assert blue["unknown ground"].mean() < 0.05
+    assert (dark["too steep"] > dark[None]).mean() > 0.98
+
+
+def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_page):
+    folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True))
+    before = json.loads((folder / "run.json").read_text())["counts"]
+    calm = before["by_class"]["smooth"] + before["by_class"]["fair"]
+    wanted = "{} of the ground can be crossed and is smooth or fair to ride on."
+    assert wanted.format(share(calm, before["tiles"])) in read_page(folder / "report.html").text
+    page = read_page(write_reports([change_bars(folder, {0}, "obstacle")]))
+    assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
+
+
+def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page):
+    """Its median ride cost may lie below its limit."""
+    known = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.3]}
+    folder = write_folder(tmp_path / "steep", make_field(6, 5), calibration=known)
+    page = read_page(folder / "report.html")
+    row = Outline(page.text).tables["Classes"][4]
+    assert row[0] == "3 very rough"
+    assert row[4] == "0.3 and more, or too steep, or drives fail"
+    assert f"3 very rough: C_r {row[4]}" in page.text
+
+
+def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):
+    settings = {
+        "surveys": ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"],
+        "ground": "csf",
+        "vehicle": "/home/me/rover.toml",
+        "crs": "WGS 84 / UTM zone 14N",
+    }
+    twin = copy_folder(site, tmp_path / "twin", settings=settings)
+    write_reports([twin])
+    text = unescape(read_page(twin / "report.html").text)
+    assert "bumpymap map 'a b.laz' c.laz d.laz --out LAYERS --ground csf --vehicle rover.toml" in text
+    assert "--crs 'WGS 84 / UTM zone 14N'" in text
+    assert "key=1" not in text
+    assert "/home" not in text
+    assert str(tmp_path) not in text
+
+
+def test_a_record_of_little_is_enough(tmp_path):
+    folder = write_folder(
+        tmp_path / "bare", make_field(6, 5), vehicle=None, calibration=None, model=None, settings=None
+    )
+    assert "The vehicle can cross" in (folder / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("speeds", "told"),
+    [
+        ({}, "driven in simulation at 1.00 m/s."),
+        ({"drives_mps": 1.0}, "driven in simulation at 1.00 m/s."),
+        (
+            {"speed_mps": 2.0, "drives_mps": 1.0},
+            "driven in simulation at 1.00 m/s; the ride costs of this map are for 2.00 m/s.",
+        ),
+    ],
+)
+def test_a_map_at_another_speed_says_at_which_it_was_driven(site, tmp_path, read_page, speeds, told):
+    twin = copy_folder(site, tmp_path / "twin", vehicle=VEHICLE | speeds)
+    assert told in " ".join(read_page(write_reports([twin])).text.split())
+
+
+def test_two_maps_are_compared(site, tmp_path, read_page):
+    other = write_folder(tmp_path / "other", make_field(30, 30, seed=9))
+    write_reports([site, other], tmp_path / "two.html")
+    page = read_page(tmp_path / "two.html")
+    outline = Outline(page.text)
+    assert len(page.data["maps"]) == 2
+    assert page.data["together"] is True
+    first, second = (json.loads((folder / "run.json").read_text())["counts"] for folder in (site, other))
+    row = {row[0]: row for row in outline.tables["Classes"][1:]}["smooth"]
+    one, two = (counts["by_class"]["smooth"] / counts["tiles"] for counts in (first, second))
+    assert row[1:] == [
+        area(9 * first["by_class"]["smooth"]),
+        share(first["by_class"]["smooth"], first["tiles"]),
+        area(9 * second["by_class"]["smooth"]),
+        share(second["by_class"]["smooth"], second["tiles"]),
+        f"{100 * (two - one):+.1f}",
+    ]
+    with pytest.raises(OutputError, match="exists"):
+        write_reports([site, other], tmp_path / "two.html")
+    write_reports([site, other], tmp_path / "two.html", overwrite=True)
+
+
+def test_a_link_is_replaced_and_its_target_stays(site, tmp_path):
+    twin = shutil.copytree(site, tmp_path / "twin")
+    target = tmp_path / "precious.html"
+    target.write_text("mine")
+    (twin / "report.html").unlink()
+    (twin / "report.html").symlink_to(target)
+    write_reports([twin])
+    assert target.read_text() == "mine"
+    assert not (twin / "report.html").is_symlink()
+
+
+def test_what_cannot_be_made_says_why(site, tmp_path):
+    with pytest.raises(UsageError, match="3 folders"):
+        write_reports([site, site, site])
+    with pytest.raises(UsageError, match="name the file with `out`"):
+        write_reports([site, site])
+    with pytest.raises(UsageError, match=r"ends in \.html"):
+        write_reports([site], tmp_path / "run.json")
+    with pytest.raises(BadInputError, match="holds no complete run"):
+        write_reports([tmp_path])
+    with pytest.raises(OutputError, match="no folder"):
+        write_reports([site], tmp_path / "no" / "a.html")
+    (tmp_path / "a.html").mkdir()
+    with pytest.raises(OutputError, match="is a folder"):
+        write_reports([site], tmp_path / "a.html")
+    with pytest.raises(BadInputError, match=r"no file .*route\.geojson"):
+        write_reports([site], tmp_path / "b.html", route=tmp_path)
+    twin = shutil.copytree(site, tmp_path / "twin")
+    (twin / "tiles.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(BadInputError, match=r"tiles\.parquet"):
+        write_reports([twin])
+    (twin / "tiles.parquet").unlink()
+    with pytest.raises(BadInputError, match=r"tiles\.parquet"):
+        write_reports([twin])
+    assert not list(tmp_path.glob("b.html"))
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"cost": None},
+        {"cost": {"slope_limit_deg": None}},
+        {"crs": {}},
+        {"inputs": [{"points": "many"}]},
+        {"flight_lines": {"lines": "two"}},
+        {"survey": {"dates": 5}},
+        {"sheet": "e0001"},
+        {"metres_per_unit": {"horizontal": 1e308}},
+        {"format": ["x"]},
+        {"grid": {"tile_size_m": 3.0, "pixels": float("inf")}},
+        {"calibration": 5},
+        {"inputs": 5},
+    ],
+)
+def test_a_damaged_record_is_told(site, tmp_path, damage):
+    folder = copy_folder(site, tmp_path / "layers")
+    (folder / "report.html").write_text("of before")
+    record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+    (folder / "run.json").write_text(json.dumps(record | damage), encoding="utf-8")
+    with pytest.raises(BadInputError, match=r"run\.json is |run.json is missing or not that of a map"):
+        write_reports([folder])
+    assert (folder / "report.html").read_text() == "of before"
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{}",
+        "[1, 2]",
+        '{"features": []}',
+        '{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[1]]}}]}',
+        '{"features": [{"properties": {}, "geometry": {"type": "LineString", "coordinates": [[1e99, "x"]]}}]}',
+        "[" * 200,
+        "\udcff",
+    ],
+)
+def test_a_route_that_is_none(site, tmp_path, content):
+    (tmp_path / "route.geojson").write_bytes(content.encode("utf-8", "surrogateescape"))
+    with pytest.raises(BadInputError, match=r"route\.geojson"):
+        write_reports([site], tmp_path / "a.html", route=tmp_path)
+
+
+def test_a_way_lies_on_the_map(site, tmp_path, read_page):
+    from pyproj import Transformer
+
+    corners = [(110_002 * 3.0, 680_004 * 3.0), (110_020 * 3.0, 680_022 * 3.0)]
+    lonlat = [Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True).transform(*corner) for corner in corners]
+    line = {"type": "LineString", "coordinates": [list(place) for place in lonlat]}
+    about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
+    collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
+    (tmp_path / "route.geojson").write_text(json.dumps(collection))
+    page = read_page(write_reports([site], tmp_path / "a.html", route=tmp_path))
+    (way,) = page.data["maps"][0]["ways"]
+    assert np.allclose(way["lines"][0], corners, atol=0.02)
+    table = Outline(page.text).tables["Figures of the way"]
+    assert table[0] == ["figure", "<b>way</b>"]
+    assert ["mean C_r", "0.123 rad/m"] in table
+    assert ["length", "1,234 m"] in table
+    assert ["chance to arrive", "over 99\xa0%"] in table
+
+
+def test_shares_never_round_to_nothing_or_all():
+    assert [share(part, 10_000).replace("\xa0", " ") for part in (0, 1, 50, 9_940, 9_999, 10_000)] == [
+        "0 %", "under 1 %", "under 1 %", "over 99 %", "over 99 %", "100 %",
+    ]  # fmt: skip
+    assert share(1, 0) == number(None, 2) == number(float("nan"), 1)
+    assert [area(one) for one in (9, 25_000, 3.2e6)] == ["9 m²", "2.50 ha", "3.20 km²"]
+
+
+def test_the_page_is_written_before_the_record(site, tmp_path):
+    """A view of a run that is just ending: its folder has no run.json yet."""
+    twin = shutil.copytree(site, tmp_path / "twin")
+    record = json.loads((twin / "run.json").read_text())
+    before = (twin / "report.html").read_bytes()
+    (twin / "run.json").unlink()
+    (twin / "report.html").unlink()
+    write_report(twin, record)
+    assert (twin / "report.html").read_bytes() == before

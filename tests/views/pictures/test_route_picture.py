@@ -1,0 +1,245 @@
+"""route.png: what is where, in which colour."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import rasterio
+from hypothesis import given, strategies as st
+from route_records import CORNERS, MadeUpMap, make_route
+
+from bumpymap.core import NO_TILE, Barred, RouteVehicle
+from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.views.pictures import drawing
+from bumpymap.views.pictures.drawing import (
+    BARRED_SHADE,
+    HATCH,
+    NO_DATA,
+    UNKNOWN_SHADE,
+    MapView,
+    Pen,
+    hatched,
+    paint_ground,
+)
+from bumpymap.views.pictures.route_picture import paint_route, write_route_picture
+from bumpytiles import Grid
+
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+@pytest.fixture(scope="module")
+def view():
+    return MapView.around(Grid(), CORNERS, 600, (300, 500))
+
+
+@pytest.fixture
+def ground():
+    return MadeUpMap.around()
+
+
+def tile_of(view, ground):
+    """Row and column, in the arrays of the map, of the tile in the middle of each pixel."""
+    row = ground.window.row + ground.window.rows - 1 - np.floor(view.northings / 3.0).astype(int)
+    return row[:, None], (np.floor(view.eastings / 3.0).astype(int) - ground.window.col)[None, :]
+
+
+def direction(colours):
+    """Colours without their brightness."""
+    return colours / np.maximum(np.linalg.norm(colours, axis=-1, keepdims=True), 1.0)
+
+
+def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
+    pixels, scale = paint_ground(ground, view)
+    place = tile_of(view, ground)
+    barred, c_r = ground.barred[place], ground.c_r[place]
+    passable = barred == Barred.NO
+    expected = direction(scale.colours(c_r[passable]))
+    np.testing.assert_allclose(direction(pixels[passable].astype(float)), expected, atol=0.02)
+    closed = ~np.isin(barred, (Barred.NO, Barred.UNKNOWN, NO_TILE))
+    lines = hatched(*barred.shape)
+    assert (pixels[closed & lines] == HATCH).all()
+    for chosen, colour in ((closed & ~lines, BARRED_SHADE), (barred == Barred.UNKNOWN, UNKNOWN_SHADE)):
+        shown = np.unique(pixels[chosen], axis=0)
+        assert len(shown) == 1
+        np.testing.assert_allclose(direction(shown.astype(float)), direction(np.array([colour], float)), atol=0.02)
+    assert (pixels[barred == NO_TILE] == NO_DATA).all()
+
+
+def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
+    whole, _ = paint_ground(ground, view)
+    assert len(ground.windows_read) == 1
+    monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
+    pieces, _ = paint_ground(ground, view)
+    assert len(ground.windows_read) > 5
+    np.testing.assert_array_equal(whole, pieces)
+    tallest = max(window.rows for window in ground.windows_read[1:])
+    assert tallest < ground.windows_read[0].rows / 3
+
+
+def test_slopes_to_the_north_west_are_bright(view, ground):
+    rows, cols = np.mgrid[: ground.window.rows, : ground.window.cols]
+    ground.barred[:] = 0
+    ground.c_r[:] = 0.1
+    brightness = {}
+    for name, rise in {"north-west": rows + cols, "level": 0 * rows, "south-east": -rows - cols}.items():
+        ground.height = rise.astype(np.float32)  # a plane that faces the side it is named after
+        brightness[name] = paint_ground(ground, view)[0].sum(axis=2).mean()
+    assert brightness["south-east"] + 30 < brightness["level"] < brightness["north-west"] - 30
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=1, max_size=5),
+)
+def test_a_view_holds_its_points_with_a_margin_and_keeps_angles(points):
+    points = np.array(points) + np.array([5e5, 4e6])
+    view = MapView.around(Grid(), points, 600, (300, 500))
+    pixels = view.pixels(points)
+    margin = 15.0 / view.metres - 1e-3
+    assert (pixels >= margin).all()
+    assert (pixels <= np.array([view.width, view.height]) - margin).all()
+    assert view.width == 600
+    assert 300 <= view.height <= 500
+    ten = 10 * view.metres * np.eye(2)
+    east, south = (view.pixels(points[:1] + step) for step in (ten[:1], -ten[1:]))
+    np.testing.assert_allclose([east - pixels[:1], south - pixels[:1]], [[[10.0, 0.0]], [[0.0, 10.0]]], atol=1e-3)
+
+
+def test_the_way_and_its_ends_stand_where_they_are(ground):
+    picture = np.asarray(paint_route([make_route(stops=CORNERS)], ground)).astype(int)
+    assert picture.shape[1] == 1600
+    view = MapView.around(Grid(), CORNERS, 1200, (520, 900))
+    along = np.linspace(0.0, 1.0, 200)[:, None]
+    for first, last in pairwise(CORNERS):
+        pixels = view.pixels(first + along * (last - first)) + np.array([24, 56])
+        length = np.hypot(*(pixels[-1] - pixels[0]))
+        free = (along[:, 0] * length > 20) & ((1 - along[:, 0]) * length > 20)  # clear of the discs
+        col, row = np.floor(pixels[free]).astype(int).T
+        assert (picture[row, col].max(axis=1) < 60).mean() > 0.98
+    for stop, colour in zip(CORNERS, ([255, 255, 255], [255, 236, 170], [0, 0, 0]), strict=True):
+        col, row = np.floor(view.pixels(stop[None])[0] + np.array([24, 56 - 9])).astype(int)  # above the letter
+        assert picture[row, col].tolist() == colour
+
+
+def test_of_several_ways_each_has_its_colour(ground):
+    routes = [make_route(str(number), CORNERS + np.array([0.0, 12.0 * number])) for number in range(7)]
+    picture = np.asarray(paint_route(routes, ground)).reshape(-1, 3)
+    for colour in ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)):
+        assert (picture == colour).all(axis=1).sum() > 500
+
+
+def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground):
+    ground.barred[:] = NO_TILE  # the map itself has no colour
+    base = make_route()
+    length = len(base.profile.distance)
+    rough = np.where(np.arange(length) < length // 2, 0.0, 5.0)
+    profile = replace(base.profile, z=np.full(length, 7.0), c_r=rough, c_r_low=rough, c_r_high=rough)
+    picture = np.asarray(paint_route([replace(base, profile=profile)], ground)).astype(float)
+    below = picture[-70 - 200 : -70 - 130]  # the lower part of the chart of heights
+    left, right = below[:, 200:600].reshape(-1, 3), below[:, 800:1180].reshape(-1, 3)
+    for part, colour in ((left, CLASS_COLOURS[0]), (right, CLASS_COLOURS[3])):
+        middle = np.median(part, axis=0)
+        assert np.argsort(middle).tolist() == np.argsort(colour[:3]).tolist()
+        assert np.ptp(middle) > 60
+
+
+@pytest.mark.parametrize("unknown", ["z", "c_r", "all"])
+def test_what_is_unknown_is_drawn_without_complaint(ground, unknown, recwarn):
+    base = make_route()
+    nothing = np.full(len(base.profile.distance), np.nan)
+    names = {"z": ["z"], "c_r": ["c_r", "c_r_low", "c_r_high"], "all": ["z", "c_r", "c_r_low", "c_r_high"]}[unknown]
+    route = replace(base, profile=replace(base.profile, **dict.fromkeys(names, nothing)))
+    if unknown == "all":
+        ground.height[:] = np.nan
+        ground.barred[:] = NO_TILE
+        ground.c_r[:] = np.nan
+    assert paint_route([route], ground).width == 1600
+    assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
+
+
+def test_a_way_of_length_0_has_a_picture(ground):
+    assert paint_route([make_route(corners=CORNERS[:1])], ground).width == 1600
+
+
+def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(ground, tmp_path):
+    for name in ("a.png", "b.png"):
+        write_route_picture([make_route()], ground, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with rasterio.open(tmp_path / "a.png") as file:
+        np.testing.assert_array_equal(file.read().transpose(1, 2, 0), np.asarray(paint_route([make_route()], ground)))
+
+
+def class_colours(*numbers):
+    return 255 + 0.82 * (np.array([CLASS_COLOURS[number][:3] for number in numbers]) - 255.0)
+
+
+def test_the_scale_of_colours_runs_through_those_of_the_classes():
+    scale = RideScale.of({}, np.full(9, 1.0))
+    np.testing.assert_allclose(scale.colours(np.array([0.0, 1 / 3, 2 / 3, 1.0, 9.0])), class_colours(0, 1, 2, 3, 3))
+    limits = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}}, np.full(9, 77.0))
+    middles = np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])
+    np.testing.assert_allclose(limits.colours(middles), class_colours(0, 0, 1, 2, 3, 3))
+    assert limits.end == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [None, "rough", [], [0.1, 0.2], [0.1, "a", 0.3], [0.3, 0.2, 0.1], [0.0, 0.1, 0.2], [0.1, 0.2, float("nan")]],
+)
+def test_limits_that_are_none_give_a_round_scale(limits):
+    for calibration in ({"class_limits": limits}, limits):
+        assert RideScale.of({"calibration": calibration}, np.full(9, 1.0)).end == 1.0
+
+
+def words_of(routes, ground, monkeypatch):
+    """All texts that are written into a picture."""
+    words = []
+    text = Pen.text
+
+    def listen(pen, place, written, *args, **kwargs):
+        words.append(written)
+        return text(pen, place, written, *args, **kwargs)
+
+    monkeypatch.setattr(Pen, "text", listen)
+    paint_route(routes, ground)
+    return words
+
+
+def test_the_title_says_how_far_and_for_whom(ground, monkeypatch):
+    one, other = make_route("to the quarry"), replace(make_route(), vehicle=RouteVehicle("jackal", 0.4, 1.0))
+    assert "to the quarry: 261 m for warthog" in words_of([one], ground, monkeypatch)
+    assert "2 ways for warthog, jackal, the first 261 m" in words_of([one, other], ground, monkeypatch)
+    far = replace(one, name="n" * 500, figures=replace(one.figures, length_m=12_345.0))
+    words = words_of([far], ground, monkeypatch)
+    assert words[0].endswith("...: 12.3 km for warthog")
+    assert max(map(len, words)) < 120
+
+
+def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
+    route = make_route()
+    still = replace(
+        route,
+        line=route.line[:1],
+        stops=route.stops[[0, 0]],
+        figures=replace(route.figures, length_m=0.0, c_r_mean=math.nan, climb_m=0.0, descent_m=0.0),
+        profile=replace(route.profile, distance=np.zeros_like(route.profile.distance)),
+    )
+    words = words_of([still], ground, monkeypatch)
+    assert not any("nan" in word for word in words)
+    assert f"most {still.figures.c_r_max:.3f} rad/m" in words
+    assert "0.0005" not in words
+    assert "goal" not in words  # its mark lies under that of the start
+    assert "start and goal" in words
+
+
+def test_ways_of_two_vehicles_say_whose_ground_it_is(ground, monkeypatch):
+    route = make_route()
+    rover = replace(route, name="route, rover", vehicle=RouteVehicle("rover", 0.7, 0.5))
+    words = words_of([route, rover], ground, monkeypatch)
+    assert "route, rover" in words
+    assert f"route, {route.vehicle.name}" in words
+    assert "rover, rover" not in " ".join(words)
+    assert f"ride cost for {route.vehicle.name} [rad/m]" in words
+    alone = words_of([route], ground, monkeypatch)
+    assert "ride cost of the ground [rad/m]" in alone
