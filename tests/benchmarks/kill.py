@@ -1,8 +1,8 @@
-"""Kill runs at random times, resume each with --resume, and compare every file with that of an uninterrupted run.
+"""Kill runs at random times, give the same command again, and compare every file with that of an uninterrupted run.
 
 python tests/benchmarks/kill.py SURVEY... --data FOLDER [--kills 20] [--seed 1] [--map-options "--memory 256MB"]
 
-SIGKILL cannot be caught, so --resume finds the files on disk as they were at that time. Times are drawn uniformly over
+SIGKILL cannot be caught, so the next run finds the files on disk as they were at that time. Times are drawn uniformly over
 the duration of a whole run; some of the resumed runs are killed once more. The exit code is 1 if any file differs or
 anything is left behind.
 """
@@ -26,7 +26,7 @@ from _page import insert_tables
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "benchmarks.md"
 _WHOLE_RUNS = 3
 _KILLED_TWICE = 0.3
-"""Share of the runs that are killed once more after --resume."""
+"""Share of the runs that are killed once more, in the second run."""
 _WORK, _STAGED = ".bumpymap-run", ".bumpymap-layers-*"
 _OF_THE_CALL = ("out", "scratch", "resume", "overwrite")
 """Settings in run.json that depend on how a run was called and may differ."""
@@ -76,15 +76,15 @@ class KillTest:
         resumed = 0.0
         if again is not None:
             begin = time.perf_counter()
-            if stage := self._killed(again, "--resume"):
+            if stage := self._killed(again):
                 stages.append(stage)
             else:
                 resumed = time.perf_counter() - begin
         # A run that has ended cannot be resumed; its layers are compared as they are.
         if not (self._out / "run.json").exists() or (self._out / _WORK).exists():
-            resumed = self._finish("--resume")
+            resumed = self._finish()
         faults = _differences(self._expected, self._files())
-        faults += [f"{left.name} is left in --scratch" for left in self._scratch.glob("*")]
+        faults += [f"{left.name} is left in the scratch folder" for left in self._scratch.glob("*")]
         faults += [f"process {helper.name} still runs" for helper in self._orphans if helper.exists()]
         return Trial(instant, stages, resumed, faults)
 

@@ -2,7 +2,7 @@
 
 python tests/benchmarks/race.py --data FOLDER [--races 20]
 
-There are three kinds of races: two `scan`, two `map --overwrite`, and two `map --resume` of an interrupted run. The
+There are three kinds of races: two `scan`, two `map --overwrite`, and two `map` that continue an interrupted run. The
 second run starts after a random delay up to the duration of a whole run. The exit code is 1 if the files differ from
 those of a single run, both runs fail, or the losing run does not name the process of the other.
 """
@@ -22,7 +22,7 @@ import numpy as np
 SURVEY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
 _TIMED = ("run.json", "scan.json")
 _FRAMES, _RETURNS = 6, 60_000
-_KINDS = ("scan", "map --overwrite", "map --resume")
+_KINDS = ("scan", "map --overwrite", "map again")
 
 
 def make_frames(folder: Path) -> Path:
@@ -111,9 +111,14 @@ def main() -> None:
         for number in range(given.races):
             if option != ["--overwrite"]:
                 shutil.rmtree(out, ignore_errors=True)
-            if option == ["--resume"]:
+            if option == ["again"]:
                 killed_run(words, out, draw.uniform(0.3, 1.0) * whole)
-            faults, ended = race([*words, *option], out, draw.choice((0.0, draw.uniform(0, whole))), wanted)
+            faults, ended = race(
+                [*words, *(each for each in option if each != "again")],
+                out,
+                draw.choice((0.0, draw.uniform(0, whole))),
+                wanted,
+            )
             wrong += bool(faults)
             sys.stderr.write(f"{kind} {number + 1:2}: {ended}; {'; '.join(faults) or 'whole'}\n")
         print(f"two {kind}: {given.races - wrong} of {given.races} races end with the files of a single run")

@@ -65,7 +65,7 @@ def test_a_damaged_run_spec_is_not_resumed(tmp_path, spec):
     folder.mkdir(mode=0o700)
     (folder / "run_spec.json").write_text(spec)
     now = {"inputs": {"a.las": {"size": 1}}, "settings": {"x": 1}, "made with": {}}
-    with RunFolder.opened(tmp_path, now, resume=True, finished=lambda _: True, advice="") as run:
+    with RunFolder.opened(tmp_path, now, overwrite=False, finished=lambda _: True, advice="") as run:
         assert not run.resumed
 
 

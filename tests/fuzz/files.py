@@ -412,7 +412,7 @@ def _settings(folder):
     def resume(place, out):
         del out
         spec = {"inputs": {"a.las": {"size": 5}}, "settings": {"tile_size": 3.0}, "made with": {"numpy": "2"}}
-        with RunFolder.opened(place, spec, resume=True, finished=lambda _: True, advice=""):
+        with RunFolder.opened(place, spec, overwrite=True, finished=lambda _: True, advice=""):
             pass
 
     data = Path(bumpymap.__file__).parent / "rating" / "data"

@@ -281,16 +281,13 @@ def test_an_interrupted_run_goes_on_and_an_older_one_is_as_it_was(drive, mapped,
     before = checksums(out) if older else {}
     with pytest.raises(KeyboardInterrupt) as end:
         scan_frames(replace(config, overwrite=older), _Ends(after))
-    how = "in the place of `overwrite=True`" if older else "to the same command"
-    assert end.value.__notes__ == [f"Pass `resume=True` {how} to continue from the finished frames."]
+    assert end.value.__notes__ == ["Run the same again to continue from the finished frames."]
     assert {name: sum_ for name, sum_ in checksums(out).items() if not name.startswith(".")} == before
     assert (out / ".bumpymap-run").is_dir()
-    with pytest.raises(OutputError, match=r"an interrupted run\. Pass `resume=True`"):
-        scan_frames(config)
     with pytest.raises(UsageError, match="products was polygons, table, cloud, is table"):
-        scan_frames(replace(config, resume=True, products=("table",)))
+        scan_frames(replace(config, products=("table",)))
     done_frames.clear()
-    result = scan_frames(replace(config, resume=True))
+    result = scan_frames(config)
     assert done_frames == ["0", "1"][after:]
     assert [report.frame.name for report in result.frames] == ["0", "1"]
     first, second = checksums(mapped[0]), checksums(out)
@@ -313,7 +310,7 @@ def test_a_run_killed_when_its_products_were_in_place_ends_too(drive, mapped, tm
         with pytest.raises(KeyboardInterrupt):
             scan_frames(config)
     assert (left / "scan.json").exists()
-    scan_frames(replace(config, out=left, resume=True))
+    scan_frames(replace(config, out=left))
     assert set(checksums(left)) == set(checksums(mapped[0]))
     assert checksums(left)["gathered.laz"] == checksums(mapped[0])["gathered.laz"]
 
@@ -373,10 +370,10 @@ def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mappe
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == [
-        "The products of the frames are complete; the map of the drive is missing. Pass `resume=True` to make it."
+        "The products of the frames are complete; the map of the drive is missing. Run the same again to make it."
     ]
     done_frames.clear()
-    result = scan_frames(replace(config, resume=True))
+    result = scan_frames(config)
     assert done_frames == []
     assert not result.already_done
     assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
@@ -396,9 +393,9 @@ def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path,
         patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
-    assert failed.value.__notes__ == ["Pass `resume=True` to the same command to continue from the finished frames."]
+    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
     done_frames.clear()
-    scan_frames(replace(config, resume=True))
+    scan_frames(config)
     assert done_frames == ["1"]
     assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
 
@@ -457,9 +454,9 @@ def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_the
         scan_frames(config)
     assert failed.value.__notes__ == [
         "`skip_bad=True` goes on without such frames.",
-        "Pass `resume=True` to the same command to continue from the finished frames.",
+        "Run the same again to continue from the finished frames.",
     ]
-    result = scan_frames(replace(config, skip_bad=True, resume=True))
+    result = scan_frames(replace(config, skip_bad=True))
     assert list(result.skipped) == [str(tmp_path / "1.bin")]
     assert "skipped" in caplog.text
     assert [frame.frame.name for frame in result.frames] == ["0", "2"]
@@ -635,7 +632,7 @@ def test_a_frame_that_lies_too_far_away_is_skipped_whole(drive, tmp_path):
     )
     with pytest.raises(BadInputError, match="1 lies more than 2,000 km"):
         scan_frames(config)
-    result = scan_frames(replace(config, skip_bad=True, resume=True))
+    result = scan_frames(replace(config, skip_bad=True))
     assert list(result.skipped) == [str(drive / "frames" / "1.bin")]
     assert [path.name for path in (tmp_path / "out" / "frames").iterdir()] == ["0.ply"]
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"0"}

@@ -110,7 +110,7 @@ def test_a_stopped_run_goes_on_from_what_is_finished(frames, serial, tmp_path, m
         return read_scan(path, *rest)
 
     monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
-    scan_frames(replace(config, resume=True, threads=3))  # another number of threads is no other run
+    scan_frames(replace(config, threads=3))  # another number of threads is no other run
     assert len(read) == FRAMES - len(done)
     assert checksums(tmp_path / "out") == checksums(serial[0])
 
@@ -124,5 +124,5 @@ def test_what_a_power_cut_has_left_half_written_is_made_again(frames, serial, tm
         hit.unlink()
     else:
         hit.write_bytes(hit.read_bytes()[: 0 if loss == "part empty" else hit.stat().st_size // 2])
-    scan_frames(replace(config, resume=True))
+    scan_frames(config)
     assert checksums(tmp_path / "out") == checksums(serial[0])

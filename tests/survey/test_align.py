@@ -134,7 +134,7 @@ def test_a_resumed_run_gives_the_same_bytes(aligned, tmp_path, monkeypatch):
         patch.setattr(Checkpoints, "save", killed)
         words = ["map", str(survey), "--out", str(out), "--align", "on"]
         assert CliRunner().invoke(main, words).exit_code == 130
-    mapped(left, survey, "--align", "on", "--resume")
+    mapped(left, survey, "--align", "on")
     assert layers_of(left) == layers_of(aligned)
     assert lines_of(left) == lines_of(aligned)
 

@@ -151,7 +151,7 @@ def inodes(folder):
     return {path.name: (path.stat().st_ino, path.stat().st_mtime_ns) for path in folder.rglob("*")}
 
 
-@pytest.mark.parametrize("extra", [(), ("--resume",), ("--skip-bad", "--threads", 1, "--memory", "300MB")])
+@pytest.mark.parametrize("extra", [(), ("--skip-bad", "--threads", 1, "--memory", "300MB")])
 def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     before = inodes(layers)
     again = run("map", survey, "--out", layers, *extra)
@@ -216,14 +216,7 @@ def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey
         assert (refused.exit_code, "run.json that cannot be read" in refused.output) == (3, True)
 
 
-def test_going_on_and_starting_anew_are_not_asked_for_together(survey, tmp_path):
-    refused = run("map", survey, "--out", tmp_path / "out", "--resume", "--overwrite")
-    assert refused.exit_code == 2
-    assert "give one of them" in refused.output
-    assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("option", ["--overwrite", "--resume"])
+@pytest.mark.parametrize("option", ["--overwrite", "--skip-bad"])
 def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(survey, layers, tmp_path, option):
     out = tmp_path / "out"
     shutil.copytree(layers, out)
@@ -263,7 +256,7 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
     assert not [path for path in real.iterdir() if path.is_symlink()]
 
 
-@pytest.mark.parametrize("option", [None, "--resume", "--overwrite"])
+@pytest.mark.parametrize("option", [None, "--overwrite"])
 def test_a_work_folder_that_is_a_link_is_left_alone(survey, tmp_path, option):
     out, mine = tmp_path / "out", tmp_path / "mine"
     mine.mkdir()
@@ -486,13 +479,11 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
         patch.setattr(place, killed)
         assert run("map", survey, "--out", out).exit_code == 130
     assert list(left.glob(".bumpymap-run/*"))
-    refused = run("map", survey, "--out", left)
-    assert refused.exit_code == 3
-    assert "--resume" in refused.output
-    other = run("map", survey, "--out", left, "--resume", "--ground", "all")
+    other = run("map", survey, "--out", left, "--ground", "all")
     assert other.exit_code == 2
     assert "\n  ground was auto, is all\n" in other.output
-    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert "--overwrite to discard it" in other.output
+    assert run("map", survey, "--out", left).exit_code == 0
     assert layers_of(left) == layers_of(tmp_path / "whole")
     assert not (left / ".bumpymap-run").exists()
 
@@ -508,10 +499,7 @@ def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp
     with monkeypatch.context() as patch:
         patch.setattr("bumpymap.core.run_folder._remove", killed)
         assert run("map", survey, "--out", out).exit_code == 130
-    refused = run("map", survey, "--out", left)
-    assert refused.exit_code == 3
-    assert "--resume" in refused.output
-    assert run("map", survey, "--out", left, "--resume").exit_code == 0
+    assert run("map", survey, "--out", left).exit_code == 0
     assert layers_of(left) == layers_of(layers)
     assert not (left / ".bumpymap-run").exists()
 

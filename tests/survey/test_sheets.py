@@ -70,8 +70,8 @@ def test_a_run_that_is_killed_while_it_writes_goes_on(survey, whole, tmp_path, m
     before = {sheet: (sheet / "run.json").stat().st_ino for sheet in written}
     assert not (out / "run.json").exists()
     with pytest.raises(bumpymap.UsageError, match=r"sheets was 0\.096, is 0\.048"):
-        bumpymap.map_survey(survey, out, sheets=0.048, resume=True)
-    done = bumpymap.map_survey(survey, out, sheets=SIDE, resume=True)
+        bumpymap.map_survey(survey, out, sheets=0.048)
+    done = bumpymap.map_survey(survey, out, sheets=SIDE)
     assert {sheet: (sheet / "run.json").stat().st_ino for sheet in written} == before
     assert len(done.sheets) > len(written)
     assert_same_pixels(out, whole.folder)

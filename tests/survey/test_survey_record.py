@@ -108,7 +108,7 @@ def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(
         patch.setattr("bumpymap.layers.write_products", stop)
         words = ["map", str(folder), "--out", str(tmp_path / "again"), "--skip-bad"]
         assert CliRunner().invoke(main, words).exit_code == 130
-    assert record("again", "--resume")["survey"] == run["survey"]
+    assert record("again")["survey"] == run["survey"]
 
 
 @pytest.mark.slow

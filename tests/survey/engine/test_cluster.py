@@ -274,7 +274,7 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
     left = tmp_path / "left"
     killed_at(place, tmp_path / "layers", left, monkeypatch, arguments)
     here.done.clear()
-    assert run(*arguments, "--out", left, "--resume").exit_code == 0
+    assert run(*arguments, "--out", left).exit_code == 0
     assert read_ranges not in here.done
     assert (finish_group in here.done) == finished
     assert layers_of(left) == layers_of(plain / "auto")
@@ -294,9 +294,9 @@ def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here
         monkeypatch,
         (*arguments, "--set", "scheduler=here"),
     )
-    assert run(*arguments, "--out", tmp_path / "many", "--resume").exit_code == 0
+    assert run(*arguments, "--out", tmp_path / "many").exit_code == 0
     killed_at("run.decide_ground", tmp_path / "b", tmp_path / "one", monkeypatch, arguments)
-    assert run(*arguments, "--out", tmp_path / "one", "--resume", "--set", "scheduler=here").exit_code == 0
+    assert run(*arguments, "--out", tmp_path / "one", "--set", "scheduler=here").exit_code == 0
     for name in ("many", "one"):
         assert layers_of(tmp_path / name) == layers_of(plain / "auto")
         assert inputs_of(tmp_path / name) == inputs_of(plain / "auto")
@@ -597,10 +597,10 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
         patch.setattr(here, "run", lost_after_three)
         result = run(*arguments)
     assert result.exit_code == 2, result.output
-    assert "Pass --resume to the same command" in result.output
+    assert "Run the same again to continue" in result.output
     before = here.done.count(read_ranges)
     here.done.clear()
-    assert run(*arguments, "--resume").exit_code == 0
+    assert run(*arguments).exit_code == 0
     ranges = here.done.count(read_ranges)
     here.done.clear()
     assert run("map", surveys, "--out", tmp_path / "whole", "--set", "scheduler=here").exit_code == 0
@@ -656,9 +656,9 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
     if when == "look":
         assert not out.exists()
         return
-    assert "Pass --resume to the same command" in result.output
+    assert "Run the same again to continue" in result.output
     here.done.clear()
-    assert run(*arguments, "--resume").exit_code == 0
+    assert run(*arguments).exit_code == 0
     assert read_ranges not in here.done  # files that were read are not read again
     assert layers_of(out) == layers_of(plain / "auto")
     assert list((tmp_path / "scratch").iterdir()) == []

@@ -21,7 +21,7 @@ from bumpymap.survey.engine.collector import Checkpoints
 
 pytestmark = pytest.mark.slow
 
-GO_ON = "Pass --resume to the same command to continue from the finished tiles."
+GO_ON = "Run the same again to continue from the finished tiles."
 
 
 def layers_of(folder):
@@ -75,7 +75,7 @@ def after_tiles(monkeypatch):
 
 def goes_on(surveys, out, plain, monkeypatch, *options):
     monkeypatch.undo()
-    result = run("map", surveys, "--out", out, "--resume", *options)
+    result = run("map", surveys, "--out", out, *options)
     assert result.exit_code == 0, result.output
     assert layers_of(out) == plain
     assert not (out / ".bumpymap-run").exists()
@@ -153,7 +153,7 @@ def test_a_run_goes_on_under_other_memory_without_reading_again(surveys, plain, 
         return fetch(reader, chunk)
 
     monkeypatch.setattr(LasSurvey, "fetch", counted)
-    result = run("map", surveys, "--out", out, "--resume")
+    result = run("map", surveys, "--out", out)
     assert result.exit_code == 0, result.output
     assert sum(fetched) <= 60_000, "chunks that are on disk are read again"
     assert layers_of(out) == plain
@@ -171,7 +171,7 @@ def test_digests_by_another_method_are_made_again(surveys, tmp_path, monkeypatch
         record = json.loads(path.read_text())
         record[method] = {file: [[n, wrong] for n, _ in own] for file, own in record.pop(CHECKSUM_METHOD).items()}
         path.write_text(json.dumps(record))
-    result = run("map", surveys, "--out", out, "--resume")
+    result = run("map", surveys, "--out", out)
     assert result.exit_code == 0, result.output
     made = [entry["checksum"] for entry in json.loads((out / "run.json").read_text())["inputs"]]
     right = [hash_file(path) for path in sorted(surveys.iterdir())]
@@ -186,7 +186,7 @@ def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypat
     monkeypatch.setattr(TileSink, "flush", lambda _: None)
     result = run("map", surveys, "--out", tmp_path / "out", "--scratch", tmp_path / "scratch")
     assert result.exit_code == 3
-    assert "--resume" not in result.output
+    assert GO_ON not in result.output
     assert not (tmp_path / "out").exists()
 
 
@@ -201,7 +201,7 @@ def test_a_bad_input_leaves_nothing(surveys, tmp_path, after_tiles):
     result = run("map", tmp_path / "a.laz", tmp_path / "b.laz", "--out", tmp_path / "out")
     assert result.exit_code == 3, result.output
     assert seen
-    assert "--resume" not in result.output
+    assert GO_ON not in result.output
     assert not (tmp_path / "out").exists()
 
 
@@ -244,7 +244,7 @@ def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, pl
         pack.write_bytes(pack.read_bytes()[:-9])
     fetched, fetch = [], LasSurvey.fetch
     monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(chunk.index) or fetch(self, chunk))
-    result = run("map", surveys, "--out", left, "--resume")
+    result = run("map", surveys, "--out", left)
     assert result.exit_code == 0, result.output
     assert layers_of(left) == plain
     assert (fetched[0] == 0) == spoilt  # else it goes on where it was

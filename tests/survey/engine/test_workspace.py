@@ -17,7 +17,7 @@ ASKED = {"inputs": {"a.laz": {"bytes": 1}}, "settings": {}, "made with": {}, "cu
 def killed(out, scratch, run_spec=ASKED):
     """Leave what a kill would leave; gives the folder in which points wait."""
     kept = out.with_name("kept")
-    with Workspace.opened(out, scratch, run_spec, resume=False) as space:
+    with Workspace.opened(out, scratch, run_spec, overwrite=False) as space:
         (space.scratch / "points-00000000-00000001.pack").write_bytes(b"")
         waiting = space.scratch
         shutil.copytree(out, kept)
@@ -31,24 +31,24 @@ def killed(out, scratch, run_spec=ASKED):
     return waiting
 
 
-@pytest.mark.parametrize("resume", [True, False])
-def test_points_that_waited_elsewhere_go_away(tmp_path, resume):
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_points_that_waited_elsewhere_go_away(tmp_path, overwrite):
     out, one, other = tmp_path / "out", tmp_path / "one", tmp_path / "other"
     waiting = killed(out, one)
     assert list(waiting.iterdir())
-    with Workspace.opened(out, other, ASKED, resume=resume) as space:
+    with Workspace.opened(out, other, ASKED, overwrite=overwrite) as space:
         assert not waiting.exists()
         assert space.scratch.is_dir()
     waiting = killed(out, None)
     assert waiting.parent == work_folder(out)
-    with Workspace.opened(out, other, ASKED, resume=resume):
+    with Workspace.opened(out, other, ASKED, overwrite=overwrite):
         assert not waiting.exists()
     assert list(out.iterdir()) == list(one.iterdir()) == list(other.iterdir()) == []
 
 
 def test_a_kill_during_the_clearing_leaves_nothing_to_go_on_with(tmp_path, monkeypatch):
     out = tmp_path / "out"
-    with monkeypatch.context() as patch, Workspace.opened(out, None, ASKED, resume=False) as space:
+    with monkeypatch.context() as patch, Workspace.opened(out, None, ASKED, overwrite=False) as space:
         (space.folder / "tiles-all-000000.pack").write_bytes(b"tiles")
         patch.setattr("bumpymap.core.run_folder.remove_path", lambda *_, **__: None)
     assert not work_folder(out).exists()
@@ -79,29 +79,29 @@ def contents(folder):
 
 
 def test_the_folders_of_a_run_are_its_users_own(tmp_path):
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, resume=False) as space:
+    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
         for folder in (space.folder, space.scratch):
             assert folder.stat().st_mode & 0o777 == 0o700
         first = space.scratch.name
-    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, resume=False) as space:
+    with Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=False) as space:
         assert space.scratch.name != first
 
 
-@pytest.mark.parametrize("resume", [True, False])
-def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path, resume):
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_a_work_folder_that_is_a_link_is_left_alone(tmp_path, overwrite):
     mine = precious(tmp_path / "mine")
     before = contents(mine)
     (tmp_path / "out").mkdir()
     work_folder(tmp_path / "out").symlink_to(mine)
     assert not is_interrupted(tmp_path / "out")
-    opened = Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, resume=resume)
+    opened = Workspace.opened(tmp_path / "out", tmp_path / "scratch", ASKED, overwrite=overwrite)
     with pytest.raises(OutputError, match="is a link"), opened:
         pass
     assert contents(mine) == before
 
 
-@pytest.mark.parametrize("resume", [True, False])
-def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, resume):
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, overwrite):
     mine = precious(tmp_path / "mine")
     before = contents(mine)
     work = work_folder(tmp_path / "out")
@@ -111,14 +111,14 @@ def test_links_in_a_work_folder_are_taken_away_and_not_followed(tmp_path, resume
         (work / name).symlink_to(mine)
     (work / ".tiles-all-000000.pack.part").symlink_to(mine / ".profile")
     (work / "tiles-all-000001.pack").symlink_to(mine / "none")
-    with Workspace.opened(tmp_path / "out", None, ASKED, resume=resume) as space:
+    with Workspace.opened(tmp_path / "out", None, ASKED, overwrite=overwrite) as space:
         assert not [path for path in space.folder.rglob("*") if path.is_symlink()]
     assert contents(mine) == before
     assert not work.exists()
 
 
-@pytest.mark.parametrize("resume", [True, False])
-def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_followed(tmp_path, monkeypatch, resume):
+@pytest.mark.parametrize("overwrite", [True, False])
+def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_followed(tmp_path, monkeypatch, overwrite):
     """Between the look at the folder and its clearing, and again before it is removed."""
     mine = precious(tmp_path / "mine")
     before = contents(mine)
@@ -138,7 +138,7 @@ def test_a_link_that_is_put_in_the_place_of_the_work_folder_meanwhile_is_not_fol
     assert contents(mine) == before
     assert list((tmp_path / "away").iterdir()) == []
     work.unlink()
-    with RunFolder.opened(tmp_path / "out", ASKED, resume=resume, finished=lambda _: False, advice="") as run:
+    with RunFolder.opened(tmp_path / "out", ASKED, overwrite=overwrite, finished=lambda _: False, advice="") as run:
         run.path.rename(tmp_path / "elsewhere")
         run.path.symlink_to(mine)
     assert contents(mine) == before
@@ -162,19 +162,19 @@ def test_a_noted_scratch_folder_that_is_not_the_runs_is_left_alone(tmp_path, fit
         place.symlink_to(mine)
     (work / "scratch.json").write_text(json.dumps({"out": str(out), "word": word, "path": str(place)}))
     before = contents(mine)
-    for resume in (True, False):
-        with Workspace.opened(out, tmp_path / "scratch", ASKED, resume=resume) as space:
+    for overwrite in (False, True):
+        with Workspace.opened(out, tmp_path / "scratch", ASKED, overwrite=overwrite) as space:
             assert space.scratch != place
         assert contents(mine) == before
 
 
 def test_other_settings_are_named_in_words(tmp_path):
-    with Workspace.opened(tmp_path, None, ASKED, resume=False) as space:
+    with Workspace.opened(tmp_path, None, ASKED, overwrite=False) as space:
         shutil.copytree(space.folder, tmp_path / "kept")
     (tmp_path / "kept").rename(work_folder(tmp_path))
     other = ASKED | {"inputs": {"a.laz": {"bytes": 2}, "b.laz": {"bytes": 1}}, "settings": {"local": True, "crs": None}}
     other["cut"] = {"chunk_points": 7}
-    with pytest.raises(UsageError) as refused, Workspace.opened(tmp_path, None, other, resume=True):
+    with pytest.raises(UsageError) as refused, Workspace.opened(tmp_path, None, other, overwrite=False):
         pass
     lines = refused.value.args
     for words in (
@@ -184,5 +184,11 @@ def test_other_settings_are_named_in_words(tmp_path):
     ):
         assert f"  {words}" in lines
     assert "chunk_points" not in str(refused.value)
-    with Workspace.opened(tmp_path, None, ASKED | {"cut": {"chunk_points": 7}}, resume=True) as space:
+    with Workspace.opened(tmp_path, None, ASKED | {"cut": {"chunk_points": 7}}, overwrite=True) as space:
+        assert space.resumed, "the same inputs and settings: nothing to discard"
         assert space.run_spec["cut"] == ASKED["cut"]
+        shutil.copytree(space.folder, tmp_path / "kept")
+    (tmp_path / "kept").rename(work_folder(tmp_path))
+    with Workspace.opened(tmp_path, None, other, overwrite=True) as space:
+        assert not space.resumed
+        assert space.run_spec["settings"] == other["settings"]
