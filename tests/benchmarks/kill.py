@@ -2,7 +2,7 @@
 
 python tests/benchmarks/kill.py SURVEY... --data FOLDER [--kills 20] [--seed 1] [--map-options "--memory 256MB"]
 
-SIGKILL cannot be caught, so the next run finds the files on disk as they were at that time. Times are drawn uniformly over
+SIGKILL cannot be caught: the next run finds the files on disk as they were at that time. Times are drawn uniformly over
 the duration of a whole run; some of the resumed runs are killed once more. The exit code is 1 if any file differs or
 anything is left behind.
 """

@@ -232,7 +232,7 @@ class TestUnfinished:
 
     def test_it_is_no_map_and_says_so(self, killed):
         folder, _ = killed
-        with pytest.raises(BadInputError, match="sheets are not complete.*same map command again"):
+        with pytest.raises(BadInputError, match=r"sheets are not complete.*same map command again"):
             bumpymap.open(folder)
         with pytest.raises(OutputError, match="already holds 3 sheets of a run that did not end"):
             check_folder(folder, overwrite=False)
@@ -256,7 +256,7 @@ class TestUnfinished:
         with pytest.raises(OutputError, match="no space left"):
             write(made, tmp_path / "out", blocks=4, views=full)
         assert (tmp_path / "out" / "class.vrt").exists()
-        with pytest.raises(BadInputError, match="sheets are not complete.*same map command again"):
+        with pytest.raises(BadInputError, match=r"sheets are not complete.*same map command again"):
             bumpymap.open(tmp_path / "out")
         written = []
         monkeypatch.setattr(writing, "write_products", lambda *_, **__: written.append(1))
