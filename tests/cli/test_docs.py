@@ -2,7 +2,6 @@
 
 import re
 import shlex
-import shutil
 import tomllib
 from pathlib import Path
 
@@ -21,7 +20,6 @@ OWN_PAGES = {
     "route": "routes.md",
     "diff": "diff.md",
     "check": "check.md",
-    "report": "report.md",
 }
 COMMANDS = main.list_commands(click.Context(main))
 
@@ -92,19 +90,9 @@ def test_the_settings_of_the_page_are_settings(tmp_path):
     assert config.features == MapConfig((), tmp_path).features
 
 
-@pytest.mark.slow
-def test_the_snippet_of_the_page_runs(tmp_path, monkeypatch):
-    (text,) = re.findall(r"```python\n(.*?)```", (PAGES / "command-line.md").read_text(encoding="utf-8"), re.DOTALL)
-    (tmp_path / "sample_data").mkdir()
-    shutil.copy(ROOT / "sample_data" / "quarry.laz", tmp_path / "sample_data")
-    monkeypatch.chdir(tmp_path)
-    exec(compile(text, "command-line.md", "exec"), {})  # noqa: S102 (our own page)
-    assert (tmp_path / "layers" / "run.json").exists()
-
-
-def test_the_readme_lists_the_extras():
+def test_the_first_page_lists_the_extras():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (PAGES / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
     listed = {name: set(brings.split(", ")) for name, brings in rows}
     named = {name: {re.split(r"[\[>=]", wanted)[0] for wanted in wants} for name, wants in extras.items()}
     del named["all"]
