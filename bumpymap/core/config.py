@@ -102,7 +102,7 @@ class FeatureSettings:
     """How tiles are measured, and when a heightmap cannot be rated.
 
     With ``rating = "ride"`` tiles that have too few points or too many holes for the first three are rated from their
-    points where these carry it, by a rule that has no settings (``docs/pages/thin-surveys.md``).
+    points where these carry it, by a rule that has no settings (``docs/pages/measuring.md``).
     """
 
     min_points: Annotated[int, Setting(low=3)] = 30

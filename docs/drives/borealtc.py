@@ -2,7 +2,7 @@
 
 FOLDER holds drives of the BorealTC data set (LaRocque et al. 2024, arXiv 2403.16877, CC0), a folder for each surface:
 ``imu_NN.csv`` (time [s], wx, wy, wz [rad/s], ax, ay, az [m/s2], 100 Hz) and ``pro_NN.csv`` (time, currents, velL, velR
-[m/s], 6.5 Hz). Printed are the tables of docs/pages/radian-per-metre.md: C_r of each drive and surface with its spread
+[m/s], 6.5 Hz). Printed are C_r of each drive and surface (the table of docs/pages/ride-cost.md) with its spread
 over windows of 5 m, and what the pitch rate on paved ground is made of.
 
 Last comes what `bumpymap check --drive imu_NN.csv,pro_NN.csv` finds of the same drives, by its own rules.

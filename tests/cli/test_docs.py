@@ -64,9 +64,9 @@ def test_the_settings_of_the_page_are_settings(tmp_path):
     assert config.features == MapConfig((), tmp_path).features
 
 
-def test_the_readme_lists_the_extras():
+def test_the_first_page_lists_the_extras():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
-    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| .* \| (.*) \|$", (PAGES / "index.md").read_text(encoding="utf-8"), re.MULTILINE)
     listed = {name: set(brings.split(", ")) for name, brings in rows}
     named = {name: {re.split(r"[\[>=]", wanted)[0] for wanted in wants} for name, wants in extras.items()}
     del named["all"]

@@ -1,4 +1,4 @@
-"""What drive-logs.md says of columns, units and formats is so."""
+"""What check.md says of the columns, units and formats is so."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ from bumpymap.readers import parse_columns
 from bumpymap.readers.drives.columns import guess_columns
 from bumpymap.readers.drives.signals import QUANTITIES, UNITS
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "drive-logs.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "check.md").read_text(encoding="utf-8")
 TABLE = [line.split("|") for line in PAGE.split("| quantity | what |")[1].split("\n\n")[0].splitlines()[2:]]
 SECOND = {
     "lon": ["lat"],
@@ -60,6 +60,6 @@ def test_units_on_the_page_are_those_that_are_known():
 
 
 def test_the_examples_of_naming_columns_are_read():
-    examples = re.findall(r"--columns ([^\s`]+)", PAGE)
+    examples = re.findall(r"--columns ([^\s`]*=[^\s`]*)", PAGE)
     assert len(examples) == 3
     assert all(parse_columns(text) for text in examples)

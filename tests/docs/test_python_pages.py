@@ -1,4 +1,4 @@
-"""The Python of the notebook page and of the API pages runs, block after block, as it stands."""
+"""The Python of the notebook page and of the API page runs, block after block, as it stands."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "pages"
-PAGES = [FOLDER / "notebook.md", *sorted((FOLDER / "api").glob("*.md"))]
+PAGES = [FOLDER / "notebook.md", FOLDER / "api.md"]
 _BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 

@@ -222,7 +222,7 @@ def test_onnxruntime_is_loaded_only_when_used():
 
 def test_documentation_states_the_measured_accuracies(model):
     root = Path(__file__).resolve().parents[2]
-    pages = [root / "docs/pages/texture-network.md", root / "bumpymap/rating/data/models/textures.md"]
+    pages = [root / "docs/pages/textures.md", root / "bumpymap/rating/data/models/textures.md"]
     for page in pages:
         text = page.read_text(encoding="utf-8")
         for name in ("accuracy_unseen", "accuracy_altered_copies", "accuracy_short_waves"):

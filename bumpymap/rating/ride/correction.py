@@ -65,7 +65,7 @@ _VALIDATION_ERROR = 0.045
 """Standard error of ln C_r of a patch in the validation drives; intervals must contain means with that error."""
 _MODEL_ERROR = 0.10
 """Standard deviation of ln C_r between simulations of one vehicle: root mean square over 140 pairs of means,
-with four kinds of wheels and tyres (docs/pages/evaluation.md, a second simulator). A simulation of another author
+with four kinds of wheels and tyres (docs/pages/benchmarks.md, a second simulator). A simulation of another author
 differed by 12 % in the median and 5 % in bias, the scatter of both sides' drives included."""
 
 

@@ -18,7 +18,7 @@ pytest.importorskip("cryptography")
 pytestmark = pytest.mark.slow
 
 SURVEY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry_part.ply"
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "cluster.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "big-sites.md"
 
 
 def map_line(tmp_path, *more):

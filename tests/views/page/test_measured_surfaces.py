@@ -54,6 +54,6 @@ def test_they_rise_and_the_floor_is_below_rough_ground():
 def test_they_name_their_source():
     known = json.loads(DATA.read_text(encoding="utf-8"))
     assert {"vehicle", "source", "method", "floor"} <= set(known)
-    page = (Path(__file__).resolve().parents[3] / "docs" / "pages" / "report.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[3] / "docs" / "pages" / "ride-cost.md").read_text(encoding="utf-8")
     for one in known["surfaces"]:
         assert f"{one['c_r']:.3f}" in page
