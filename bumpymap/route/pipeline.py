@@ -8,7 +8,8 @@ would help.
 import logging
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise
@@ -373,39 +374,48 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         A file cannot be written.
     """
     progress = progress or SilentProgress()
-    ground = _ground(open_map(config.layers), config)
-    stops = find_stops(ground, config)
-    if config.out is not None:
-        check = check_reach_out if config.is_reach else check_route_out
-        check(config.out, overwrite=config.overwrite)
-    if config.is_reach:
-        if config.out is None:
-            raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
-        return _write_reach(ground, stops, config, config.out)
-    progress.start("routes", None)
-    routes, order = _routes(ground, stops, config)
-    notes = [*stops.notes, *order]
-    for folder in config.compare:
-        other = _ground(open_map([folder]), config)
-        vehicle = other.site.vehicle.name
-        others = find_stops(other, config, folder)
-        (route, *_), order = _routes(other, others, replace(config, alternatives=1))
-        routes.append(replace(route, name=f"{route.name}, {vehicle}"))
-        notes += [*others.notes, *(f"{vehicle}: {note}" for note in order)]
-    files: list[Path] = []
-    if config.out is not None:
-        manifest = {"settings": asdict(config), "remarks": notes}
-        files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
+    with _opened(config.layers, config) as ground:
+        stops = find_stops(ground, config)
+        if config.out is not None:
+            check = check_reach_out if config.is_reach else check_route_out
+            check(config.out, overwrite=config.overwrite)
+        if config.is_reach:
+            if config.out is None:
+                raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
+            return _write_reach(ground, stops, config, config.out)
+        progress.start("routes", None)
+        routes, order = _routes(ground, stops, config)
+        notes = [*stops.notes, *order]
+        for folder in config.compare:
+            route, remarks = _compared(folder, config)
+            routes.append(route)
+            notes += remarks
+        files: list[Path] = []
+        if config.out is not None:
+            manifest = {"settings": asdict(config), "remarks": notes}
+            files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
     return RouteResult(tuple(routes), None, tuple(files), tuple(notes))
 
 
-def _ground(site: RouteMap, config: RouteConfig) -> CostGround:
-    avoid, only = (
-        None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
-        for path in (config.cost.avoid, config.cost.only)
-    )
-    tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
-    return CostGround(site, config.cost, tiles, avoid, only)
+@contextmanager
+def _opened(folders: Sequence[Path], config: RouteConfig) -> Iterator[CostGround]:
+    """Open a map, and keep its files open while it is planned on."""
+    site = open_map(folders)
+    with site.kept_open():
+        avoid, only = (
+            None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
+            for path in (config.cost.avoid, config.cost.only)
+        )
+        tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
+        yield CostGround(site, config.cost, tiles, avoid, only)
+
+
+def _compared(folder: Path, config: RouteConfig) -> tuple[PlannedRoute, list[str]]:
+    """Plan the best way on the map of another vehicle; return it and the remarks on it."""
+    with _opened([folder], config) as ground:
+        vehicle, stops = ground.site.vehicle.name, find_stops(ground, config, folder)
+        (route, *_), order = _routes(ground, stops, replace(config, alternatives=1))
+    return replace(route, name=f"{route.name}, {vehicle}"), [*stops.notes, *(f"{vehicle}: {note}" for note in order)]
 
 
 def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
@@ -454,8 +464,8 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
 
 def reach_from(config: RouteConfig) -> ReachField:
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
-    ground = _ground(open_map(config.layers), config)
-    _, found, field = _reach(ground, find_stops(ground, config), config)
+    with _opened(config.layers, config) as ground:
+        _, found, field = _reach(ground, find_stops(ground, config), config)
     for note in found.notes:
         _log.warning(note)
     return field
