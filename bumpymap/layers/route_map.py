@@ -24,7 +24,14 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
-from bumpymap.layers.route_sheet import RouteSheet, common_window, kept_rasters, sheet_choice, window_slices, worse_objects
+from bumpymap.layers.route_sheet import (
+    RouteSheet,
+    common_window,
+    kept_rasters,
+    sheet_choice,
+    window_slices,
+    worse_objects,
+)
 from bumpymap.layers.sheets.folders import sheet_folders
 from bumpytiles import Grid, TileWindow
 

@@ -61,6 +61,11 @@ _CACHE = 32 << 20
 _AGAIN = "Map the survey again"
 
 
+def kept_rasters() -> KeptRasters:
+    """Return what opens the rasters of one map."""
+    return KeptRasters(GDAL_CACHEMAX=_CACHE)
+
+
 @dataclass(frozen=True, slots=True)
 class RouteSheet:
     """One folder of layers."""
@@ -73,7 +78,7 @@ class RouteSheet:
     georeference: Georeference
     rule: CostRule
     vehicle: RouteVehicle
-    rasters: KeptRasters = field(default_factory=lambda: kept_rasters(), repr=False, compare=False)
+    rasters: KeptRasters = field(default_factory=kept_rasters, repr=False, compare=False)
     """Its rasters as they are opened; sheets of one map have them together."""
 
     @classmethod
@@ -208,11 +213,6 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     cols = min(first.col + first.cols, second.col + second.cols) - west
     rows = min(first.row + first.rows, second.row + second.rows) - south
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
-
-
-def kept_rasters() -> KeptRasters:
-    """Return what opens the rasters of one map."""
-    return KeptRasters(GDAL_CACHEMAX=_CACHE)
 
 
 @contextmanager

