@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -23,7 +24,14 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
-from bumpymap.layers.route_sheet import RouteSheet, common_window, sheet_choice, window_slices, worse_objects
+from bumpymap.layers.route_sheet import (
+    RouteSheet,
+    common_window,
+    kept_rasters,
+    sheet_choice,
+    window_slices,
+    worse_objects,
+)
 from bumpymap.layers.sheet_paths import sheet_folders
 from bumpytiles import Grid, TileWindow
 
@@ -119,6 +127,10 @@ class RouteMap:
     def calibration_id(self) -> str:
         """Id of the calibration."""
         return self.sheets[0].calibration_id
+
+    def kept_open(self) -> AbstractContextManager[None]:
+        """Keep its files open from read to read in the body of a ``with``, and close them at its end."""
+        return self.sheets[0].rasters.keep()
 
     def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
         """Read the tiles of a window, which may extend beyond the map.
@@ -296,7 +308,8 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     if not folders:
         raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
     paths = [sheet for folder in folders for sheet in sheet_folders(folder)]
-    opened = {path.resolve(): RouteSheet.open(path) for path in paths}
+    rasters = kept_rasters()
+    opened = {path.resolve(): RouteSheet.open(path, rasters) for path in paths}
     first, *others = sheets = tuple(opened.values())
     for other in others:
         if found := map_differences(first, other):
