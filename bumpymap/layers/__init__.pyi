@@ -217,6 +217,7 @@ from .summary import (
 )
 from .tile_table import (
     read_tiles as read_tiles,
+    require_tiles as require_tiles,
 )
 from .vector import (
     outline_of as outline_of,
