@@ -13,7 +13,7 @@ from bumpymap.core import UsageError
 from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
-    from bumpymap.layers import RouteMap
+    from bumpymap.layers import MapReader
     from bumpymap.views import Export
 
 __all__ = ["command"]
@@ -89,7 +89,7 @@ def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
         raise UsageError("--radius has no effect without --around POINT")
 
 
-def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "RouteMap") -> ExportSettings:
+def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "MapReader") -> ExportSettings:
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 

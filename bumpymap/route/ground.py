@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField
-from bumpymap.layers import RouteMap, tiles_in, tiles_within
+from bumpymap.layers import MapReader, tiles_in, tiles_within
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, find_way
 from bumpymap.route.settings import CostSettings
@@ -132,7 +132,7 @@ class WornTiles:
 class CostGround:
     """A map, what its ground costs one search, and where the vehicle fits."""
 
-    site: RouteMap
+    site: MapReader
     settings: CostSettings
     """What makes ground dear."""
     memory_tiles: int
@@ -343,7 +343,7 @@ def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
     return np.asarray(distance_transform_edt(~marked) >= reach)
 
 
-def window_around(site: RouteMap, line: Floats, ring: int) -> TileWindow:
+def window_around(site: MapReader, line: Floats, ring: int) -> TileWindow:
     """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
     inner = TileWindow.around(site.grid.index(line[:, 0]), site.grid.index(line[:, 1]))
     return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)

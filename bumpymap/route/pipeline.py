@@ -33,7 +33,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import PlannedRoute, ReachField, RouteMap, open_map, reach_dataset, read_areas
+from bumpymap.layers import MapReader, PlannedRoute, ReachField, open_map, reach_dataset, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
 from bumpymap.route.output import ReachLevels, check_reach_out, check_route_out, write_reach_files, write_routes
@@ -145,7 +145,7 @@ def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.fl
     )
 
 
-def _closest(site: RouteMap, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
+def _closest(site: MapReader, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
     """Say where the two areas come closest, and what lies between them."""
     from scipy.ndimage import distance_transform_edt
 

@@ -34,10 +34,10 @@ from bumpymap.core import (
 from bumpymap.layers import (
     MANIFEST_NAME,
     BandSpec,
+    MapReader,
     Placement,
     RasterSpec,
     RasterWindow,
-    RouteMap,
     refuse_present,
     write_cog,
 )
@@ -174,14 +174,14 @@ CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT)
 """Tiles that what stands on them closes for what reads tiles alone."""
 
 
-def open_in_part(route_map: RouteMap, field: TileField) -> NDArray[np.bool_]:
+def open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     """Return the pixels of tiles that obstacles close or split over which the vehicle passes between these obstacles.
 
     They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
         The map, for ``passage.tif``.
     field : TileField
         (rows, cols) tiles of it.
@@ -222,7 +222,7 @@ class ExportPoint:
 class ExportArea:
     """A window of a map, its cells and its frame: x to the east and y to the north of the grid, m (REP-103)."""
 
-    route_map: RouteMap
+    route_map: MapReader
     window: TileWindow
     datum: ExportPoint
     """Origin of the frame."""
@@ -343,13 +343,13 @@ _STRIP_CELLS = 4_000_000
 
 
 def choose_area(
-    route_map: RouteMap, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
+    route_map: MapReader, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
 ) -> ExportArea:
     """Choose the window to export, and its local frame.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
     split : int
         Cells along a side of a tile.
     around : ExportPoint, optional
@@ -373,7 +373,7 @@ def choose_area(
     return ExportArea(route_map, window, datum, split)
 
 
-def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:
+def _crop(route_map: MapReader, around: ExportPoint, radius_m: float) -> TileWindow:
     whole, grid = route_map.window, route_map.grid
     sides = np.array([around.easting, around.northing])
     first = grid.index(sides - radius_m)

@@ -33,7 +33,7 @@ from bumpytiles import Grid, TileWindow
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["RouteSheet", "common_window", "kept_rasters", "sheet_choice", "window_slices", "worse_objects"]
+__all__ = ["SheetReader", "common_window", "kept_rasters", "sheet_choice", "window_slices", "worse_objects"]
 
 _DTYPES = {
     "barred.tif": "uint8",
@@ -66,7 +66,7 @@ def kept_rasters() -> KeptRasters:
 
 
 @dataclass(frozen=True, slots=True)
-class RouteSheet:
+class SheetReader:
     """One folder of layers."""
 
     folder: Path
@@ -81,7 +81,7 @@ class RouteSheet:
     """Its rasters as they are opened; sheets of one map have them together."""
 
     @classmethod
-    def open(cls, folder: Path, rasters: KeptRasters | None = None) -> "RouteSheet":
+    def open(cls, folder: Path, rasters: KeptRasters | None = None) -> "SheetReader":
         """Open the folder of a complete run.
 
         Raises

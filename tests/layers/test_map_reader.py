@@ -13,7 +13,7 @@ from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
-from bumpymap.layers.route_sheet import sheet_choice
+from bumpymap.layers.sheet_reader import sheet_choice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -79,7 +79,7 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
     whole = found.window
     around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
     field, heights, objects = found.read(around), found.heights(around), found.objects(around)
-    monkeypatch.setattr("bumpymap.layers.route_sheet._PIECE", piece)  # read at once
+    monkeypatch.setattr("bumpymap.layers.sheet_reader._PIECE", piece)  # read at once
     rng = np.random.default_rng(1)
     for _ in range(10):
         top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
