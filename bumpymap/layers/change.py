@@ -44,7 +44,7 @@ _MUST_AGREE = "Map both with the same settings"
 
 @dataclass(frozen=True, slots=True)
 class SurveyTiles:
-    """What one survey says of the tiles of a window. Arrays are (rows, cols), north row first."""
+    """Values of one survey in the tiles of a window. Arrays are (rows, cols), north row first."""
 
     barred: NDArray[np.uint8]
     """A `Barred`, 0 where passable; ``NO_TILE`` where there is no tile."""
@@ -126,7 +126,7 @@ CHANGED_BAND = len(_BANDS)
 
 @dataclass(frozen=True, slots=True)
 class ChangeField:
-    """What has changed in the tiles of a window. Arrays are (rows, cols), north row first; NaN where not compared."""
+    """Changes in the tiles of a window. Arrays are (rows, cols), north row first; NaN where not compared."""
 
     georeference: Georeference
     grid: Grid

@@ -5,7 +5,7 @@ are instructions to read other files or to fetch URLs. So rasters are opened by 
 files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs. Vector
 files are read in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
 
-A folder on a server, such as ``s3://bucket/night/site``, is uploaded whole, run.json last.
+A folder on a server, such as ``s3://bucket/maps/site``, is uploaded whole, run.json last.
 """
 
 import math

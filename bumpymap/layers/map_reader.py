@@ -278,7 +278,7 @@ class MapReader:
 
     @property
     def has_crs(self) -> bool:
-        """Whether longitude and latitude are known."""
+        """True if longitude and latitude are known."""
         return self.georeference.crs is not None
 
     @cached_property

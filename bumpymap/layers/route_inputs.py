@@ -244,7 +244,7 @@ class FilePoint:
     y: float
     """Latitude, degrees, or y in the survey's CRS."""
     system: Literal["lonlat", "crs"]
-    """Which of the two it is."""
+    """The one of the two that it is."""
 
 
 def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:

@@ -45,7 +45,7 @@ _DTYPES = {
     "class.tif": "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
-"""What a route reads; a comparison of surveys reads the classes too."""
+"""Rasters of a route; a comparison of surveys reads the classes too."""
 _VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
 CHECKED_BYTES = 64 << 20
@@ -112,7 +112,7 @@ class SheetReader:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What sheets of one map have in common, by the words that a message uses."""
+        """Settings and place that sheets of one map have in common, by the words that a message uses."""
         settings, crs = self.manifest.get("settings", {}), self.manifest.get("crs")
         return {
             "tile size [m]": self.grid.tile_size,

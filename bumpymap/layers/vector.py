@@ -124,7 +124,7 @@ class BoundingBox:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was added."""
+        """True if nothing was added."""
         return not len(self._boxes)
 
     def add(self, outlines: NDArray[np.object_]) -> None:

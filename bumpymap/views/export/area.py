@@ -47,12 +47,12 @@ __all__ = [
     "CLOSED_IN_PART",
     "COST_NAME",
     "DATUM_NAME",
-    "DEAREST",
     "EXPORT_FILES",
     "FRAME",
     "FREE_CELL",
     "LETHAL",
     "SLOWEST",
+    "TOP_VALUE",
     "UNKNOWN_CELL",
     "CostScale",
     "ExportArea",
@@ -73,22 +73,22 @@ __all__ = [
 
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
-DEAREST = 98
-"""Value of the dearest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
+TOP_VALUE = 98
+"""Value of the costliest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
 SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class CostScale:
-    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``dearest`` and all above."""
+    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``max_cost`` and all above."""
 
-    dearest: float
+    max_cost: float
 
     def values(self, cost: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of costs, rounded; NaN where the cost is."""
-        span = max(self.dearest - 1.0, np.finfo(np.float64).tiny)
-        return np.clip(np.rint(DEAREST * (np.clip(cost, 1.0, self.dearest) - 1.0) / span), FREE_CELL, DEAREST)
+        span = max(self.max_cost - 1.0, np.finfo(np.float64).tiny)
+        return np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, self.max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
 
 
 def passable_cost(field: TileField) -> NDArray[np.float64]:
@@ -152,8 +152,8 @@ def lay_objects(
     objects : uint8 (rows * pixels, cols * pixels)
         Of obstacle.tif.
     judged : bool (rows, cols)
-        Whether objects were told from ground in the tile. Else they are part of its relief and in its ride cost, and
-        its pixels keep the value of the tile.
+        Where objects were told apart from ground. Elsewhere they are part of the relief and in the ride cost, and
+        pixels keep the value of the tile.
     unknown : int
         Value of pixels of passable tiles where neither ground nor anything else was seen.
 

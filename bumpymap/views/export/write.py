@@ -195,7 +195,7 @@ _Writer = Callable[[Path], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """What was written."""
+    """Files that were written."""
 
     files: tuple[Path, ...]
     record: dict[str, Any]
@@ -262,7 +262,7 @@ def _sources(route_map: MapReader) -> dict[str, Any]:
 
 
 def _nav2(area: ExportArea, settings: ExportSettings) -> _Writer:
-    grids = make_grids(area, settings.comfort, settings.dearest)
+    grids = make_grids(area, settings.comfort, settings.max_cost)
     return lambda folder: write_nav2(folder, area, grids)
 
 

@@ -95,7 +95,7 @@ class ByteGrid:
 
     @property
     def is_known(self) -> bool:
-        """Whether it has a value anywhere."""
+        """True if it has a value anywhere."""
         return bool((self.codes != NOT_KNOWN).any())
 
     def words(self) -> list[str]:
