@@ -34,6 +34,7 @@ from bumpymap.layers import (
     read_manifest,
     require_format,
     require_map_written,
+    require_tiles,
     sheet_folders,
     virtual_name,
 )
@@ -415,12 +416,11 @@ class Layers:
 
     def _table(self, name: str) -> "geopandas.GeoDataFrame":
         """Read a table of every sheet, joined in the order of the sheets."""
-        read = _read_parquet if name.endswith(".parquet") else _read_features
         parts = []
         self._require_written(name)
         for sheet in self._sheets:
             with self._file(sheet / name) as path:
-                parts.append(read(path))
+                parts.append(_read_tiles(path) if name.endswith(".parquet") else _read_features(path))
         return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
 
     @contextmanager
@@ -436,8 +436,9 @@ class Layers:
             raise BadInputError(f"cannot read {path}: {error}. Map the survey again") from error
 
 
-def _read_parquet(path: Path) -> "geopandas.GeoDataFrame":
+def _read_tiles(path: Path) -> "geopandas.GeoDataFrame":
     require_format(path)
+    require_tiles(path, read_manifest(path.parent)["counts"]["tiles"])
     return import_notebook("geopandas").read_parquet(path)
 
 

@@ -215,6 +215,26 @@ def test_a_class_name_is_used_once():
     assert not {name: found for name, found in places.items() if len(found) > 1}
 
 
+def docstrings(tree):
+    """Strings that stand alone: of modules, classes, functions and values."""
+    for node in ast.walk(tree):
+        for child in getattr(node, "body", None) or () if not isinstance(node, ast.Lambda | ast.IfExp) else ():
+            if (
+                isinstance(child, ast.Expr)
+                and isinstance(child.value, ast.Constant)
+                and isinstance(child.value.value, str)
+            ):
+                yield child.value.value
+
+
+@pytest.mark.parametrize("room", sorted(set(ROOMS) - {"patches", "rating", "route"}))
+def test_docstrings_say_what_a_thing_is(room):
+    """They begin with a noun or a verb, not with What, Which or Whether."""
+    texts = [text for file in files_of(room) for text in docstrings(TREES[file])]
+    assert texts
+    assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
+
+
 def test_no_function_takes_more_than_eight_parameters():
     longer = {}
     for file, tree in TREES.items():

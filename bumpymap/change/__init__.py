@@ -1,4 +1,4 @@
-"""What has changed between two surveys of a site: the ground, and the ride over it."""
+"""Changes between two surveys of a site: of the ground, and of the ride over it."""
 
 import lazy_loader
 

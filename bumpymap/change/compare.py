@@ -134,7 +134,7 @@ def height_offset(pair: SurveyPair, cell: int) -> float:
 
 @dataclass(frozen=True, slots=True)
 class GroundChange:
-    """What differs between the heightmaps of tiles; NaN where too few pixels are seen in both."""
+    """Differences between the heightmaps of tiles; NaN where too few pixels are seen in both."""
 
     d_height: Floats
     """(n,) mean difference of the heights, m."""
@@ -179,12 +179,12 @@ Bands = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]
 
 @dataclass(frozen=True, slots=True)
 class CommonError:
-    """What two maps with one calibration have wrong in the same way: it changes no ride cost between them."""
+    """Error that two maps with one calibration share: it changes no ride cost between them."""
 
     model_error: float = 0.0
     """Standard deviation of ln C_r by which the ride model may be off; 0 of maps whose intervals do not hold it."""
     floor: float = 0.0
-    """What even ground costs the vehicle, rad/m: it is in ``c_r`` in power, but not in the model."""
+    """Ride cost of even ground, rad/m: it is in ``c_r`` in power, but not in the model."""
 
     @classmethod
     def of(cls, manifest: Mapping[str, Any]) -> "CommonError":
@@ -306,7 +306,7 @@ _AS_BEFORE, _ROUGHER, _SMOOTHER, _UNKNOWN = range(1, 5)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What has changed. Arrays are (rows, cols)."""
+    """Changes by tile. Arrays are (rows, cols)."""
 
     z_height: Floats
     """Widened; NaN where not compared (so are the next)."""

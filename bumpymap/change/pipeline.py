@@ -53,7 +53,7 @@ _WIDE = 1.5
 _MOST_CHANGED = 0.3
 """Share of changed tiles from which the rest may be no measure of what has not changed."""
 _RIDE = 0.05
-"""Median change of the ride cost, as a share, that is told."""
+"""Median change of the ride cost, as a share, that is reported."""
 
 
 def remarks(fit: Mapping[str, Any], counts: Mapping[str, Any]) -> Iterator[str]:
@@ -107,19 +107,19 @@ class DiffSettings(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class ChangeResult:
-    """What a comparison found."""
+    """Result of a comparison."""
 
     __repr__ = brief_repr
 
     field: ChangeField
     counts: Mapping[str, Any]
-    """Tiles by what became of them."""
+    """Tiles by the kind of their change."""
     transitions: NDArray[np.int64]
     """(5, 5) tiles of each class before (rows) and after (columns), unknown last, of all tiles that both have."""
     fit: Mapping[str, Any]
     """How the surveys fit each other: offset, widening, densities, the size of the cells."""
     files: tuple[Path, ...]
-    """What was written."""
+    """Files that were written."""
     notes: tuple[str, ...]
     """Remarks and warnings."""
 

@@ -48,7 +48,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import RouteMap, check_check_out, open_map
+from bumpymap.layers import MapReader, check_check_out, open_map
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
@@ -348,7 +348,7 @@ def _usable(steps: Iterable[tuple[str, Callable[[], Found]]], skipped: dict[str,
     return found
 
 
-def _field(site: RouteMap, placed: list[MetrePlaces | None]) -> TileField:
+def _field(site: MapReader, placed: list[MetrePlaces | None]) -> TileField:
     """Read the part of a map that was driven."""
     parts = [_on_map(places, site) for places in placed if places is not None]
     easting, northing = (np.concatenate([part[axis] for part in parts]) for axis in (0, 1))
@@ -359,7 +359,7 @@ def _measured(
     log: DriveLog,
     places: MetrePlaces | None,
     config: CheckConfig,
-    site: RouteMap | None,
+    site: MapReader | None,
     field: TileField | None,
 ) -> _Done:
     """Measure one drive, cut it, and read the map along it."""
@@ -377,7 +377,7 @@ def _measured(
     return _Done(log, drive, cut, steps, read_along(steps, len(cut.start_s), field))
 
 
-def _on_map(places: MetrePlaces, site: RouteMap) -> tuple[Floats, Floats]:
+def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
     """Return the positions in the extent of the map: others may lie anywhere."""
     size, window = site.grid.tile_size, site.window
     col, row = places.place.real / size - window.col, places.place.imag / size - window.row
@@ -385,7 +385,7 @@ def _on_map(places: MetrePlaces, site: RouteMap) -> tuple[Floats, Floats]:
     return places.place.real[inside], places.place.imag[inside]
 
 
-def _compared(done: list[_Done], site: RouteMap | None, field: TileField | None) -> CheckResult:
+def _compared(done: list[_Done], site: MapReader | None, field: TileField | None) -> CheckResult:
     """Compare all drives with the map."""
     ground = None if site is None else _ground(site)
     limits = (np.inf,) * 3 if ground is None else ground.class_limits
@@ -418,7 +418,7 @@ def _compared(done: list[_Done], site: RouteMap | None, field: TileField | None)
     )
 
 
-def _ground(site: RouteMap) -> CheckedMap:
+def _ground(site: MapReader) -> CheckedMap:
     manifest = site.manifests[0]
     survey = manifest.get("survey", {})
     limits = manifest.get("calibration", {}).get("class_limits", ())

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, gaussian_filter1d, map_coordinates
 
 from bumpymap.core import BadInputError, DriveLog, PlaceTrack, describe_crs
-from bumpymap.layers import RouteMap
+from bumpymap.layers import MapReader
 from bumpytiles import TileWindow
 
 __all__ = [
@@ -177,7 +177,7 @@ def places_alone(log: DriveLog) -> MetrePlaces | None:
     return metre_places(track, *metres, log.name)
 
 
-def places_on_map(log: DriveLog, site: RouteMap) -> MetrePlaces:
+def places_on_map(log: DriveLog, site: MapReader) -> MetrePlaces:
     """Return the positions of a drive on the grid of a map, m.
 
     Raises BadInputError: there are none, they do not say where on Earth they are, or they lie off the map.
@@ -205,7 +205,7 @@ def places_on_map(log: DriveLog, site: RouteMap) -> MetrePlaces:
     return places
 
 
-def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: RouteMap) -> None:
+def _refuse_off_map(name: str, track: PlaceTrack, places: MetrePlaces, site: MapReader) -> None:
     size, window = site.grid.tile_size, site.window
     west, south = window.col * size, window.row * size
     east, north = west + window.cols * size, south + window.rows * size
@@ -249,7 +249,7 @@ class SlopeMap:
     northward: Floats
 
     @classmethod
-    def of(cls, site: RouteMap, window: TileWindow) -> "SlopeMap":
+    def of(cls, site: MapReader, window: TileWindow) -> "SlopeMap":
         """Read the heights of a window and take their slopes."""
         size = site.grid.tile_size
         each = min(_PIXELS, max(_MOST_PIXELS // max(window.rows, window.cols), 1))
@@ -275,7 +275,7 @@ class SlopeMap:
         return east * cosine + north * sine, north * cosine - east * sine
 
 
-def window_around(site: RouteMap, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:
+def window_around(site: MapReader, easting: Floats, northing: Floats, margin_m: float) -> TileWindow:
     """Return the window of the map's tiles around some places, m; it does not extend beyond the map."""
     size, whole = site.grid.tile_size, site.window
     ends = []

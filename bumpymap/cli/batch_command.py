@@ -54,8 +54,8 @@ def command(
     are settings of map, which override --config and are overridden by options.
 
     \b
-    bumpymap batch surveys --out night
-    bumpymap batch surveys.csv --out night --jobs 4
+    bumpymap batch surveys --out maps
+    bumpymap batch surveys.csv --out maps --jobs 4
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.survey import run_batch
 

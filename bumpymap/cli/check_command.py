@@ -34,7 +34,7 @@ from bumpymap.core import (
 
 if TYPE_CHECKING:
     from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
-    from bumpymap.layers import RouteMap
+    from bumpymap.layers import MapReader
     from bumpymap.rating import Calibration, DriveUpdate
 
 __all__ = ["Refit", "command", "prepare_refit", "show"]
@@ -236,7 +236,7 @@ def _make_folder(out: Path) -> None:
         raise OutputError(f"cannot write {out}: {error}; choose a file in a folder that you may write") from error
 
 
-def _require_own_speed(calibration: "Calibration", site: "RouteMap") -> None:
+def _require_own_speed(calibration: "Calibration", site: "MapReader") -> None:
     """Refuse a map at another speed: what moves is the C_r of the calibration's own drives."""
     own, speed = float(calibration.vehicle["speed_mps"]), site.vehicle.speed_mps
     if not math.isclose(own, speed):
@@ -268,7 +268,7 @@ def _is_calibration(path: Path) -> bool:
     return isinstance(found, dict) and found.get("format") == "bumpymap-calibration"
 
 
-def _calibration_of(site: "RouteMap", given: Path | None) -> "Calibration":
+def _calibration_of(site: "MapReader", given: Path | None) -> "Calibration":
     """Return the calibration that a map was made with."""
     from bumpymap.rating import find_calibration
 

@@ -22,7 +22,7 @@ from bumpymap.core import UsageError
 from bumpymap.views import ExportFormat, ExportSettings
 
 if TYPE_CHECKING:
-    from bumpymap.layers import RouteMap
+    from bumpymap.layers import MapReader
     from bumpymap.views import Export
 
 __all__ = ["command"]
@@ -33,7 +33,7 @@ _ONLY_FOR: dict[str, tuple[ExportFormat, ...]] = {
     "datum": ("nav2", "gridmap", "graph"),
     "resolution": ("nav2", "gridmap"),
     "comfort": ("nav2",),
-    "dearest": ("nav2",),
+    "max_cost": ("nav2",),
     "every": ("graph",),
     "route": ("plan",),
     "through_obstacles": ("plan",),
@@ -109,7 +109,7 @@ def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
         raise UsageError("--radius has no effect without --around POINT")
 
 
-def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "RouteMap") -> ExportSettings:
+def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "MapReader") -> ExportSettings:
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 
@@ -133,8 +133,8 @@ def _summary(done: "Export") -> Iterator[str]:
         yield f"origin of the frame: x,y {place['x']:.3f},{place['y']:.3f} in the survey's CRS{lonlat}"
     if tiles := record.get("tiles"):
         yield ", ".join(f"{count:,} {name}" for name, count in tiles.items()) + " tiles"
-        dearest = record["cost"]["value_98"]
-        yield f"cost per metre: 1 is value 0, {dearest:.3f} is value 98, in steps of {(dearest - 1.0) / 98:.3f}"
+        max_cost = record["cost"]["value_98"]
+        yield f"cost per metre: 1 is value 0, {max_cost:.3f} is value 98, in steps of {(max_cost - 1.0) / 98:.3f}"
     if graph := record.get("graph"):
         largest = graph["largest_square"]
         yield (

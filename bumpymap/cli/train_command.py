@@ -132,7 +132,7 @@ def _train_scans(
         load_open3d("--scans simulated")
     elif "scenes" in options:
         _log.warning("scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
-    made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _gathering(progress))
+    made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     scores = made.evaluation
     even = 100 * scores.every.balanced_accuracy
     lines = [
@@ -144,15 +144,15 @@ def _train_scans(
     return lines, made
 
 
-def _gathering(progress: Progress) -> Callable[[int, int], None]:
+def _show_sectors(progress: Progress) -> Callable[[int, int], None]:
     """Return a callback that shows a bar for each set of scans: for training and for testing."""
 
-    def gathered(done: int, total: int) -> None:
+    def count(done: int, total: int) -> None:
         if done == 1:
             progress.start("cutting scans into sectors", total)
         progress.advance(1)
 
-    return gathered
+    return count
 
 
 class _Epochs:

@@ -151,7 +151,7 @@ class MapConfig:
     tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
     pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255, rare=True)] = 15
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
-    """Which points are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
+    """Points that are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
     all; or those found by a cloth simulation filter (``csf``)."""
     align: Annotated[Align, Setting("Height steps of flight lines: off, report, on", "WHAT", group="Ground")] = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
@@ -173,7 +173,7 @@ class MapConfig:
         tuple[float, ...] | None,
         Setting("Write pitch, roll and a_w at these speeds, in m/s", "LIST", 0.01, 100.0, "m/s", rare=True),
     ] = None
-    """Speeds, m/s, at which c_r, c_roll and a_w are told besides, in speeds.tif; None: it is not written."""
+    """Speeds, m/s, at which c_r, c_roll and a_w are computed too, in speeds.tif; None: it is not written."""
     model: Annotated[Path | None, Setting("ONNX file of your own texture network", "FILE", rare=True)] = None
     """The ONNX file of a texture network, used instead of the one that ships with bumpymap."""
     crs: Annotated[str | None, Setting("CRS of surveys that have none: EPSG:32614", "CRS", group="Input")] = None

@@ -383,7 +383,7 @@ class Guard:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the child is running."""
+        """True if the child is running."""
         return self.child is not None and self.child.is_alive
 
     def live_child(self) -> Child:

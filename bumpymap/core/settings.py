@@ -176,7 +176,7 @@ class FieldRule(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """What a field of a settings class may be beyond its type, and how the command line shows it.
+    """Limits of a field of a settings class beyond its type, and how the command line shows it.
 
     It stands in the field's type, such as ``Annotated[float, Setting("Tile size in metres", "M", 0.05, 1000.0, "m")]``.
     """

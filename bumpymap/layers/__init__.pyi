@@ -92,6 +92,10 @@ from .map_files import (
     require_map_written as require_map_written,
     require_written as require_written,
 )
+from .map_reader import (
+    MapReader as MapReader,
+    open_map as open_map,
+)
 from .placement import (
     MAX_TILES as MAX_TILES,
     BandSpec as BandSpec,
@@ -144,13 +148,6 @@ from .route_lines import (
     write_profile as write_profile,
     write_route_geojson as write_route_geojson,
 )
-from .route_map import (
-    RouteMap as RouteMap,
-    open_map as open_map,
-)
-from .route_sheet import (
-    common_window as common_window,
-)
 from .scan_folder import (
     ACCUMULATED_NAME as ACCUMULATED_NAME,
     FRAME_FOLDER as FRAME_FOLDER,
@@ -200,6 +197,9 @@ from .sheet_paths import (
     sheets_of as sheets_of,
     virtual_name as virtual_name,
 )
+from .sheet_reader import (
+    common_window as common_window,
+)
 from .sheets import (
     SheetLayout as SheetLayout,
     SheetRun as SheetRun,
@@ -217,6 +217,7 @@ from .summary import (
 )
 from .tile_table import (
     read_tiles as read_tiles,
+    require_tiles as require_tiles,
 )
 from .vector import (
     outline_of as outline_of,

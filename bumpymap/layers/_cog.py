@@ -190,7 +190,7 @@ _SPARSE_FROM = 16 << 20
 _gdal = threading.Lock()
 """Held while GDAL makes a raster, see above."""
 _is_fork = False
-"""Whether this process was forked: GDAL's threads, if it had any, have stayed in the other."""
+"""True if this process was forked: GDAL's threads, if it had any, have stayed in the other."""
 
 
 def _reset_after_fork() -> None:

@@ -38,7 +38,7 @@ _LAYOUT = (
     b"LAYOUT=IFDS_BEFORE_DATA\nBLOCK_ORDER=ROW_MAJOR\nBLOCK_LEADER=SIZE_AS_UINT4\n"
     b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED\nKNOWN_INCOMPATIBLE_EDITION=NO\n "
 )
-"""What GDAL's COG driver writes after the header: readers over a network then need fewer requests."""
+"""Bytes that GDAL's COG driver writes after the header: readers over a network then need fewer requests."""
 _FIRST_DIRECTORY = 16 + ((43 + len(_LAYOUT) + 7) & ~7)
 _EVERYWHERE = {320, 42113}
 """Tags copied from GDAL's raster to all levels: colours, nodata."""

@@ -45,7 +45,7 @@ def _column(description: str, unit: str = "") -> Any:
 
 @dataclass(frozen=True, slots=True)
 class SurveyRow:
-    """What became of one survey. None: not known, as that of a survey without layers."""
+    """Result of one survey of a batch. None: not known, as for a survey without layers."""
 
     name: str
     """Folder of its layers."""

@@ -11,18 +11,16 @@ import shapely.geometry
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    NO_CLASS,
-    NO_TILE,
     BadInputError,
     Georeference,
 )
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
+from bumpymap.layers.map_reader import MapReader, map_differences, open_map
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import trace_labels
-from bumpymap.layers.route_map import RouteMap, map_differences, open_map
-from bumpymap.layers.route_sheet import common_window, sheet_choice, window_slices
+from bumpymap.layers.sheet_reader import common_window
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -46,7 +44,7 @@ _MUST_AGREE = "Map both with the same settings"
 
 @dataclass(frozen=True, slots=True)
 class SurveyTiles:
-    """What one survey says of the tiles of a window. Arrays are (rows, cols), north row first."""
+    """Values of one survey in the tiles of a window. Arrays are (rows, cols), north row first."""
 
     barred: NDArray[np.uint8]
     """A `Barred`, 0 where passable; ``NO_TILE`` where there is no tile."""
@@ -66,14 +64,17 @@ class SurveyTiles:
 class SurveyPair:
     """Two surveys that can be compared; from `open_pair`."""
 
-    before: RouteMap
-    after: RouteMap
+    before: MapReader
+    after: MapReader
     window: TileWindow
     """The tiles that lie in the extent of both."""
 
     def tiles(self, window: TileWindow) -> tuple[SurveyTiles, SurveyTiles]:
         """Read the tiles of a window, before and after. Raises BadInputError if a file is missing or damaged."""
-        return _read(self.before, window), _read(self.after, window)
+        first, second = (
+            SurveyTiles(**site.values(window, _COMPARED_BANDS, classes=True)) for site in (self.before, self.after)
+        )
+        return first, second
 
     def heights(self, window: TileWindow) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Read the heightmaps of a window, before and after: (rows, cols, p, p), m; NaN where there is no height."""
@@ -104,25 +105,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     return SurveyPair(first, second, window)
 
 
-def _read(site: RouteMap, window: TileWindow) -> SurveyTiles:
-    barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
-    class_id = np.full(barred.shape, NO_CLASS, np.uint8)
-    values = [np.full(barred.shape, np.nan, np.float32) for _ in _COMPARED_BANDS]
-    for sheet in site.sheets:
-        part = common_window(window, sheet.window)
-        if part is None:
-            continue
-        place = window_slices(window, part)
-        found = sheet.read("barred.tif", part)[0]
-        choice = sheet_choice(barred[place], found)
-        barred[place] = choice(barred[place], found)
-        class_id[place] = choice(class_id[place], sheet.read("class.tif", part)[0])
-        for band, new in zip(values, sheet.read("roughness.tif", part, _COMPARED_BANDS), strict=True):
-            band[place] = choice(band[place], new)
-    return SurveyTiles(barred, class_id, *values)
-
-
-def _heightmaps(site: RouteMap, window: TileWindow) -> NDArray[np.float32]:
+def _heightmaps(site: MapReader, window: TileWindow) -> NDArray[np.float32]:
     pixels = site.grid.pixels
     parts = site.heights(window).reshape(window.rows, pixels, window.cols, pixels)
     return np.ascontiguousarray(parts.swapaxes(1, 2))
@@ -143,7 +126,7 @@ CHANGED_BAND = len(_BANDS)
 
 @dataclass(frozen=True, slots=True)
 class ChangeField:
-    """What has changed in the tiles of a window. Arrays are (rows, cols), north row first; NaN where not compared."""
+    """Changes in the tiles of a window. Arrays are (rows, cols), north row first; NaN where not compared."""
 
     georeference: Georeference
     grid: Grid

@@ -48,7 +48,7 @@ OFF_KINDS = (
     "map over 2 times too high",
     "not compared",
 )
-"""What each code of ``MapOffset.kind`` means, from too smooth to too rough."""
+"""Meaning of each code of ``MapOffset.kind``, from too smooth to too rough."""
 NOT_COMPARED = len(OFF_KINDS) - 1
 _NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""

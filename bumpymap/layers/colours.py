@@ -117,7 +117,7 @@ _TINT = 0.82
 
 @dataclass(frozen=True, slots=True)
 class RideScale:
-    """Which ride cost has the colour of which class."""
+    """Ride costs that have the colours of the classes."""
 
     anchors: tuple[float, ...]
     """(4,) rising, rad/m: where each class has its own colour."""

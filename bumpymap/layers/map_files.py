@@ -5,11 +5,13 @@ are instructions to read other files or to fetch URLs. So rasters are opened by 
 files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs. Vector
 files are read in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
 
-A folder on a server, such as ``s3://bucket/night/site``, is uploaded whole, run.json last.
+A folder on a server, such as ``s3://bucket/maps/site``, is uploaded whole, run.json last.
 """
 
 import math
 import re
+import threading
+from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -45,6 +47,7 @@ _AGAIN = "Map the survey again"
 
 __all__ = [
     "FeatureTable",
+    "KeptRasters",
     "RemoteFolder",
     "closed_gdal",
     "gdal_text",
@@ -245,22 +248,94 @@ def open_layer(
         It is missing, damaged or of another format; it leads to other files, or the names in it are no text. So is
         each error of GDAL in the body of the ``with``.
     """
-    import rasterio
+    with _reading(path, options, remedy), _opened(path, opener, remedy) as file:
+        yield file
+
+
+@contextmanager
+def _reading(path: Path | str, options: Mapping[str, Any], remedy: str = _AGAIN) -> Iterator[None]:
+    """Read a raster inside `closed_gdal`; errors of GDAL and names that are no text become BadInputErrors."""
     from rasterio.errors import RasterioError
+
+    try:
+        with closed_gdal(**options):
+            yield
+    except (UnicodeDecodeError, RasterioError) as error:
+        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
+
+
+def _opened(path: Path | str, opener: Any = None, remedy: str = _AGAIN) -> "DatasetReader":
+    """Open a raster inside `_reading`; for errors see `open_layer`."""
+    import rasterio
 
     virtual = Path(path).suffix == ".vrt"
     if virtual:
         _require_virtual(Path(path))
-    driver = "VRT" if virtual else "GTiff"
-    try:
-        with closed_gdal(**options), rasterio.open(path, driver=driver, opener=opener) as file:
-            if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
-                raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")
-            yield file
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"cannot read {path}: {error}. {remedy}") from error
-    except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
+    file = rasterio.open(path, driver="VRT" if virtual else "GTiff", opener=opener)
+    if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
+        file.close()
+        raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")
+    return file
+
+
+class KeptRasters:
+    """Rasters of one map that stay open from read to read inside `keep`, so that each is opened once.
+
+    Threads take turns. Outside of `keep`, a raster is opened for each read. A process that unpickles this starts with
+    none open.
+
+    Parameters
+    ----------
+    **options
+        Of GDAL, while a raster is read.
+    """
+
+    MOST_OPEN = 16
+    """Rasters that are open at once; each holds a decoded block, of about 1 MB."""
+
+    def __init__(self, **options: Any) -> None:
+        self._options, self._lock, self._keepers = options, threading.RLock(), 0
+        self._open: OrderedDict[Path, DatasetReader] = OrderedDict()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _kept_rasters, (self._options,)
+
+    @contextmanager
+    def keep(self) -> Iterator[None]:
+        """Keep rasters open during the body; all are closed when the last of several bodies ends."""
+        with self._lock:
+            self._keepers += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._keepers -= 1
+                self._close_more_than(self.MOST_OPEN if self._keepers else 0)
+
+    @contextmanager
+    def opened(self, path: Path) -> "Iterator[DatasetReader]":
+        """Yield an open raster; for errors see `open_layer`."""
+        if not self._keepers:
+            with open_layer(path, **self._options) as file:
+                yield file
+            return
+        with self._lock, _reading(path, self._options):
+            file = self._open[path] if path in self._open else _opened(path)
+            self._open[path] = file
+            self._open.move_to_end(path)
+            try:
+                yield file
+            finally:  # the last body of `keep` may have ended in another thread meanwhile
+                self._close_more_than(self.MOST_OPEN if self._keepers else 0)
+
+    def _close_more_than(self, count: int) -> None:
+        """Close rasters, the longest unread first, until so many are open."""
+        while len(self._open) > count:
+            self._open.popitem(last=False)[1].close()
+
+
+def _kept_rasters(options: dict[str, Any]) -> KeptRasters:
+    return KeptRasters(**options)
 
 
 def _require_virtual(path: Path) -> None:

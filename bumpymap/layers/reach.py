@@ -27,7 +27,7 @@ see it; where no way leads."""
 
 @dataclass(frozen=True, slots=True)
 class ReachField:
-    """What it costs to reach the tiles of a window from one start. Arrays are (rows, cols), north row first."""
+    """Cost of reaching the tiles of a window from one start. Arrays are (rows, cols), north row first."""
 
     georeference: Georeference
     grid: Grid
@@ -37,7 +37,7 @@ class ReachField:
     minutes: NDArray[np.float32] | None = None
     """Time along that way at the profile's speed, min."""
     back: NDArray[np.uint8] | None = None
-    """Which of ``moves`` leads back along that way; ``TO_START`` if it goes straight to the start,
+    """Index into ``moves`` of the step back along that way; ``TO_START`` if it goes straight to the start,
     ``BETWEEN_OBSTACLES`` if it leads between obstacles, without moves, ``NO_MOVE`` if no way leads there."""
     moves: NDArray[np.int64] | None = None
     """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""

@@ -35,7 +35,7 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.map_files import read_features
-from bumpymap.layers.route_map import RouteMap
+from bumpymap.layers.map_reader import MapReader
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -244,7 +244,7 @@ class FilePoint:
     y: float
     """Latitude, degrees, or y in the survey's CRS."""
     system: Literal["lonlat", "crs"]
-    """Which of the two it is."""
+    """The one of the two that it is."""
 
 
 def read_points(path: str | os.PathLike[str]) -> list[FilePoint]:
@@ -364,7 +364,7 @@ _MOST_NAMED = 5
 
 
 def read_areas(
-    path: str | os.PathLike[str], route_map: RouteMap, *, allow_outside: bool = False
+    path: str | os.PathLike[str], route_map: MapReader, *, allow_outside: bool = False
 ) -> NDArray[np.object_]:
     """Read polygons and place them on the grid of a map.
 
@@ -376,7 +376,7 @@ def read_areas(
     ----------
     path : path
         GeoJSON, GeoPackage, FlatGeobuf or Shapefile.
-    route_map : RouteMap
+    route_map : MapReader
     allow_outside : bool
         Whether it is no error that an area does not lie on the map.
 
@@ -414,7 +414,7 @@ def read_areas(
 
 
 def _on_map(
-    path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap
+    path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader
 ) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
     """Return the polygons that lie on the map, in metres on the grid, and which of the geometries (n,) have such."""
     placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
@@ -424,7 +424,7 @@ def _on_map(
     return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
 
 
-def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map: RouteMap) -> str:
+def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map: MapReader) -> str:
     """Say which areas do not lie on the map; there is at least one."""
     of_file = f"of {path}, read in {_system(layer.crs, route_map)},"
     if not is_on.any():
@@ -436,7 +436,7 @@ def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map:
     return f"{len(off)} of the {len(is_on)} areas {of_file} {verb} not lie on the map: number {', '.join(shown)}{more}"
 
 
-def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> str:
+def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> str:
     """Say as what areas would lie near the map, if anything is known."""
     x, y = shapely.get_coordinates(geometry).T
     if crs is None and _is_near(x, y, route_map, degrees=True):
@@ -446,7 +446,7 @@ def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -
     return ""
 
 
-def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: RouteMap, *, degrees: bool) -> bool:
+def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: MapReader, *, degrees: bool) -> bool:
     """Return whether a corner lies near the map, as degrees or in the map's CRS."""
     near = shapely.buffer(_outline(route_map), _NEAR_M)
     if not degrees:
@@ -457,7 +457,7 @@ def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: RouteMap
     return bool(shapely.intersects_xy(near, *route_map.from_lonlat(x[can_be], y[can_be])).any())
 
 
-def _system(crs: CRS | None, route_map: RouteMap) -> str:
+def _system(crs: CRS | None, route_map: MapReader) -> str:
     own = route_map.georeference.crs
     if own is None:
         return "the survey's own coordinates"
@@ -535,13 +535,13 @@ def _tiles(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> NDArray[np.objec
     return squares
 
 
-def _outline(route_map: RouteMap) -> shapely.Geometry:
+def _outline(route_map: MapReader) -> shapely.Geometry:
     """Return the rectangle of the map, m."""
     bounds = route_map.grid.window_bounds(route_map.window)
     return shapely.box(bounds.west, bounds.south, bounds.east, bounds.north)
 
 
-def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: RouteMap) -> NDArray[np.object_]:
+def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:
     """Convert geometries of a file to metres on the grid."""
     own, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
     if own is None:
@@ -573,7 +573,7 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
     )
 
 
-def _around(route_map: RouteMap, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
+def _around(route_map: MapReader, transformer: Transformer) -> tuple[shapely.Geometry | None, float]:
     """Return the surroundings of the map in the CRS of a file, None if they have no bounds there; and a short length.
 
     A map across the antimeridian has two of them in degrees, one on each side.

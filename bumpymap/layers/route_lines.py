@@ -101,7 +101,7 @@ class RouteCoordinates:
 
     georeference: Georeference
     files: GeoJsonCoordinates
-    """Whether files hold longitude and latitude or the survey's own coordinates, and how the latter are declared."""
+    """Coordinates of the files: longitude and latitude, or the survey's own, with how those are declared."""
 
     @classmethod
     def of(cls, routes: Sequence[Route]) -> "RouteCoordinates":
@@ -117,7 +117,7 @@ class RouteCoordinates:
 
     @property
     def has_degrees(self) -> bool:
-        """Whether longitude and latitude are known."""
+        """True if longitude and latitude are known."""
         return self.files.to_degrees is not None
 
     def in_crs(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:

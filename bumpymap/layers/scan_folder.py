@@ -74,7 +74,7 @@ __all__ = [
 SCAN_CLASS_NAMES: tuple[str, ...] = (*CLASS_NAMES[:CLASSES], "not traversable")
 """Name of each class of a sector; see `class_index`."""
 SECTOR_STATES = ("free", "obstacle", "rough", "not ground")
-"""What a sector is to a robot; see `sector_states`."""
+"""States of a sector for a robot; see `sector_states`."""
 OBSTACLE_POINT, OTHER_POINT = CLASSES, CLASSES + 1
 """Styles of points that are not ground. Those of ground points are the classes of their sectors."""
 SCAN_COLOURS: NDArray[np.uint8] = np.array(
@@ -324,7 +324,7 @@ def explain_empty_scan(scan: Scan, classed: ClassedSectors) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FramePart:
-    """What a finished frame adds to the files of the drive."""
+    """Rows and points that a finished frame adds to the files of the drive."""
 
     report: FrameReport
     rows: pa.Table | None

@@ -340,7 +340,7 @@ class SheetRun:
     key: str
     """Tells runs of other inputs, settings or versions apart."""
     keep: bool
-    """Whether sheets that an interrupted run with the same key has finished are kept."""
+    """True if sheets that an interrupted run with the same key has finished are kept."""
     manifest_of: Callable[[TileWindow], Mapping[str, Any]]
     """Returns the run's own entries for the run.json of a sheet with these tiles."""
 

@@ -76,7 +76,7 @@ def _intervals(limits: Sequence[float]) -> list[str]:
 
 
 _SHA256 = "1220"
-"""What a multihash begins with: the code of SHA-256 and the length of its digest, 32 bytes."""
+"""First bytes of a multihash: the code of SHA-256 and the length of its digest, 32 bytes."""
 _COG = "image/tiff; application=geotiff; profile=cloud-optimized"
 _TYPES = {
     ".tif": _COG,

@@ -23,7 +23,7 @@ from bumpymap.core import (
 __all__ = ["LITTLE_SEEN", "MapSummary", "summarise"]
 
 LITTLE_SEEN = "too little seen"
-"""What bars tiles that have a class, but of which too little was seen to tell whether there is a way."""
+"""Reason why a tile with a class is not passable: too little of it was seen to tell whether there is a way."""
 
 STRIP = 65_536
 _OBJECT_STRIP = 4_096

@@ -1,7 +1,7 @@
 """tiles.parquet, written and read back: one row for each tile with points."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +23,14 @@ from bumpymap.core import (
     CostTable,
     Reason,
     atomic,
+    free_memory,
     speed_bands,
     tile_columns,
 )
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
-__all__ = ["read_tiles", "write_tiles"]
+__all__ = ["read_tiles", "require_tiles", "write_tiles"]
 
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
@@ -180,17 +181,73 @@ _READ = ("col", "row", "class", "reason", "barred", *_PAGE_NUMBERS)
 _AGAIN = "Map the survey again"
 
 
-def read_tiles(path: Path) -> Iterator[dict[str, NDArray[Any]]]:
-    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown."""
+_BYTES = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8}
+"""Bytes of a value in memory, by its type in the file, where runs of equal values take next to nothing."""
+_MOST_ROWS = 65_536
+"""Rows of a group, which is read at once."""
+
+
+def read_tiles(path: Path, tiles: int) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the columns of some tiles at a time; numbers are NaN and classes ``NO_CLASS`` where unknown.
+
+    Parameters
+    ----------
+    path : Path
+        tiles.parquet.
+    tiles : int
+        Tiles that the run counts. Another number of rows is refused before any is read.
+
+    Raises
+    ------
+    BadInputError
+        The file is missing, damaged, of an earlier version, not of this run, or does not fit into memory.
+    """
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, read_dictionary=["barred"]) as file:
             missing = set(_READ) - set(file.schema_arrow.names)
             if missing:
                 raise BadInputError(f"{path} has no column {min(missing)}: an earlier version wrote it. {_AGAIN}")
+            _require_rows(path, file.metadata, tiles)
             for group in range(file.num_row_groups):
+                _require_memory(path, file.metadata, [group], _READ)
                 yield _arrays(file.read_row_group(group, columns=list(_READ), use_threads=False))
     except (OSError, pa.ArrowException) as error:
         raise BadInputError(f"cannot read {path}: {error}. {_AGAIN}") from error
+
+
+def require_tiles(path: Path, tiles: int) -> None:
+    """Raise BadInputError if tiles.parquet has other rows than the run counts tiles, or does not fit into memory."""
+    about = pq.read_metadata(path)
+    _require_rows(path, about, tiles)
+    _require_memory(path, about, range(about.num_row_groups))
+
+
+def _require_rows(path: Path, about: pq.FileMetaData, tiles: int) -> None:
+    if about.num_rows != tiles:
+        raise BadInputError(
+            f"{path} holds {about.num_rows:,} rows, and run.json counts {tiles:,} tiles: it is of another run. {_AGAIN}"
+        )
+    largest = max((about.row_group(group).num_rows for group in range(about.num_row_groups)), default=0)
+    if largest > _MOST_ROWS:
+        raise BadInputError(
+            f"{path} has a group of {largest:,} rows; at most {_MOST_ROWS:,} are read at once. {_AGAIN}"
+        )
+
+
+def _require_memory(path: Path, about: pq.FileMetaData, groups: Iterable[int], names: Collection[str] = ()) -> None:
+    """Raise BadInputError if columns (all without ``names``) of groups of rows take more memory than is free."""
+    parts = [about.row_group(group).column(number) for group in groups for number in range(about.num_columns)]
+    size = sum(
+        max(part.total_uncompressed_size, part.num_values * _BYTES.get(part.physical_type, 0))
+        for part in parts
+        if not names or part.path_in_schema.partition(".")[0] in names
+    )
+    free = free_memory()
+    if free is not None and size > free:
+        raise BadInputError(
+            f"{path} takes {size / 1e6:,.0f} MB of memory, and {free / 1e6:,.0f} MB are free. Read it on another "
+            "machine, or map the survey in sheets"
+        )
 
 
 def _arrays(table: pa.Table) -> dict[str, NDArray[Any]]:

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
 import shapely
 import shapely.geometry
 from numpy.typing import NDArray
@@ -24,6 +23,9 @@ from pyproj.exceptions import ProjError
 from bumpymap.core import NO_CLASS, BadInputError, atomic
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import Regions
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 __all__ = [
     "BoundingBox",
@@ -122,7 +124,7 @@ class BoundingBox:
 
     @property
     def is_empty(self) -> bool:
-        """Whether nothing was added."""
+        """True if nothing was added."""
         return not len(self._boxes)
 
     def add(self, outlines: NDArray[np.object_]) -> None:
@@ -196,8 +198,8 @@ _NO_CRS = (
     'ENGCRS["survey without a CRS",EDATUM["unknown"],CS[Cartesian,2],AXIS["x",east],AXIS["y",north],'
     'LENGTHUNIT["unit of the survey",{}]]'
 )
-_KINDS = {"region": pa.int64(), "class": pa.int32(), "tiles": pa.int64(), "passable": pa.bool_()}
-_KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), pa.string())
+_KINDS = {"region": "int64", "class": "int32", "tiles": "int64", "passable": "bool"}
+_KINDS |= dict.fromkeys(("class_name", "reason", "c_r_basis"), "string")
 """Types of columns of cost.fgb; the others are float64."""
 _PROPERTIES = (
     *("region", "class", "class_name", "reason", "passable", "c_r", "c_r_low", "c_r_high", "c_r_basis"),
@@ -401,6 +403,8 @@ def flatgeobuf_writer(
     OutputError
         The file cannot be written.
     """
+    import pyarrow as pa
+
     with atomic(path, (pa.ArrowException,)) as temporary:
         waiting = temporary.with_name(f"{temporary.stem}.arrow")
         schema, count = _schema(), 0
@@ -419,13 +423,16 @@ def flatgeobuf_writer(
         _convert(waiting, count, temporary, placement, about or {})
 
 
-def _schema() -> pa.Schema:
-    kinds = ((name, _KINDS.get(name, pa.float64())) for name in _PROPERTIES)
+def _schema() -> "pa.Schema":
+    import pyarrow as pa
+
+    kinds = ((name, pa.type_for_alias(_KINDS.get(name, "float64"))) for name in _PROPERTIES)
     return pa.schema([*kinds, (_GEOMETRY, pa.binary())])
 
 
 def _convert(waiting: Path, regions: int, temporary: Path, placement: Placement, about: Mapping[str, str]) -> None:
     """Convert the Arrow file ``waiting``, which holds ``regions`` rows, to FlatGeobuf."""
+    import pyarrow as pa
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError, FieldError, GeometryError
     from pyogrio.raw import read, write_arrow
 

@@ -43,7 +43,7 @@ Words = Annotated[NDArray[np.int32], 1]
 
 
 class RecordRules(NamedTuple):
-    """What LAS records are held to."""
+    """Checks of LAS records."""
 
     layout: Counts
     """(6,) byte and mask of the class, byte and mask of the withheld flag; first byte of the flight line, and the line
@@ -66,7 +66,7 @@ class CountedRecords(NamedTuple):
 
 
 class RecordCounts(NamedTuple):
-    """What was seen; brought up to date."""
+    """Statistics so far; updated."""
 
     extremes: Counts
     """(6,) lowest and highest x, y and z."""
@@ -185,7 +185,7 @@ class CellTable(NamedTuple):
 
 
 class Corrections(NamedTuple):
-    """What to subtract from the heights of each line."""
+    """Correction that is subtracted from the heights of each line."""
 
     place: Places
     """(65536,) row of each line in ``numbers``; -1: nothing to subtract."""

@@ -32,7 +32,7 @@ class PlyElement:
 
     @property
     def lists(self) -> tuple[bool, ...]:
-        """Whether each property is a list. If any is, rows differ in size."""
+        """True if each property is a list. If any is, rows differ in size."""
         return tuple(length is not None for _, length in self.properties.values())
 
     def dtype(self, byte_order: str) -> np.dtype[np.void]:

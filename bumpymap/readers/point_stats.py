@@ -62,7 +62,7 @@ Rows = NDArray[np.int64]
 
 
 class LineCorrection(NamedTuple):
-    """What is subtracted from the heights of a flight line: ``offset + slope . (point - place)``."""
+    """Correction that is subtracted from the heights of a flight line: ``offset + slope . (point - place)``."""
 
     line: int
     offset: float
@@ -140,7 +140,7 @@ class LineSums:
 
 
 class LineRules:
-    """What a reader does with flight lines.
+    """Corrections and sums that a reader makes for flight lines.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class LineRules:
 
     @property
     def corrects(self) -> bool:
-        """Whether heights are corrected."""
+        """True if heights are corrected."""
         return len(self._corrections.numbers) > 0
 
     def correct(self, points: LinedPoints) -> None:
@@ -257,14 +257,14 @@ class PointStats:
 
     @property
     def bad(self) -> bool:
-        """Whether points make the file unusable; ``verify`` raises the error."""
+        """True if points make the file unusable; ``verify`` raises the error."""
         return bool(
             self.not_finite or self.outside or self.points_outside_node or self.off_earth or self.highest > EARTH_LIMIT
         )
 
     @property
     def off_earth(self) -> bool:
-        """Whether a point has an easting or northing that is not on Earth."""
+        """True if a point has an easting or northing that is not on Earth."""
         return max(-self.west, -self.south, self.east, self.north) > EARTH_LIMIT
 
     @property

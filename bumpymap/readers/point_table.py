@@ -96,7 +96,7 @@ class TextRows(SerialRows):
     columns: list[int]
     """Index of each of its fields in a line, without lists."""
     lists: tuple[bool, ...] = ()
-    """Whether each entry of a line is a list, which starts with its length; empty: there are no lists."""
+    """True if each entry of a line is a list, which starts with its length; empty: there are no lists."""
     _lines: Any = field(init=False, default=None)
 
     def _open(self) -> None:
@@ -269,7 +269,7 @@ class PointTable(ABC):
     """An open table; subclasses for the formats read its header and rows."""
 
     nan_is_no_return: ClassVar[bool]
-    """Whether a row with NaN coordinates is a beam without return, rather than an error."""
+    """True if a row with NaN coordinates is a beam without return, rather than an error."""
     searched: ClassVar[int]
     """Rows that are searched for the first valid point."""
 
@@ -279,7 +279,7 @@ class PointTable(ABC):
     @property
     @abstractmethod
     def sequential(self) -> bool:
-        """Whether rows can only be read sequentially from the start of the file."""
+        """True if rows can only be read sequentially from the start of the file."""
 
     @abstractmethod
     def rows(self, first: int, count: int) -> Any:

@@ -44,25 +44,25 @@ class ReadOptions:
     memory: int = 1 << 30
     """Memory limit, in bytes, for unpacking a file that cannot be read in chunks (compressed PCD)."""
     lines: bool = False
-    """Whether sums are made to compare the heights of flight lines."""
+    """True if sums are made to compare the heights of flight lines."""
     corrections: tuple[LineCorrection, ...] = ()
-    """What is subtracted from the heights of flight lines."""
+    """Correction that is subtracted from the heights of flight lines."""
     checksum: bool = False
-    """Whether the checksum of a local file is made while it is read."""
+    """True if the checksum of a local file is made while it is read."""
     force_crs: str | None = None
     """CRS of all files, whatever they state."""
     crs_must_agree: bool = False
-    """Whether a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+    """True if a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
 
     @property
     def given_crs(self) -> GivenCrs:
-        """What the user says of the CRS."""
+        """CRS that the user gives."""
         return GivenCrs(self.crs, self.force_crs, self.crs_must_agree)
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyInfo:
-    """What is known about a file before its points are read."""
+    """Facts about a file before its points are read."""
 
     path: Location
     """A path, or a URL as a str."""
@@ -75,15 +75,15 @@ class SurveyInfo:
     bounds: Bounds | None
     """Bounds in the header, m; None if the format has none, or they are to be ignored."""
     has_classes: bool | None
-    """Whether points have a class; None: the format has the field, but it is unknown whether it is used."""
+    """True if points have a class; None: the format has the field, but it is unknown whether it is used."""
     notes: tuple[str, ...]
     """Notes for the user, one sentence each."""
     version: Version | None = None
     """Version of the file that is read, see `bumpymap.readers.source.version_of`; None if changes are not detected."""
     sequential: bool = False
-    """Whether the points can only be decoded sequentially from the start of the file."""
+    """True if the points can only be decoded sequentially from the start of the file."""
     parallel: bool = False
-    """Whether several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
+    """True if several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
     header_date: date | None = None
     """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 

@@ -3,15 +3,13 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 
 from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField
-from bumpymap.layers import RouteMap, tiles_in, tiles_within
+from bumpymap.layers import MapReader, tiles_in, tiles_within
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, find_way
 from bumpymap.route.settings import CostSettings
@@ -134,7 +132,7 @@ class WornTiles:
 class CostGround:
     """A map, what its ground costs one search, and where the vehicle fits."""
 
-    site: RouteMap
+    site: MapReader
     settings: CostSettings
     """What makes ground dear."""
     memory_tiles: int
@@ -223,7 +221,7 @@ class CostGround:
         """Make pixels near closed ones dearer, so that a way keeps away from them where it can."""
         reach = self._room_pixels
         factor = 1 + np.float32(_NARROW) * np.linspace(1, 0, reach + 1, dtype=np.float32)
-        dearer: NDArray[np.float32] = cost * factor[np.clip(_steps_to_closed(cost) - 1, 0, reach)]
+        dearer: NDArray[np.float32] = cost * factor[np.maximum(_steps_to_closed(cost, reach + 1) - 1, 0)]
         return dearer
 
     @property
@@ -269,7 +267,7 @@ class CostGround:
             window = window_around(self.site, part, 1)
             cost = self.on_pixels(window)
             if with_room:
-                cost[_steps_to_closed(cost) <= self._room_pixels] = np.inf
+                cost[_steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels] = np.inf
             if not is_clear(cost, self.in_window(part, window), PIXEL_MARGIN):
                 return False
         return True
@@ -291,40 +289,61 @@ class CostGround:
         line = line[np.append(True, (np.diff(line, axis=0) != 0.0).any(axis=1))]
         heading = np.arctan2(*np.diff(line, axis=0).T)
         turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
-        tight = self._rooms(line[1:-1]) <= _TIGHT_M
+        tight = self._is_beside(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
         return float(np.degrees(turn[tight].sum()))
 
-    def _rooms(self, points: Floats) -> Floats:
-        """Return how far points, (n, 2), are from closed ground on pixels, m, (n,); inf beyond a tile."""
-        rooms = np.full(len(points), math.inf)
+    def _is_beside(self, points: Floats, reach: float) -> NDArray[np.bool_]:
+        """Say at which points, (n, 2), a closed pixel is at most ``reach`` [px] from their own."""
+        beside = np.zeros(len(points), np.bool_)
+        pad = math.floor(reach)
+        steps = np.arange(-pad, pad + 1)
+        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        around = around[np.square(around).sum(axis=1) <= reach * reach] + pad
         first = 0
         while first < len(points):
             spans = np.maximum.accumulate(np.abs(points[first : first + _CORNERS] - points[first]).max(axis=1))
             last = first + int(np.searchsorted(spans, _CORNER_TILES * self.site.grid.tile_size, side="right"))
             window = window_around(self.site, points[first:last], 1)
-            is_open = np.isfinite(self.on_pixels(window))
-            if not is_open.all():
-                row, col = np.floor(self.in_window(points[first:last], window)).astype(np.int64).T
-                rooms[first:last] = distance_transform_edt(is_open)[row, col] * self.site.grid.pixel_size
+            closed = np.isinf(self.on_pixels(window))
+            if closed.any():
+                near = np.floor(self.in_window(points[first:last], window)).astype(np.int64)[:, None] + around
+                beside[first:last] = np.pad(closed, pad)[near[..., 0], near[..., 1]].any(axis=1)
             first = last
-        return rooms
+        return beside
 
 
-def _steps_to_closed(cost: NDArray[np.float32]) -> NDArray[np.int32]:
-    """Return how many pixels, along rows, columns and diagonals, each pixel is from the nearest closed one."""
-    if np.isfinite(cost).all():
-        return np.full(cost.shape, max(cost.shape), np.int32)
-    return np.asarray(distance_transform_cdt(np.isfinite(cost), "chessboard"), np.int32)
+def _steps_to_closed(cost: NDArray[np.float32], most: int) -> NDArray[np.int32]:
+    """Return how many pixels, along rows, columns and diagonals, each is from the nearest closed one; at most ``most``.
+
+    Beyond the window nothing is closed.
+    """
+    near = np.isinf(cost)
+    steps = np.where(near, np.int32(0), np.int32(most))
+    if not near.any():
+        return steps
+    for step in range(1, most):
+        near = _with_rows_beside(_with_rows_beside(near).T).T
+        steps[near & (steps == most)] = step
+    return steps
+
+
+def _with_rows_beside(near: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    grown = near.copy()
+    grown[1:] |= near[:-1]
+    grown[:-1] |= near[1:]
+    return grown
 
 
 def _apart(marked: NDArray[np.bool_], reach: float) -> NDArray[np.bool_]:
     """Return which pixels are at least ``reach`` [px] from every marked one, between their middles."""
     if not marked.any():
         return np.ones(marked.shape, np.bool_)
+    from scipy.ndimage import distance_transform_edt
+
     return np.asarray(distance_transform_edt(~marked) >= reach)
 
 
-def window_around(site: RouteMap, line: Floats, ring: int) -> TileWindow:
+def window_around(site: MapReader, line: Floats, ring: int) -> TileWindow:
     """Return the tiles that a line, (n, 2) easting and northing [m], spans, and a ring around them."""
     inner = TileWindow.around(site.grid.index(line[:, 0]), site.grid.index(line[:, 1]))
     return TileWindow(inner.col - ring, inner.row - ring, inner.cols + 2 * ring, inner.rows + 2 * ring)
@@ -332,17 +351,27 @@ def window_around(site: RouteMap, line: Floats, ring: int) -> TileWindow:
 
 def stretches(line: Floats, longest: float) -> Iterator[Floats]:
     """Yield a line in parts, each at most ``longest`` in easting and northing; consecutive parts share a point."""
-    points = [line[:1]]
-    for start, stop in pairwise(line):
-        count = max(1, math.ceil(float(np.abs(stop - start).max()) / longest))
-        points.append(start + (stop - start) * (np.arange(1, count + 1) / count)[:, None])
+    counts = np.maximum(1, np.ceil(np.abs(np.diff(line, axis=0)).max(axis=1) / longest)).astype(np.int64)
+    points, done = [line[:1]], 0
+    for at in np.flatnonzero(counts > 1).tolist():
+        start, stop, count = line[at], line[at + 1], counts[at]
+        points += [line[done + 1 : at + 1], start + (stop - start) * (np.arange(1, count + 1) / count)[:, None]]
         points[-1][-1] = stop
-    whole = np.concatenate(points)
-    first = 0
-    for last in range(1, len(whole)):
-        if last + 1 == len(whole) or (np.ptp(whole[first : last + 2], axis=0) > longest).any():
+        done = at + 1
+    whole = np.concatenate([*points, line[done + 1 :]])
+    places, first, spanned = whole.tolist(), 0, whole[:2].tolist()
+    for last in range(1, len(places)):
+        spanned = [*_span(spanned), *places[last + 1 : last + 2]]
+        (west, south), (east, north) = _span(spanned)
+        if last + 1 == len(places) or max(east - west, north - south) > longest:
             yield whole[first : last + 1]
-            first = last
+            first, spanned = last, places[last : last + 2]
+
+
+def _span(places: list[list[float]]) -> tuple[list[float], list[float]]:
+    """Return the corners of the smallest rectangle around some places."""
+    x, y = zip(*places, strict=True)
+    return [min(x), min(y)], [max(x), max(y)]
 
 
 def points_along(line: Floats, distance: Floats) -> Floats:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
-from bumpymap.layers import RouteMap
+from bumpymap.layers import MapReader
 from bumpymap.route.ground import points_along, stretches, window_around
 from bumpymap.route.places import in_window
 from bumpymap.route.straighten import trace
@@ -55,7 +55,7 @@ class _Pieces:
 
 
 def measure_way(
-    site: RouteMap,
+    site: MapReader,
     line: Floats,
     stops: Floats,
     cost_of: Callable[[TileField], NDArray[np.float32]],
@@ -67,7 +67,7 @@ def measure_way(
 
     Parameters
     ----------
-    site : RouteMap
+    site : MapReader
         The map.
     line : array (m, 2)
         Easting and northing of the corners, m, on the grid.
@@ -86,19 +86,19 @@ def measure_way(
     return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
 
 
-def way_cost(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> float:
+def way_cost(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> float:
     """Return the cost of a way alone, m: ``figures.cost_m`` of `measure_way`."""
     pieces = _all_pieces(site, line, cost_of)
     return float((pieces.length * pieces.cost).sum())
 
 
-def _all_pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
+def _all_pieces(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
     """Cut a way into pieces inside single tiles, stretch by stretch."""
     parts = [_pieces(site, part, cost_of) for part in stretches(line, site.grid.tile_size * _STRETCH_TILES)]
     return _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
 
 
-def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
+def _pieces(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
     window = window_around(site, line, 1)
     tiles = site.read(window)
     cost = cost_of(tiles)
@@ -124,7 +124,7 @@ def _pieces(site: RouteMap, line: Floats, cost_of: Callable[[TileField], NDArray
     )
 
 
-def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: RouteMap) -> RouteFigures:
+def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: MapReader) -> RouteFigures:
     known = np.isfinite(pieces.c_r)
     weight = pieces.length * known
     total = float(weight.sum())
@@ -170,7 +170,7 @@ def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
     return float(rise[rise > 0].sum()), float(np.abs(rise[rise < 0]).sum())
 
 
-def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
+def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
     """Return points at even distances along a way."""
     length, size = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1], site.grid.tile_size
     count = max(2, math.ceil(length / size * _SAMPLES_A_TILE) + 1)
@@ -195,7 +195,7 @@ def _profile(site: RouteMap, line: Floats, pieces: _Pieces) -> RouteProfile:
     )
 
 
-def _heights(site: RouteMap, points: Floats) -> Floats:
+def _heights(site: MapReader, points: Floats) -> Floats:
     """Return the mean height of the pixels within half a metre of each point, or of its pixel alone; NaN if unknown."""
     out = np.full(len(points), np.nan)
     pixels = site.grid.pixels

@@ -8,7 +8,8 @@ would help.
 import logging
 import math
 import os
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import combinations, pairwise
@@ -17,7 +18,6 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from bumpymap.core import (
     BARRED_TEXT,
@@ -33,11 +33,10 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import PlannedRoute, ReachField, RouteMap, open_map, reach_dataset, read_areas
+from bumpymap.layers import MapReader, PlannedRoute, ReachField, open_map, reach_dataset, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
 from bumpymap.route.output import ReachLevels, check_reach_out, check_route_out, write_reach_files, write_routes
-from bumpymap.route.passages import widest_opening
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
@@ -133,6 +132,8 @@ def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequenc
 
 def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.float64]) -> str:
     """Say where the widest opening between two points is; nothing if it is as wide as the vehicle, or there is none."""
+    from bumpymap.route.passages import widest_opening
+
     found = widest_opening(ground, start, goal)
     needed = 2.0 * ground.reach_m
     if found is None or found[1] >= needed:
@@ -144,8 +145,10 @@ def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.fl
     )
 
 
-def _closest(site: RouteMap, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
+def _closest(site: MapReader, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
     """Say where the two areas come closest, and what lies between them."""
+    from scipy.ndimage import distance_transform_edt
+
     if not (first.any() and second.any()):
         return ""
     apart, (rows, cols) = distance_transform_edt(~second, return_indices=True)
@@ -360,39 +363,48 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         A file cannot be written.
     """
     progress = progress or SilentProgress()
-    ground = _ground(open_map(config.layers), config)
-    stops = find_stops(ground, config)
-    if config.out is not None:
-        check = check_reach_out if config.is_reach else check_route_out
-        check(config.out, overwrite=config.overwrite)
-    if config.is_reach:
-        if config.out is None:
-            raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
-        return _write_reach(ground, stops, config, config.out)
-    progress.start("routes", None)
-    routes, order = _routes(ground, stops, config)
-    notes = [*stops.notes, *order]
-    for folder in config.compare:
-        other = _ground(open_map([folder]), config)
-        vehicle = other.site.vehicle.name
-        others = find_stops(other, config, folder)
-        (route, *_), order = _routes(other, others, replace(config, alternatives=1))
-        routes.append(replace(route, name=f"{route.name}, {vehicle}"))
-        notes += [*others.notes, *(f"{vehicle}: {note}" for note in order)]
-    files: list[Path] = []
-    if config.out is not None:
-        manifest = {"settings": asdict(config), "remarks": notes}
-        files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
+    with _opened(config.layers, config) as ground:
+        stops = find_stops(ground, config)
+        if config.out is not None:
+            check = check_reach_out if config.is_reach else check_route_out
+            check(config.out, overwrite=config.overwrite)
+        if config.is_reach:
+            if config.out is None:
+                raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
+            return _write_reach(ground, stops, config, config.out)
+        progress.start("routes", None)
+        routes, order = _routes(ground, stops, config)
+        notes = [*stops.notes, *order]
+        for folder in config.compare:
+            route, remarks = _compared(folder, config)
+            routes.append(route)
+            notes += remarks
+        files: list[Path] = []
+        if config.out is not None:
+            manifest = {"settings": asdict(config), "remarks": notes}
+            files = write_routes(routes, ground.site, config.out, manifest=manifest, overwrite=config.overwrite)
     return RouteResult(tuple(routes), None, tuple(files), tuple(notes))
 
 
-def _ground(site: RouteMap, config: RouteConfig) -> CostGround:
-    avoid, only = (
-        None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
-        for path in (config.cost.avoid, config.cost.only)
-    )
-    tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
-    return CostGround(site, config.cost, tiles, avoid, only)
+@contextmanager
+def _opened(folders: Sequence[Path], config: RouteConfig) -> Iterator[CostGround]:
+    """Open a map, and keep its files open while it is planned on."""
+    site = open_map(folders)
+    with site.kept_open():
+        avoid, only = (
+            None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
+            for path in (config.cost.avoid, config.cost.only)
+        )
+        tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
+        yield CostGround(site, config.cost, tiles, avoid, only)
+
+
+def _compared(folder: Path, config: RouteConfig) -> tuple[PlannedRoute, list[str]]:
+    """Plan the best way on the map of another vehicle; return it and the remarks on it."""
+    with _opened([folder], config) as ground:
+        vehicle, stops = ground.site.vehicle.name, find_stops(ground, config, folder)
+        (route, *_), order = _routes(ground, stops, replace(config, alternatives=1))
+    return replace(route, name=f"{route.name}, {vehicle}"), [*stops.notes, *(f"{vehicle}: {note}" for note in order)]
 
 
 def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
@@ -441,8 +453,8 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
 
 def reach_from(config: RouteConfig) -> ReachField:
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
-    ground = _ground(open_map(config.layers), config)
-    _, found, field = _reach(ground, find_stops(ground, config), config)
+    with _opened(config.layers, config) as ground:
+        _, found, field = _reach(ground, find_stops(ground, config), config)
     for note in found.notes:
         _log.warning(note)
     return field

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
-from bumpymap.layers import RouteMap
+from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["GridPoint", "in_window", "on_grid", "overlap", "parse_point", "place_in_window", "place_point"]
@@ -43,14 +43,14 @@ class GridPoint(NamedTuple):
     """m."""
 
 
-def parse_point(text: str, route_map: RouteMap, *, beyond_m: float = 0.0) -> GridPoint:
+def parse_point(text: str, route_map: MapReader, *, beyond_m: float = 0.0) -> GridPoint:
     """Read a point: ``LON,LAT``, or ``X,Y`` in the survey's CRS, whichever lies on the map.
 
     Parameters
     ----------
     text : str
         Such as ``11.5,48.1`` or ``434100,5411200``. ``lonlat:`` or ``crs:`` before it says which of the two it is.
-    route_map : RouteMap
+    route_map : MapReader
     beyond_m : float
         Distance outside the rectangle of the map up to which a point is accepted, m.
 
@@ -72,7 +72,7 @@ def parse_point(text: str, route_map: RouteMap, *, beyond_m: float = 0.0) -> Gri
 def place_point(
     x: float,
     y: float,
-    route_map: RouteMap,
+    route_map: MapReader,
     system: System | None = None,
     *,
     name: str = "the point",
@@ -84,7 +84,7 @@ def place_point(
     ----------
     x, y : float
         Longitude and latitude [degrees], or coordinates in the survey's CRS.
-    route_map : RouteMap
+    route_map : MapReader
     system : {"lonlat", "crs"}, optional
         Which of the two it is; None: the one that lies on the map.
     name : str
@@ -159,7 +159,7 @@ def _in_tile(coordinate: float, tile: int) -> float:
     return min(max(coordinate, float(tile)), math.nextafter(tile + 1.0, tile))
 
 
-def _on_grid(x: float, y: float, route_map: RouteMap, system: System, *, forced: bool) -> GridPoint | None:
+def _on_grid(x: float, y: float, route_map: MapReader, system: System, *, forced: bool) -> GridPoint | None:
     """Return the point if it is one in that system, else None; without a CRS there is no longitude unless forced."""
     if not (math.isfinite(x) and math.isfinite(y)):
         return None
@@ -171,7 +171,7 @@ def _on_grid(x: float, y: float, route_map: RouteMap, system: System, *, forced:
     return GridPoint(easting, northing) if math.isfinite(easting) and math.isfinite(northing) else None
 
 
-def _outside_m(point: GridPoint, route_map: RouteMap) -> float:
+def _outside_m(point: GridPoint, route_map: MapReader) -> float:
     """Return the distance of a point to the rectangle of the map, m; 0 inside. Its east and north sides are outside."""
     bounds = route_map.grid.window_bounds(route_map.window)
     if bounds.west <= point.easting < bounds.east and bounds.south <= point.northing < bounds.north:
@@ -181,7 +181,7 @@ def _outside_m(point: GridPoint, route_map: RouteMap) -> float:
     return max(math.hypot(point.easting - easting, point.northing - northing), np.finfo(float).tiny)
 
 
-def _swapped(x: float, y: float, route_map: RouteMap) -> str:
+def _swapped(x: float, y: float, route_map: MapReader) -> str:
     """Ask about the order of the two numbers if they lie on the map, or near it, the other way round."""
     for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
         point = _on_grid(y, x, route_map, system, forced=False)
@@ -191,7 +191,7 @@ def _swapped(x: float, y: float, route_map: RouteMap) -> str:
     return ""
 
 
-def _other_unit(x: float, y: float, route_map: RouteMap) -> str:
+def _other_unit(x: float, y: float, route_map: MapReader) -> str:
     """Ask about the unit if the point lies on the map, or near it, as one in feet on a map in metres, or reversed."""
     unit = route_map.georeference.metres_per_unit
     others = {1.0: _FEET_M, **dict.fromkeys(_FEET_M, (1.0,))}.get(unit, ())
@@ -204,7 +204,7 @@ def _other_unit(x: float, y: float, route_map: RouteMap) -> str:
     return f"The map's coordinates are in {own}: if the point is in {given}, did you mean {meant_x:.2f},{meant_y:.2f}? "
 
 
-def _extent(route_map: RouteMap) -> str:
+def _extent(route_map: MapReader) -> str:
     """Return the extent of the map in both systems."""
     bounds = route_map.grid.window_bounds(route_map.window)
     (west, south), (east, north) = (

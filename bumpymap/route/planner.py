@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround, WornTiles, points_along, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
-from bumpymap.route.passages import way_over_areas
 from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, seek, settle_point, tight_way
 from bumpymap.route.straighten import as_cost
@@ -297,6 +296,8 @@ class Planner:
             barred = ground.site.read(window_around(ground.site, steered, _NEAR_TILES), ()).barred
             if not np.isin(barred, (Barred.OBSTACLE, Barred.SPLIT)).any():
                 return steered
+        from bumpymap.route.passages import way_over_areas  # with SciPy's graphs, slow to load
+
         lines = [line for line in (steered, way_over_areas(ground, start, goal)) if line is not None]
         if not lines and ground.settings.through_obstacles:
             touching = replace(ground, touching=True)

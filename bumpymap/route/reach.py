@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround
-from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas
 from bumpymap.route.places import place_in_window
 from bumpymap.route.search import BETWEEN_OBSTACLES, MOVES, spread
 from bumpytiles import TileWindow, kernel
@@ -129,6 +128,8 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
     add_up_lengths(back, MOVES, *place, length)
     notes: tuple[str, ...] = ()
     if np.isin(site.read(window, ()).barred, _IN_PART).any():
+        from bumpymap.route.passages import BYTES_PER_TILE, reach_over_areas  # with SciPy's graphs, slow to load
+
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BARRED_TEXT, NO_TILE, BadInputError, Barred, TileField
-from bumpymap.layers import RouteMap, read_points
+from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
 from bumpymap.route.reach import window_within
@@ -55,7 +55,7 @@ def _closed_by(field: TileField, row: float, col: float) -> str:
     return f"a tile that is not passable ({BARRED_TEXT[Barred(code)]})"
 
 
-def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, window: TileWindow) -> str:
+def _remedy(route_map: MapReader, point: GridPoint, near: GridPoint | None, window: TileWindow) -> str:
     """Say where the nearest usable point is and how to take it."""
     if near is None:
         width, height = (side * route_map.grid.tile_size for side in (window.cols, window.rows))
@@ -67,7 +67,7 @@ def _remedy(route_map: RouteMap, point: GridPoint, near: GridPoint | None, windo
     )
 
 
-def place_text(route_map: RouteMap, point: "GridPoint | NDArray[np.float64]") -> str:
+def place_text(route_map: MapReader, point: "GridPoint | NDArray[np.float64]") -> str:
     """Write a point (easting, northing, m) as an option of the command takes it."""
     if route_map.has_crs:
         longitude, latitude = route_map.to_lonlat(float(point[0]), float(point[1]))
@@ -117,7 +117,7 @@ def find_stops(ground: CostGround, config: RouteConfig, compared: Path | None = 
     return Stops(np.array(points), tuple(names), tuple(notes))
 
 
-def _named(site: RouteMap, config: RouteConfig) -> list[tuple[str, GridPoint]]:
+def _named(site: MapReader, config: RouteConfig) -> list[tuple[str, GridPoint]]:
     """Return the points by name."""
     if config.points is not None:
         found = read_points(config.points)

@@ -336,12 +336,10 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
     ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
     moved = line.copy()
-    for i in range(1, len(line) - 1):
-        border = np.round(moved[i])
-        is_on = np.abs(moved[i] - border) < _ON_BORDER
-        if not is_on.any():
-            continue
-        least = math.inf
+    borders = np.round(line)
+    on_borders = np.abs(line - borders) < _ON_BORDER
+    for i in (np.flatnonzero(on_borders[1:-1].any(axis=1)) + 1).tolist():
+        border, is_on, least = borders[i], on_borders[i], math.inf
         for shift in product(*((-_OFF_BORDER, _OFF_BORDER) if on else (0.0,) for on in is_on)):
             tried = moved[i - 1 : i + 2].copy()
             tried[1] = np.where(is_on, border + shift, tried[1])

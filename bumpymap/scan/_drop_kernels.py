@@ -34,7 +34,7 @@ class GroundPoints(NamedTuple):
 
 
 class DropRule(NamedTuple):
-    """What a drop is."""
+    """Limits of a drop."""
 
     least: float
     """Less is none, m."""

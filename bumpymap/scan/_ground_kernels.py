@@ -158,7 +158,7 @@ class SearchRule(NamedTuple):
 
 
 class GroundRule(NamedTuple):
-    """What is ground and what stands on it."""
+    """Limits that tell ground from what stands on it."""
 
     reach: Floats
     """(zones,) distance from a plane within which a point is ground, m."""
@@ -172,7 +172,7 @@ class GroundRule(NamedTuple):
 
 
 class GroundLabels(NamedTuple):
-    """What is filled by `label_points`."""
+    """Results, filled by `label_points`."""
 
     height: Singles
     """(scan's points,) height above the ground, m; comes as NaN."""
@@ -502,7 +502,7 @@ def _root(of: Integers, cell: int) -> int:
 
 @helper
 def _continues(cell: int, other: int, planes: GroundPlanes) -> bool:
-    """Whether the planes of two cells pass each other's points within what is allowed."""
+    """Return whether the planes of two cells pass each other's points within what is allowed."""
     dx = planes.centre[other, 0] - planes.centre[cell, 0]
     dy = planes.centre[other, 1] - planes.centre[cell, 1]
     limit = _STEP + _STEP_PER_METRE * min(math.sqrt(dx * dx + dy * dy), _FARTHEST)

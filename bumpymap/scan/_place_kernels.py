@@ -164,12 +164,12 @@ def count_labels(
     label: Annotated[NDArray[np.uint16], 1],
     by_cell: CellOrder,
     cells: Counts,
-    tally: Integers,
+    seen: Integers,
     most: Annotated[NDArray[np.int16], 1],
 ) -> None:
     """Find the most frequent label of each listed sector, the smallest of equals.
 
-    ``label`` (points,): below 32,768; ``by_cell``, ``cells``: as in ``measure_sectors``; ``tally`` (32768,): scratch,
+    ``label`` (points,): below 32,768; ``by_cell``, ``cells``: as in ``measure_sectors``; ``seen`` (32768,): scratch,
     zeros before and after; ``most`` (sectors,): filled.
     """
     starts, order = by_cell.starts, by_cell.order
@@ -178,9 +178,9 @@ def count_labels(
         best, count = 0, 0
         for i in range(first, last):
             mine = int(label[order[i]])
-            tally[mine] += 1
-            if tally[mine] > count or (tally[mine] == count and mine < best):
-                best, count = mine, tally[mine]
+            seen[mine] += 1
+            if seen[mine] > count or (seen[mine] == count and mine < best):
+                best, count = mine, seen[mine]
         for i in range(first, last):
-            tally[label[order[i]]] = 0
+            seen[label[order[i]]] = 0
         most[s] = best

@@ -43,7 +43,7 @@ class SectorInputs(NamedTuple):
 
 
 class SectorMeasures(NamedTuple):
-    """What is filled."""
+    """Results, filled in place."""
 
     scalars: Annotated[Floats, 2]
     """(sectors, 4) variance of z [m^2], residual [m] (NaN where the points span no plane), coverage, distance of the
@@ -190,7 +190,7 @@ def _centre_points(inputs: SectorInputs, by_cell: CellOrder, first: int, scratch
 
 @helper
 def _on_a_line(x: Floats, y: Floats) -> bool:
-    """Whether centred points lie on one line, seen from above."""
+    """Return whether centred points lie on one line, seen from above."""
     xx = xy = yy = 0.0
     for i in range(len(x)):
         xx += x[i] * x[i]

@@ -44,7 +44,7 @@ _ROUNDS = 40
 _LEAST_M = 0.03
 """Heights that differ by this count half as much as equal ones."""
 _PRIOR = (1.0, 100.0, 100.0)
-"""What keeps corrections small that the ground does not ask for: as one square more at a correction of 0."""
+"""Weight that keeps corrections small where the ground asks for none: as one square more at a correction of 0."""
 _SIDE = 1 << 31
 _MOST_SQUARES = 1_000_000
 """Squares of all frames together that are kept: 130 frames at least have all of theirs. They take 20 MB, and the
@@ -237,7 +237,7 @@ class WrongPosesError(BadInputError):
 
 
 class FramesOfDrive(Protocol):
-    """What is known of the frames of a drive."""
+    """Poses and points of the frames of a drive."""
 
     @property
     def poses(self) -> Floats:

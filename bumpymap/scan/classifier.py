@@ -162,7 +162,7 @@ class ScanClassifier:
     robot : dict, optional
         Which returns are on the robot itself, with the names and values of ``[robot]`` in a settings file.
     vehicle : str or path, optional
-        Vehicle whose ride on the sectors is told: the name of an included one, or a TOML file with its calibration
+        Vehicle whose ride on the sectors is computed: the name of an included one, or a TOML file with its calibration
         beside it. Its belly and height say what an obstacle is.
     calibration : path, optional
         A calibration file, instead of ``vehicle``.

@@ -56,7 +56,7 @@ class ScanConfig:
         Literal[4, 5, 6] | None,
         Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True),
     ] = None
-    """Number of float32 columns of ``.bin`` files; None: told from their values."""
+    """Number of float32 columns of ``.bin`` files; None: found from their values."""
     labels: Annotated[
         NameOrFile | None,
         Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME|FILE", rare=True),
@@ -122,26 +122,26 @@ class ScanConfig:
 
     @property
     def may_have_poses(self) -> bool:
-        """Whether poses are given, or bags that may hold some."""
+        """True if poses are given, or bags that may hold some."""
         from bumpymap.readers import bags_at
 
         return self.poses is not None or any(map(bags_at, self.frames))
 
     @property
     def bag_topics(self) -> "BagTopics":
-        """Which topics of a bag are read."""
+        """Topics of a bag that are read."""
         from bumpymap.readers import BagTopics
 
         return BagTopics(self.topic, self.odometry, poses=self.poses is None)
 
     @property
     def rates_ride(self) -> bool:
-        """Whether the ride of a vehicle on each sector is told."""
+        """True if the ride of a vehicle on each sector is computed."""
         return (self.vehicle is not None or self.calibration is not None) and self.finds_ground
 
     @property
     def finds_ground(self) -> bool:
-        """Whether ground points are found; False: all points are taken for ground, as in the paper."""
+        """True if ground points are found; False: all points are taken for ground, as in the paper."""
         return self.compat == "none" and self.polar.ground_only
 
     def refuse_map_settings(self) -> None:

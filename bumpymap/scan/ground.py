@@ -143,7 +143,7 @@ def find_ground(
     buffers = buffers or SectorBuffers()
     geometry = _geometry(settings, start)
     cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
-    xyz = buffers.empty("gathered", count, np.float32, rows=3)
+    xyz = buffers.empty("accumulated", count, np.float32, rows=3)
     held = CellPoints(xyz, buffers.empty("part", count, np.int32), by_cell.starts)
     gather_points(points, pixel, _part_of_pixel(settings.pixels), by_cell, held)
     planes = GroundPlanes(np.zeros((cells, 3)), np.zeros((cells, 3)), np.zeros(cells), np.zeros(cells, np.int32))
@@ -227,7 +227,7 @@ def all_ground(by_cell: CellOrder, points: NDArray[np.float32], pixels: int) -> 
 
 
 def _lies_above_sensor(planes: GroundPlanes) -> bool:
-    """Whether the ground, by the nearer half of its planes, lies above the sensor: then z does not point up."""
+    """Return whether the ground, by the nearer half of its planes, lies above the sensor: then z does not point up."""
     heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
     return len(heights) > 0 and bool(_median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M)
 

@@ -43,7 +43,7 @@ _BLOCK_MM, _SIDE = 30_000, 1 << 20
 _COLUMNS = 480
 """Directions around a range image; it has half as many rows, from straight down to straight up."""
 _PROBE_MM = 800
-"""Whether ground can be driven on shows at this height above it, between belly and top of a vehicle."""
+"""Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
 _FAR_MM = 2_000_000_000
 

@@ -8,7 +8,7 @@ has the most stripes in it.
 *Ride.* The ground points of a scan are cut into tiles around the sensor, and rated by the same steps as those of a
 survey. A tile is unknown if its heightmap cannot be rated by the rules of a survey. Thinner tiles of a survey are rated
 from their points alone, but those lie at random; in a scan they lie along a few lines, and what is rough between the
-lines is not seen: there, the ride would be told smoother than it is, by a factor of up to 50. Also in the tiles that
+lines is not seen: there, the ride would be rated smoother than it is, by a factor of up to 50. Also in the tiles that
 are rated the lines miss some relief, so that the interval is wider than in a survey. The ride on a sector is the mean
 over its area, as far as that is rated.
 """
@@ -69,10 +69,10 @@ _LEAST_SHARE = 0.5
 _CELLS = 6
 """Cells along the side of a tile whose centres stand for the area of sectors."""
 _BELOW, _ABOVE = 0.35, (0.45, 0.15)
-"""What scan lines add to the 80 % interval of ln C_r: below; above in tiles of a coverage of 0.75 and less, and of 0.9
-and more. Measured in made-up scans of ground whose dense survey was mapped."""
+"""Widening of the 80 % interval of ln C_r by scan lines: below; above in tiles of a coverage of 0.75 and less, and of
+0.9 and more. Measured in made-up scans of ground whose dense survey was mapped."""
 _LEAST_STEP_PIXELS = 10
-"""With fewer pixels along the side of a tile, steps are not told."""
+"""With fewer pixels along the side of a tile, steps are not looked for."""
 
 
 class SectorRater:
@@ -136,8 +136,8 @@ class SectorRater:
         ring = np.s_[rows.min() : rows.max() + 3, cols.min() : cols.max() + 3]
         heights = self._lay(patches.heights, patches)[ring]
         pixels = self._calibration.pixels
-        mosaic = heights.swapaxes(1, 2).reshape(len(heights) * pixels, -1)
-        step = find_steps(mosaic, pixels, self._calibration.wheel_pixels).unseen * share[1:-1, 1:-1][inner]
+        joined = heights.swapaxes(1, 2).reshape(len(heights) * pixels, -1)
+        step = find_steps(joined, pixels, self._calibration.wheel_pixels).unseen * share[1:-1, 1:-1][inner]
         columns = asdict(own)
         near = {name: values[inner] for name, values in columns.items()} | {"coverage": coverage[inner]}
         for name, values in apply_steps(near, step, self._calibration).items():
@@ -281,7 +281,7 @@ class Method:
     classify: Callable[[Scan], ClassedSectors]
     """Cuts a scan into sectors and classifies them; keeps buffers for the next scan, each thread its own."""
     calibration: Calibration | None = None
-    """Of the vehicle whose ride on the sectors is told; None: of none."""
+    """Of the vehicle whose ride on the sectors is computed; None: of none."""
 
 
 def choose_method(config: ScanConfig) -> Method:

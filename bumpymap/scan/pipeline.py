@@ -105,7 +105,7 @@ input."""
 
 @dataclass(frozen=True, slots=True)
 class ScanRun:
-    """What a run wrote and found."""
+    """Files and statistics of a run."""
 
     files: tuple[str, ...]
     """Names in the folder of the products; the folder of the frames stands for the files in it."""
@@ -119,7 +119,7 @@ class ScanRun:
     drive: "MapResult | None" = None
     """The map of the merged frames; None without poses, or without ground to map."""
     merged: Mapping[str, Any] | None = None
-    """What scan.json says of the merged points (``gathered``): how many, and how well the poses agree."""
+    """Entry ``gathered`` of scan.json, about the merged points: how many, and how well the poses agree."""
     already_done: bool = False
     """An earlier run with the same frames and settings is complete: nothing was written, and these are its results."""
 

@@ -1,4 +1,4 @@
-"""What shows the layers of a map in its folder: styles, a project and a page."""
+"""Views of the layers of a map, in its folder: styles, a project and a page."""
 
 from collections.abc import Mapping
 from pathlib import Path

@@ -35,7 +35,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 from driven_ways import ReliefGround, WayDrive, drive_way, fill_gaps
 
 if TYPE_CHECKING:
-    from bumpymap.layers import RouteMap
+    from bumpymap.layers import MapReader
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +255,7 @@ class RoutePlanner:
     planner: Planner
 
     @classmethod
-    def of(cls, route_map: "RouteMap") -> "RoutePlanner":
+    def of(cls, route_map: "MapReader") -> "RoutePlanner":
         """Return the planner of a map, with the settings of its vehicle."""
         return cls(Planner(CostGround(route_map, CostSettings(), route_map.window.cols * route_map.window.rows)))
 
@@ -634,13 +634,13 @@ class WayJob:
 class DrivenMap:
     """What all drives share."""
 
-    route_map: "RouteMap"
+    route_map: "MapReader"
     profile: Vehicle
     drive: DriveSettings
 
 
 def drive_pairs(
-    route_map: "RouteMap",
+    route_map: "MapReader",
     profile: Vehicle,
     pairs: Sequence[WayPair],
     settings: RouteTrialSettings,
@@ -650,7 +650,7 @@ def drive_pairs(
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
         The map, for its heights and obstacles.
     profile : Vehicle
     pairs : sequence of WayPair
@@ -705,7 +705,7 @@ def _offset(settings: RouteTrialSettings, number: int, repeat: int) -> float:
 
 
 def _recorded(
-    route_map: "RouteMap", profile: Vehicle, pairs: Sequence[WayPair], settings: RouteTrialSettings
+    route_map: "MapReader", profile: Vehicle, pairs: Sequence[WayPair], settings: RouteTrialSettings
 ) -> dict[str, Any]:
     """Return everything that affects the drives, as JSON."""
     files = [
@@ -746,7 +746,7 @@ class RouteFindings:
         return [way for way in self.ways if way.name == name]
 
 
-def require_calibration(route_map: "RouteMap", calibration: Calibration) -> None:
+def require_calibration(route_map: "MapReader", calibration: Calibration) -> None:
     """Raise BadInputError if the map was made with another calibration."""
     if route_map.calibration_id != calibration.id:
         raise BadInputError(
@@ -757,7 +757,7 @@ def require_calibration(route_map: "RouteMap", calibration: Calibration) -> None
 
 
 def evaluate_routes(
-    route_map: "RouteMap",
+    route_map: "MapReader",
     calibration: Calibration,
     plan: PlanWay,
     settings: RouteTrialSettings,
@@ -767,7 +767,7 @@ def evaluate_routes(
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
     calibration : Calibration
         The one that the map was made with; it has a ride model.
     plan : callable
@@ -813,13 +813,13 @@ def evaluate_routes(
     )
 
 
-def _tight_turns_deg(route_map: "RouteMap", line: Floats) -> float:
+def _tight_turns_deg(route_map: "MapReader", line: Floats) -> float:
     ground = RoutePlanner.of(route_map).planner.ground
     return ground.tight_turns_deg(on_grid(np.asarray(line, np.float64), route_map.grid, route_map.window))
 
 
 def _raw(
-    route_map: "RouteMap", calibration: Calibration, field: TileField, pairs: Sequence[WayPair]
+    route_map: "MapReader", calibration: Calibration, field: TileField, pairs: Sequence[WayPair]
 ) -> NDArray[np.float64]:
     """Predict without noise correction the tiles along and beside the ways."""
     from scipy.ndimage import binary_dilation

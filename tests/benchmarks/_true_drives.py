@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from bumpymap.core import Barred, TileField
-from bumpymap.layers import RouteMap, open_map
+from bumpymap.layers import MapReader, open_map
 from bumpymap.rating import Vehicle
 from bumpymap.route import CostSettings
 from bumpymap.route.ground import CostGround
@@ -141,7 +141,7 @@ def heights_of(layers: Path) -> GroundAlong:
     return partial(_heights_along, open_map([layers]))
 
 
-def _heights_along(site: RouteMap, line: NDArray[np.float64]) -> tuple[ReliefGround, NDArray[np.float64]]:
+def _heights_along(site: MapReader, line: NDArray[np.float64]) -> tuple[ReliefGround, NDArray[np.float64]]:
     size = site.grid.tile_size
     low = np.floor(line.min(axis=0) / size).astype(int) - _ROOM_TILES
     high = np.ceil(line.max(axis=0) / size).astype(int) + _ROOM_TILES

@@ -20,7 +20,7 @@ WALL_COL = 5
 
 @dataclass
 class MadeUpMap:
-    """What an evaluation reads of a `RouteMap`."""
+    """What an evaluation reads of a `MapReader`."""
 
     calibration: Calibration
     c_r: float = 0.02

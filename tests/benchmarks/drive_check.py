@@ -25,7 +25,7 @@ from bumpymap.check.measure import DriveMeasure, WayStretch
 from bumpymap.check.pipeline import _Done, _field, _measured, _stretches, agreement_of
 from bumpymap.check.places import places_on_map
 from bumpymap.core import BadInputError, MapAgreement
-from bumpymap.layers import RouteMap, open_map
+from bumpymap.layers import MapReader, open_map
 from bumpymap.rating import Calibration, Vehicle
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
@@ -92,7 +92,7 @@ def all_drives(work: Path, layers: Path, stiffness: float, damping: float) -> It
 
 
 @cache
-def site_of(layers: Path) -> RouteMap:
+def site_of(layers: Path) -> MapReader:
     """Open the map of a drive."""
     return open_map([layers])
 

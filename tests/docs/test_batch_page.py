@@ -63,4 +63,4 @@ def test_the_makefile_makes_what_is_missing_and_goes_on_after_a_failure(tmp_path
         "flights/bad.laz",
         "flights/c.laz",
     ]
-    assert given[0] == "map flights/a.laz --out night/a --threads 1 --quiet"
+    assert given[0] == "map flights/a.laz --out maps/a --threads 1 --quiet"

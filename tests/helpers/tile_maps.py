@@ -1,4 +1,4 @@
-"""Maps in memory whose tiles, heights and risks a test chooses, with the methods of a RouteMap that planning uses."""
+"""Maps in memory whose tiles, heights and risks a test chooses, with the methods of a MapReader that planning uses."""
 
 from dataclasses import dataclass, field
 

@@ -283,7 +283,7 @@ def test_why_a_damaged_raster_cannot_be_read_is_said(one, tmp_path, read):
 
 
 def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.layers.route_sheet.CHECKED_BYTES", 100)
+    monkeypatch.setattr("bumpymap.layers.sheet_reader.CHECKED_BYTES", 100)
     folder = copytree(one, tmp_path / "map")
     data = bytearray((folder / "heightmap.tif").read_bytes())
     data[len(data) // 2] ^= 1

@@ -169,7 +169,7 @@ class ReliefGround:
     ) -> "ReliefGround":
         """Make the ground of heights (rows, cols) in m, north row first; NaN are filled by `fill_gaps`.
 
-        ``objects`` (rows, cols) are states of the pixels, as `RouteMap.objects` gives them.
+        ``objects`` (rows, cols) are states of the pixels, as `MapReader.objects` gives them.
         """
         walls = None if objects is None else np.ascontiguousarray(objects[::-1] == OBSTACLE)
         return cls(np.ascontiguousarray(fill_gaps(heights)[::-1]), pixel_size, walls=walls)

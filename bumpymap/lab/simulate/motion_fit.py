@@ -49,7 +49,7 @@ _SETTLE_S = 0.02
 
 @dataclass(frozen=True, slots=True)
 class MotionDrive:
-    """What one drive felt; NaN unless completed."""
+    """Motion of one drive; NaN unless completed."""
 
     outcome: Outcome
     c_r: float

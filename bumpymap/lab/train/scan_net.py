@@ -160,7 +160,7 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
 
 _CLASS_NAMES = tuple(map(str, range(CLASSES)))
 _LABELS = LABEL_SETS["rellis"]
-"""What the labels of the scenes, and of data sets to train on, mean."""
+"""Meaning of the labels of scenes and of data sets to train on."""
 
 
 _LIMITS_OF_SIMULATION = """\

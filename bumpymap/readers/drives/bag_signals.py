@@ -81,7 +81,7 @@ _TYPES: Mapping[str, tuple[str, ...]] = {
     ),
     "twist": ("geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/TwistWithCovarianceStamped"),
 }
-"""What a topic is read for -> types of its messages, the best one first."""
+"""Purpose of a topic -> types of its messages, the best one first."""
 
 
 class _Topic(NamedTuple):

@@ -142,7 +142,7 @@ def seconds_of_numbers(
     ----------
     numbers : (n,) float64 or int64
     unit : str or None
-        ``s``, ``ms``, ``us`` or ``ns``. None: told from the size of times since 1970, else from the time between two
+        ``s``, ``ms``, ``us`` or ``ns``. None: found from the size of times since 1970, else from the time between two
         samples.
     kind : {"rates", "positions"}
         What is sampled; rates come more often.
@@ -152,7 +152,7 @@ def seconds_of_numbers(
     Raises
     ------
     BadInputError
-        There is no time, or the unit cannot be told.
+        There is no time, or the unit cannot be found.
     """
     source, name = where
     finite = numbers[np.isfinite(numbers)] if numbers.dtype.kind == "f" else numbers

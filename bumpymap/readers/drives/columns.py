@@ -92,7 +92,7 @@ def refuse_odd_rates(rates: Floats, source: str, names: tuple[str, ...], *, know
 def guess_acceleration(values: Floats, source: str, *, known: bool) -> tuple[Floats | None, str | None]:
     """Return accelerations in m/s2, (n, 3), and a note on their unit; None if they hold no gravity.
 
-    Without a stated unit, g and mg are told from the size of gravity.
+    Without a stated unit, the size of gravity decides between g and mg.
     """
     middle = float(np.linalg.norm(np.median(values, axis=0)))  # of noise alone it would be small
     units = {"m/s2": 1.0} if known else UNITS["acceleration"]
@@ -107,7 +107,7 @@ def guess_acceleration(values: Floats, source: str, *, known: bool) -> tuple[Flo
 
 
 def guess_angle_unit(angles: Floats, source: str) -> tuple[float, str]:
-    """Return the factor from angles, (n, 3), to rad, told from their size, and a note."""
+    """Return the factor from angles, (n, 3), to rad, found from their size, and a note."""
     in_degrees = float(np.abs(angles).max(initial=0.0)) > 2.0 * np.pi + 0.01
     unit = "deg" if in_degrees else "rad"
     return UNITS["angle"][unit], f"roll, pitch and yaw of {source} name no unit and are taken as {unit}"
@@ -151,7 +151,7 @@ class ColumnGroup(NamedTuple):
     quantities: tuple[str, ...]
     patterns: Sequence[str]
     places: Mapping[str, int]
-    """What the pattern captures -> which of the quantities it is."""
+    """Text that the pattern captures -> the quantity that it means."""
 
 
 _AXES = {"x": 0, "y": 1, "z": 2, "w": 3, "0": 0, "1": 1, "2": 2, "roll": 0, "pitch": 1, "yaw": 2}
@@ -249,7 +249,7 @@ class _Match(NamedTuple):
     before: str
     """Words before those that the pattern describes."""
     key: str
-    """What the pattern captures."""
+    """Text that the pattern captures."""
     unit: str
 
 

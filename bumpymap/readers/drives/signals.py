@@ -115,7 +115,7 @@ _LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
 
 
 _NEAR_S, _MOST_HOURS = 300.0, 14
-"""Two recordings that begin so near each other, but for so many whole hours, are told in two time zones."""
+"""Two recordings that begin so near each other, but for so many whole hours, are given in two time zones."""
 _ROUNDING = 0.1
 """Tolerance of the lengths of quaternions."""
 _BRIDGED_S = 0.25
@@ -153,7 +153,7 @@ class DriveSignals:
     """Quantity -> column or topic."""
     notes: tuple[str, ...] = ()
     listing: str = ""
-    """What the file holds, for the message that something is missing."""
+    """Content of the file, for the message that something is missing."""
 
 
 def assemble(name: str, paths: Sequence[Path], sources: Sequence[DriveSignals]) -> DriveLog:

@@ -85,7 +85,7 @@ _FORMATS = (
 
 
 class TableHead(NamedTuple):
-    """What the start of a file says about its table."""
+    """Format of a table, from the start of its file."""
 
     names: tuple[str, ...]
     """Of the columns, each different."""
@@ -93,7 +93,7 @@ class TableHead(NamedTuple):
     first_line: int
     """Number of lines before the first row."""
     rewrite: bool
-    """Whether there are remarks between the rows, or blanks between the values."""
+    """True if there are remarks between the rows, or blanks between the values."""
 
 
 def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:

@@ -97,7 +97,7 @@ def _given(path: Path, values: NDArray[np.float32], columns: int) -> int:
     if columns not in likely and likely[0] in BIN_COLUMNS and count % likely[0] == 0:
         raise BadInputError(
             f"the values of {path} lie in {likely[0]} columns of float32, not in {columns}, as `columns` says "
-            f"({_listed()}). Say `columns={likely[0]}`, or leave it out: it is told from the values"
+            f"({_listed()}). Say `columns={likely[0]}`, or leave it out: it is found from the values"
         )
     return columns
 
@@ -221,7 +221,7 @@ def read_kitti(path: Path, columns: int | None = None) -> RawScan:
     ----------
     path : Path
     columns : int, optional
-        4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: told from the values.
+        4 (x, y, z, intensity), 5 (and ring) or 6 (and time); None: found from the values.
 
     Raises
     ------

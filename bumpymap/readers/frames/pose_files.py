@@ -43,7 +43,7 @@ def seconds_of_words(words: Sequence[str], unit: float | None = None) -> NDArray
     words : sequence of str
         Numbers, or dates such as ``2011-09-26 13:02:25.594360375``.
     unit : float, optional
-        Unit of the numbers, s. None: told from their size if they are times since 1970; otherwise seconds.
+        Unit of the numbers, s. None: found from their size if they are times since 1970; otherwise seconds.
     """
     if words and all(_DATE.fullmatch(word.strip()) for word in words):
         try:
@@ -108,7 +108,7 @@ class PoseFile(NamedTuple):
     poses: NDArray[np.float64]
     """(n, 4, 4) transforms from the sensor frame to the world frame, m."""
     is_kitti: bool = False
-    """Whether the file is in the format of KITTI, whose own poses are those of a camera."""
+    """True if the file is in the format of KITTI, whose own poses are those of a camera."""
 
 
 def read_pose_file(path: Path) -> PoseFile:

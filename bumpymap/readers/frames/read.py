@@ -35,14 +35,14 @@ _ODOMETRY, _TF = "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 
 @dataclass(frozen=True, slots=True)
 class BagTopics:
-    """Which topics of a bag are read."""
+    """Topics of a bag that are read."""
 
     cloud: str | None = None
     """Of the scans; None: the only one of its type."""
     odometry: str | None = None
     """Of the odometry; None: the only one of its type, or else the transforms."""
     poses: bool = True
-    """Whether poses are read at all."""
+    """True if poses are read."""
 
 
 def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
@@ -345,7 +345,7 @@ def read_scan(path: Path, robot: Robot | None = None, columns: int | None = None
     robot : Robot, optional
         Returns on the robot are dropped.
     columns : int, optional
-        Number of columns of a ``.bin`` file: 4, 5 or 6; None: told from its values.
+        Number of columns of a ``.bin`` file: 4, 5 or 6; None: found from its values.
 
     Returns
     -------

@@ -34,10 +34,10 @@ from bumpymap.core import (
 from bumpymap.layers import (
     MANIFEST_NAME,
     BandSpec,
+    MapReader,
     Placement,
     RasterSpec,
     RasterWindow,
-    RouteMap,
     refuse_present,
     write_cog,
 )
@@ -47,12 +47,12 @@ __all__ = [
     "CLOSED_IN_PART",
     "COST_NAME",
     "DATUM_NAME",
-    "DEAREST",
     "EXPORT_FILES",
     "FRAME",
     "FREE_CELL",
     "LETHAL",
     "SLOWEST",
+    "TOP_VALUE",
     "UNKNOWN_CELL",
     "CostScale",
     "ExportArea",
@@ -73,22 +73,22 @@ __all__ = [
 
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
-DEAREST = 98
-"""Value of the dearest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
+TOP_VALUE = 98
+"""Value of the costliest passable tile. Not 99: newer costmaps read that as the inscribed radius of an obstacle."""
 SLOWEST = 1
 """Least speed limit, percent. Not 0: the speed filter reads that as no limit."""
 
 
 @dataclass(frozen=True, slots=True)
 class CostScale:
-    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``dearest`` and all above."""
+    """How cost per metre becomes 0..98, linearly: 0 is cost 1 (smooth and safe), 98 is ``max_cost`` and all above."""
 
-    dearest: float
+    max_cost: float
 
     def values(self, cost: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the values of costs, rounded; NaN where the cost is."""
-        span = max(self.dearest - 1.0, np.finfo(np.float64).tiny)
-        return np.clip(np.rint(DEAREST * (np.clip(cost, 1.0, self.dearest) - 1.0) / span), FREE_CELL, DEAREST)
+        span = max(self.max_cost - 1.0, np.finfo(np.float64).tiny)
+        return np.clip(np.rint(TOP_VALUE * (np.clip(cost, 1.0, self.max_cost) - 1.0) / span), FREE_CELL, TOP_VALUE)
 
 
 def passable_cost(field: TileField) -> NDArray[np.float64]:
@@ -152,8 +152,8 @@ def lay_objects(
     objects : uint8 (rows * pixels, cols * pixels)
         Of obstacle.tif.
     judged : bool (rows, cols)
-        Whether objects were told from ground in the tile. Else they are part of its relief and in its ride cost, and
-        its pixels keep the value of the tile.
+        Where objects were told apart from ground. Elsewhere they are part of the relief and in the ride cost, and
+        pixels keep the value of the tile.
     unknown : int
         Value of pixels of passable tiles where neither ground nor anything else was seen.
 
@@ -174,14 +174,14 @@ CLOSED_IN_PART = (Barred.OBSTACLE, Barred.SPLIT)
 """Tiles that what stands on them closes for what reads tiles alone."""
 
 
-def open_in_part(route_map: RouteMap, field: TileField) -> NDArray[np.bool_]:
+def open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
     """Return the pixels of tiles that obstacles close or split over which the vehicle passes between these obstacles.
 
     They lie nearer than half its width to where its middle can be, so they hold no obstacle and nothing unseen.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
         The map, for ``passage.tif``.
     field : TileField
         (rows, cols) tiles of it.
@@ -222,7 +222,7 @@ class ExportPoint:
 class ExportArea:
     """A window of a map, its cells and its frame: x to the east and y to the north of the grid, m (REP-103)."""
 
-    route_map: RouteMap
+    route_map: MapReader
     window: TileWindow
     datum: ExportPoint
     """Origin of the frame."""
@@ -343,13 +343,13 @@ _STRIP_CELLS = 4_000_000
 
 
 def choose_area(
-    route_map: RouteMap, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
+    route_map: MapReader, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
 ) -> ExportArea:
     """Choose the window to export, and its local frame.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
     split : int
         Cells along a side of a tile.
     around : ExportPoint, optional
@@ -373,7 +373,7 @@ def choose_area(
     return ExportArea(route_map, window, datum, split)
 
 
-def _crop(route_map: RouteMap, around: ExportPoint, radius_m: float) -> TileWindow:
+def _crop(route_map: MapReader, around: ExportPoint, radius_m: float) -> TileWindow:
     whole, grid = route_map.window, route_map.grid
     sides = np.array([around.easting, around.northing])
     first = grid.index(sides - radius_m)

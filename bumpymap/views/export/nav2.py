@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
 from bumpymap.views.export.area import (
     CLOSED_IN_PART,
-    DEAREST,
     FRAME,
     LETHAL,
+    TOP_VALUE,
     UNKNOWN_CELL,
     CostScale,
     ExportArea,
@@ -115,7 +115,7 @@ controller_server:
   ros__parameters:
     speed_limit_topic: "speed_limit"
 
-# With this multiplier the planner's cost of a cell is bumpymap's: 1 on smooth, safe ground, {dearest!r} at value {top}.
+# With this multiplier the planner's cost of a cell is bumpymap's: 1 on smooth, safe ground, {cost!r} at value {top}.
 planner_server:
   ros__parameters:
     planner_plugins: ["GridBased"]
@@ -132,7 +132,7 @@ def travel_multiplier(scale: CostScale) -> float:
     The costmap scales 0..100 to 0..254 and drops decimals; the planner's cost of a step is
     ``length * (1 + multiplier * cell / 252)``.
     """
-    return (scale.dearest - 1.0) * _SMAC_FULL / math.floor(DEAREST / LETHAL * _COSTMAP_LETHAL)
+    return (scale.max_cost - 1.0) * _SMAC_FULL / math.floor(TOP_VALUE / LETHAL * _COSTMAP_LETHAL)
 
 
 def params_text(vehicle: RouteVehicle, scale: CostScale, resolution: float) -> str:
@@ -143,8 +143,8 @@ def params_text(vehicle: RouteVehicle, scale: CostScale, resolution: float) -> s
         resolution=resolution,
         radius=round(vehicle.width_m / 2.0, 3),
         lethal=LETHAL,
-        dearest=round(scale.dearest, 6),
-        top=DEAREST,
+        cost=round(scale.max_cost, 6),
+        top=TOP_VALUE,
         multiplier=round(travel_multiplier(scale), 6),
     )
 
@@ -168,7 +168,7 @@ class Nav2Grids:
     """Tiles in the area: passable, barred, unknown."""
 
 
-def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2Grids:
+def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2Grids:
     """Make the images of an area.
 
     Parameters
@@ -176,8 +176,8 @@ def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2G
     area : ExportArea
     comfort : float
         See `speed_values`.
-    dearest : float, optional
-        Cost per metre that gets the highest value; else that of the dearest passable tile of the area.
+    max_cost : float, optional
+        Cost per metre that gets the highest value; else that of the costliest passable tile of the area.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def make_grids(area: ExportArea, comfort: float, dearest: float | None) -> Nav2G
     highest, tiles = _survey(area)
     if not tiles["passable"]:
         raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
-    scale = CostScale(dearest or highest)
+    scale = CostScale(max_cost or highest)
     cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
     for window, lines in area.strips():
         field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
@@ -243,7 +243,7 @@ def write_nav2(folder: Path, area: ExportArea, grids: Nav2Grids) -> dict[str, An
     return {
         "cost": {
             "value_0": 1.0,
-            f"value_{DEAREST}": grids.scale.dearest,
+            f"value_{TOP_VALUE}": grids.scale.max_cost,
             "unit": "cost per metre of level, smooth and safe ground",
         },
         "speed": {"comfort_rad_per_s": grids.comfort, "value_100_m_per_s": vehicle.speed_mps},

@@ -19,7 +19,7 @@ NodeSquare = Literal[1, 3, 9, 27]
 
 @dataclass(frozen=True, slots=True)
 class ExportSettings:
-    """What to export, and how."""
+    """Settings of an export."""
 
     to: Annotated[ExportFormat, Setting("Format; see above", "FORMAT", default="", group="Output")] = "nav2"
     around: tuple[float, float] | None = None
@@ -38,13 +38,13 @@ class ExportSettings:
             "nav2: most pitch motion for the speed mask, rad/s", "RAD_S", 0.0, unit="rad/s", exclusive=True, rare=True
         ),
     ] = 0.3
-    dearest: Annotated[
+    max_cost: Annotated[
         float | None,
         Setting(
             "nav2: cost per metre of the highest value", "COST", 1.0, exclusive=True, default="the highest", rare=True
         ),
     ] = None
-    """nav2: cost per metre of the highest value; else that of the dearest passable tile of the area."""
+    """nav2: cost per metre of the highest value; else that of the costliest passable tile of the area."""
     every: Annotated[
         NodeSquare | None, Setting("graph: one node in up to N x N tiles: 1, 3, 9, 27", "N", default="auto", rare=True)
     ] = None

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Number, shape_fault
-from bumpymap.layers import RouteMap, check_extent, geojson_features, line_parts
+from bumpymap.layers import MapReader, check_extent, geojson_features, line_parts
 from bumpymap.views.export.area import (
     DATUM_NAME,
     EXPORT_FILES,
@@ -105,12 +105,12 @@ def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
     raise ValueError("it holds no line")
 
 
-def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
+def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
     """Make a mission of a line over a map.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
         Gives the speed, and the height of the ground at the start.
     line : float64 (n, 2)
         Longitude and latitude of its corners, degrees.
@@ -140,7 +140,7 @@ def make_mission(route_map: RouteMap, line: NDArray[np.float64]) -> Mission:
     return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
 
 
-def _ground(route_map: RouteMap, easting: float, northing: float) -> float:
+def _ground(route_map: MapReader, easting: float, northing: float) -> float:
     """Return the mean height of the tile at a place, m; 0 if unknown."""
     (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
     heights = route_map.heights(TileWindow(col, row, 1, 1))
@@ -195,7 +195,7 @@ _Writer = Callable[[Path], dict[str, Any]]
 
 @dataclass(frozen=True, slots=True)
 class Export:
-    """What was written."""
+    """Files that were written."""
 
     files: tuple[Path, ...]
     record: dict[str, Any]
@@ -203,13 +203,13 @@ class Export:
 
 
 def export_map(
-    route_map: RouteMap, out: str | os.PathLike[str], settings: ExportSettings, *, overwrite: bool = False
+    route_map: MapReader, out: str | os.PathLike[str], settings: ExportSettings, *, overwrite: bool = False
 ) -> Export:
     """Write a map for robots to a folder: all files, or none.
 
     Parameters
     ----------
-    route_map : RouteMap
+    route_map : MapReader
         From `open_map`.
     out : path
         A folder of its own.
@@ -247,12 +247,12 @@ def _point(place: tuple[float, float] | None) -> ExportPoint | None:
     return None if place is None else ExportPoint(*map(float, place))
 
 
-def _split(route_map: RouteMap, settings: ExportSettings) -> int:
+def _split(route_map: MapReader, settings: ExportSettings) -> int:
     by_pixels = settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"}
     return route_map.grid.pixels if by_pixels or settings.to == "cost" else 1
 
 
-def _sources(route_map: RouteMap) -> dict[str, Any]:
+def _sources(route_map: MapReader) -> dict[str, Any]:
     vehicle = route_map.vehicle
     return {
         "layers": [sheet.folder.resolve().name for sheet in route_map.sheets],
@@ -262,7 +262,7 @@ def _sources(route_map: RouteMap) -> dict[str, Any]:
 
 
 def _nav2(area: ExportArea, settings: ExportSettings) -> _Writer:
-    grids = make_grids(area, settings.comfort, settings.dearest)
+    grids = make_grids(area, settings.comfort, settings.max_cost)
     return lambda folder: write_nav2(folder, area, grids)
 
 

@@ -29,9 +29,9 @@ class ProjectLayer:
     blend: int = NORMAL
     visible: bool = False
     virtual: bool = False
-    """Whether it is the virtual raster over those of sheets."""
+    """True if it is the virtual raster over those of sheets."""
     part: str = ""
-    """What it shows, if not what the file itself opens with; see `layer_style`."""
+    """Part of the file that it shows, if not the one that the file itself opens with; see `layer_style`."""
 
     @property
     def id(self) -> str:
@@ -45,7 +45,7 @@ class ProjectLayer:
 
     @property
     def is_raster(self) -> bool:
-        """Whether it holds pixels; else polygons."""
+        """True if it holds pixels; else polygons."""
         return PurePath(self.file).suffix == ".tif"
 
 
@@ -57,7 +57,7 @@ class LayerGroup:
     layers: "tuple[ProjectLayer | LayerGroup, ...]"
     expanded: bool = True
     one_of: bool = False
-    """Whether showing one of them hides the others."""
+    """True if showing one of them hides the others."""
     visible: bool = True
 
     def found_in(self, find: Callable[[ProjectLayer], ProjectLayer | None]) -> "LayerGroup":

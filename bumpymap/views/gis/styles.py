@@ -343,7 +343,7 @@ class StyleFacts:
     intervals: tuple[str, ...] | None
     """(4,) c_r of each class for the vehicle; None where the record has no limits of the classes."""
     by_c_r: bool
-    """Whether the intervals decide the class; False under the rules of the paper."""
+    """True if the intervals decide the class; False under the rules of the paper."""
     scale: RideScale
     z_factor: float
     """Units of the CRS in a metre, which is the unit of all heights."""

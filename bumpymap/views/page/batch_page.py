@@ -175,17 +175,17 @@ def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[
 
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
-"""What needs a look comes first."""
+"""Order of the rows: those that need a look come first."""
 
 
 @dataclass(frozen=True, slots=True)
 class SurveyView:
-    """What the page shows of the layers of a survey beside its row."""
+    """Picture and link of a survey, beside its row."""
 
     thumbnail: bytes = b""
     """PNG; empty: there is none."""
     has_report: bool = False
-    """Whether there is a report.html beside the layers."""
+    """True if there is a report.html beside the layers."""
 
 
 def index_page(

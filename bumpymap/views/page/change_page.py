@@ -36,7 +36,7 @@ __all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace", "is_comparison", "read_
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
 _RANK = (NOT_COMPARED, 1, 3, 4, 2)
-"""What wins in a pixel of several tiles, each over those before it and over tiles that have not changed."""
+"""Order of the kinds in a pixel of several tiles: each counts before those to its left and before unchanged tiles."""
 _SIDE = 1_500
 """Most pixels of the grids along a side."""
 _BUDGET = 1_300_000
@@ -93,7 +93,7 @@ class ChangeSite:
     places: tuple[ChangedPlace, ...]
     """The largest first."""
     degrees: bool
-    """Whether places are told as longitude and latitude; else in the survey's own coordinates."""
+    """True if places are given as longitude and latitude; else in the survey's own coordinates."""
     still: str = field(repr=False)
     """The kinds, a data URI: for readers and printers without scripts."""
 
@@ -395,7 +395,7 @@ _APART = "too few places where both have points: may have changed or not"
 
 
 def _kind_rows(site: ChangeSite) -> list[tuple[Any, ...]]:
-    """Return what became of the tiles."""
+    """Return the number and area of the tiles of each kind of change."""
     counts = site.record["counts"]
     compared, apart = int(counts["compared"]), int(counts["in_both"] - counts["compared"])
     found = [int(counts["by_change"][kind]) for kind in CHANGE_KINDS]

@@ -79,7 +79,7 @@ class Chart:
     rows: Sequence[tuple[str, ...]] = ()
     """Table of its numbers."""
     is_narrow: bool = False
-    """Whether it must not grow as wide as the page."""
+    """True if it must not grow as wide as the page."""
     elements: list[str] = field(default_factory=list)
 
     @property

@@ -37,7 +37,7 @@ _REMEDY = "Check this map, with `bumpymap check`, and give the folder as `check`
 
 @dataclass(frozen=True, slots=True)
 class DrawnCheck:
-    """What drives show of the map of a page."""
+    """Findings of drives over the map of a page."""
 
     result: CheckResult
     is_of_this_run: bool

@@ -428,7 +428,7 @@ def _compared(sites: Sequence[Site]) -> list[tuple[str, str, list[Row]]]:
 def _compared_rows(names: Sequence[str], counts: list[list[int]], sites: Sequence[Site]) -> list[Row]:
     first, second = sites
     told = []
-    for site, parts in zip(sites, counts, strict=True):  # those told elsewhere too, and the rest, are rounded alone
+    for site, parts in zip(sites, counts, strict=True):  # those shown elsewhere too, and the rest, are rounded alone
         rest = site.summary.tiles - sum(parts)
         alone = {place for place, name in enumerate(names) if name in _ALONE} | ({len(parts)} if rest else set())
         told.append(shares([*parts, rest], alone)[: len(parts)])
@@ -473,7 +473,7 @@ def _file_rows(record: Mapping[str, Any]) -> list[Row]:
 
 
 def _warnings_of(record: Mapping[str, Any]) -> list[str]:
-    """Return the warnings of a run that are not told otherwise; files without their folders, which are private."""
+    """Return warnings that the page does not show elsewhere; files without their folders, which are private."""
     places = [item for name in ("inputs", "skipped_inputs") for item in record.get(name) or ()]
     names = {str(item["path"]) for item in places if isinstance(item, Mapping) and item.get("path")}
     texts = [str(text) for text in record.get("warnings") or ()]

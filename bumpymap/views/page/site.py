@@ -1,4 +1,4 @@
-"""What a page shows of one folder of layers: its record, its ways, and the ground under the colours."""
+"""One folder of layers as a page shows it: its record, its ways, and the ground under the colours."""
 
 import base64
 import io
@@ -66,7 +66,7 @@ _EXAGGERATION = (0.5, 6.0)
 _FLAT = 0.84
 """Brightness where no height is known."""
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
-"""What wins in a pixel, each over those before it."""
+"""Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
 
 
@@ -338,11 +338,11 @@ class Site:
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     ways: tuple[DrawnWay, ...] = ()
     has_links: bool = True
-    """Whether the page lies beside the layers, so that it can lead to the pages of sheets."""
+    """True if the page lies beside the layers, so that it can lead to the pages of sheets."""
     check: DrawnCheck | None = None
-    """What real drives show of the map."""
+    """Findings of real drives over the map."""
     letter: str = ""
-    """What the page calls it beside another."""
+    """Letter of the map on a page of two."""
 
     @classmethod
     def read(
@@ -431,12 +431,12 @@ class Site:
 
     @property
     def sheets(self) -> list[Mapping[str, Any]]:
-        """What run.json says of each sheet; empty for a map in one folder."""
+        """Entries of run.json for the sheets; empty for a map in one folder."""
         return self.record.get("sheets") or []
 
     @property
     def leads_to_sheets(self) -> bool:
-        """Whether there are pages of sheets that can be opened from this one."""
+        """True if there are pages of sheets that can be opened from this one."""
         return self.has_links and bool(self.sheets)
 
     @property
@@ -452,12 +452,12 @@ class Site:
 
     @property
     def objects_known(self) -> bool:
-        """Whether anything is known to be free of objects or to hold one."""
+        """True if anything is known to be free of objects or to hold one."""
         return bool(((self.objects == FREE) | (self.objects == OBSTACLE)).any())
 
     @property
     def class_ranges(self) -> tuple[str, ...]:
-        """What is in each class, in words; empty if the ride cost does not decide."""
+        """Range of each class, in words; empty if the ride cost does not decide."""
         return class_ranges(self.record)
 
     @property

@@ -95,7 +95,7 @@ class ByteGrid:
 
     @property
     def is_known(self) -> bool:
-        """Whether it has a value anywhere."""
+        """True if it has a value anywhere."""
         return bool((self.codes != NOT_KNOWN).any())
 
     def words(self) -> list[str]:
@@ -220,8 +220,10 @@ class PageTiles:
         bins = {"c_r": np.zeros(len(C_R_EDGES) - 1, np.int64), "slope": np.zeros(len(SLOPE_EDGES) - 1, np.int64)}
         rates = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
         rule, calm = CostRule(*(float(record["cost"][name]) for name in rates)), 0
-        tables = [sheet / "tiles.parquet" for sheet in sheets_of(folder, record)]
-        for found in chain.from_iterable(map(read_tiles, tables)):
+        sheets = sheets_of(folder, record)
+        counts = [record["counts"]["tiles"]] if sheets == [folder] else [sheet["tiles"] for sheet in record["sheets"]]
+        tables = [sheet / "tiles.parquet" for sheet in sheets]
+        for found in chain.from_iterable(map(read_tiles, tables, counts)):
             place = _place(found, spot)
             unknown = UNKNOWN_FROM + found["reason"].astype(np.uint8)
             kind = np.where(found["class"] == NO_CLASS, unknown, found["class"]).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""What pictures of routes are drawn with: smooth lines, shaded ground under them, the profile, scale and north arrow.
+"""Drawing of pictures of routes: smooth lines, shaded ground under them, the profile, scale and north arrow.
 
 Edges are smooth because everything is drawn at twice its size and averaged at the end.
 """

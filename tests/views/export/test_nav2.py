@@ -207,7 +207,7 @@ def test_cost_is_scaled_linearly_and_the_same_in_every_crop_if_asked(route_map, 
     assert travel_multiplier(scale) * 248 / 252 == pytest.approx(4.0)
     middle = ((110_010 + 0.5) * 3, (680_008 + 0.5) * 3)
     crops = [
-        exported(route_map, tmp_path / str(radius), around=middle, radius=radius, datum=(0.0, 0.0), dearest=7.0)
+        exported(route_map, tmp_path / str(radius), around=middle, radius=radius, datum=(0.0, 0.0), max_cost=7.0)
         for radius in (4.0, 13.0)
     ]
     (small, large) = (crop[2][0] for crop in crops)
@@ -249,7 +249,7 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
         {"comfort": 0.0},
         {"comfort": float("nan")},
         {"radius": -1.0},
-        {"dearest": 1.0},
+        {"max_cost": 1.0},
         {"every": 0},
         {"around": (float("inf"), 0.0)},
     ],

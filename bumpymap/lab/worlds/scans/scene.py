@@ -18,7 +18,7 @@ _NEAREST_M = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Roadside:
-    """What a road and its sides look like: ranges from which each scene draws."""
+    """Look of a road and its sides: ranges from which each scene draws."""
 
     half_width_m: tuple[float, float]
     kerb_m: tuple[float, float] = (0.0, 0.0)
@@ -217,7 +217,7 @@ class Theme:
     banks: int = 0
     """Banks and terraces of up to 35 degrees."""
     street: bool = False
-    """Whether a road of ``ROADSIDES`` passes the robot."""
+    """True if a road of ``ROADSIDES`` passes the robot."""
 
 
 THEMES = {

@@ -1,4 +1,7 @@
+import copy
+from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +13,7 @@ from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
-from bumpymap.layers.route_sheet import sheet_choice
+from bumpymap.layers.sheet_reader import sheet_choice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -76,7 +79,7 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
     whole = found.window
     around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
     field, heights, objects = found.read(around), found.heights(around), found.objects(around)
-    monkeypatch.setattr("bumpymap.layers.route_sheet._PIECE", piece)  # read at once
+    monkeypatch.setattr("bumpymap.layers.sheet_reader._PIECE", piece)  # read at once
     rng = np.random.default_rng(1)
     for _ in range(10):
         top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
@@ -213,3 +216,90 @@ def test_without_a_crs_there_is_no_longitude():
     assert not place.has_crs
     with pytest.raises(BadInputError, match="no CRS"):
         place.to_lonlat(1.0, 2.0)
+
+
+def open_below(folder):
+    """Names of the files below a folder that this process has open."""
+    opened = []
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            target = entry.readlink()
+        except OSError:  # closed meanwhile, such as the listing itself
+            continue
+        if target.is_relative_to(folder):
+            opened.append(target.name)
+    return sorted(opened)
+
+
+has_descriptors = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="open files are not listed here")
+
+
+@has_descriptors
+def test_files_stay_open_for_as_long_as_wanted(folder):
+    found = open_map([folder])
+    alone = found.read(found.window)
+    assert open_below(folder) == []
+    with found.kept_open():
+        for _ in range(3):
+            assert same(found.read(found.window), alone)
+        assert open_below(folder) == ["barred.tif", "roughness.tif"]
+        with found.kept_open():
+            found.passage(found.window)
+        assert open_below(folder) == ["barred.tif", "passage.tif", "roughness.tif"]
+    assert open_below(folder) == []
+
+
+@has_descriptors
+def test_files_are_closed_after_an_error(folder):
+    found = open_map([folder])
+
+    def fail():
+        found.heights(found.window)
+        raise KeyError("stop")
+
+    with pytest.raises(KeyError, match="stop"), found.kept_open():
+        fail()
+    assert open_below(folder) == []
+
+
+@has_descriptors
+def test_of_many_sheets_few_are_open(make_field, tmp_path):
+    folders = [
+        write_folder(tmp_path / str(number), make_field(6, 4, grid=SMALL, west=110_000 + 6 * number, seed=number))
+        for number in range(12)
+    ]
+    found = open_map(folders)
+    alone = found.read(found.window)
+    with found.kept_open():
+        for _ in range(2):
+            assert same(found.read(found.window), alone)
+            assert 0 < len(open_below(tmp_path)) <= 16
+    assert open_below(tmp_path) == []
+
+
+def test_threads_read_a_map_that_is_kept_open(folder, sheets):
+    for folders in ([folder], sheets):
+        found = open_map(folders)
+        whole = found.window
+        rng = np.random.default_rng(3)
+        corners = rng.integers(0, (whole.cols - 5, whole.rows - 5), (60, 2))
+        windows = [TileWindow(whole.col + int(col), whole.row + int(row), 5, 5) for col, row in corners]
+        wanted = [(found.read(window), found.passage(window)) for window in windows]
+
+        def read(window, found=found):
+            with found.kept_open():
+                return found.read(window), found.passage(window)
+
+        with ThreadPoolExecutor(4) as pool:
+            read_by_threads = list(pool.map(read, windows))
+        for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
+            assert same(field, own)
+            assert np.array_equal(passage, open_pixels)
+
+
+def test_a_map_that_is_kept_open_can_be_sent_to_another_process(folder):
+    found = open_map([folder])
+    with found.kept_open():
+        field = found.read(found.window)
+        other = copy.deepcopy(found)  # as pickle does it
+    assert same(other.read(found.window), field)

@@ -1,7 +1,8 @@
-"""The layers of one run, or of several that are sheets of one map, read by window for routes."""
+"""The layers of one run, or of several that are sheets of one map, read by window."""
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
+    NO_CLASS,
     NO_TILE,
     BadInputError,
     Barred,
@@ -23,49 +25,18 @@ from bumpymap.core import (
     UsageError,
     describe_crs,
 )
-from bumpymap.layers.route_sheet import RouteSheet, common_window, sheet_choice, window_slices, worse_objects
 from bumpymap.layers.sheet_paths import sheet_folders
+from bumpymap.layers.sheet_reader import (
+    SheetReader,
+    common_window,
+    kept_rasters,
+    sheet_choice,
+    window_slices,
+    worse_objects,
+)
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["RouteMap", "map_differences", "open_map", "read_relief"]
-
-
-def read_relief(sheets: Sequence[RouteSheet], window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Read mean heights of the ground from the overviews of heightmap.tif.
-
-    Parameters
-    ----------
-    sheets : sequence of RouteSheet
-        Where they overlap, the higher value counts.
-    window : TileWindow
-        May extend beyond the sheets.
-    shape : tuple
-        Rows and columns of the result, which spans the window.
-
-    Returns
-    -------
-    float32 of that shape
-        m, north row first; NaN where there is none. A sheet is placed to the nearest pixel.
-
-    Raises
-    ------
-    BadInputError
-        A file is missing or damaged.
-    """
-    out = np.full(shape, np.nan, np.float32)
-    for sheet in sheets:
-        part = common_window(window, sheet.window)
-        if part is None:
-            continue
-        above = window.row + window.rows - part.row - part.rows
-        rows = np.rint(np.array([above, above + part.rows]) * (shape[0] / window.rows)).astype(int).tolist()
-        west = part.col - window.col
-        cols = np.rint(np.array([west, west + part.cols]) * (shape[1] / window.cols)).astype(int).tolist()
-        if rows[1] > rows[0] and cols[1] > cols[0]:
-            place = slice(*rows), slice(*cols)
-            found = sheet.read_relief(part, (rows[1] - rows[0], cols[1] - cols[0]))
-            out[place] = np.fmax(out[place], found)
-    return out
+__all__ = ["MapReader", "map_differences", "open_map"]
 
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
@@ -74,14 +45,14 @@ _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 
 
 @dataclass(frozen=True)
-class RouteMap:
+class MapReader:
     """The layers of one map, in one folder or several; from `open_map`.
 
     Where sheets overlap, what is known counts before what is unknown, a barred tile before a passable one, and of two
     tiles alike the larger value of each band. So the order of the folders does not matter.
     """
 
-    sheets: tuple[RouteSheet, ...]
+    sheets: tuple[SheetReader, ...]
     window: TileWindow
     """The smallest window around the tiles of all sheets."""
 
@@ -120,6 +91,10 @@ class RouteMap:
         """Id of the calibration."""
         return self.sheets[0].calibration_id
 
+    def kept_open(self) -> AbstractContextManager[None]:
+        """Keep its files open from read to read in the body of a ``with``, and close them at its end."""
+        return self.sheets[0].rasters.keep()
+
     def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
         """Read the tiles of a window, which may extend beyond the map.
 
@@ -135,33 +110,59 @@ class RouteMap:
         BadInputError
             A file is missing or damaged.
         """
-        barred = np.full((window.rows, window.cols), NO_TILE, np.uint8)
-        values = {band: np.full(barred.shape, np.nan, np.float32) for band in bands}
+        found = self.values(window, bands)
+        nothing = np.broadcast_to(np.float32(np.nan), (window.rows, window.cols))
+        columns = {band: found.get(band, nothing) for band in _BANDS}
+        return TileField(
+            self.grid, self.georeference, window, found["barred"], **columns, rule=self.rule, vehicle=self.vehicle
+        )
+
+    def values(self, window: TileWindow, bands: Sequence[str], *, classes: bool = False) -> dict[str, NDArray[Any]]:
+        """Read what bars the tiles of a window, bands of roughness.tif by name, and if asked for the classes.
+
+        Returns
+        -------
+        dict
+            ``barred``, uint8: a `Barred`, or ``NO_TILE``; ``class_id``, uint8: ``NO_CLASS`` where unknown; bands,
+            float32, NaN where unknown. Each (rows, cols), north row first.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing or damaged.
+        """
+        shape = (window.rows, window.cols)
+        out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
+        out |= {"class_id": np.full(shape, NO_CLASS, np.uint8)} if classes else {}
+        out |= {band: np.full(shape, np.nan, np.float32) for band in bands}
+        rasters = {
+            "barred.tif": (),
+            **({"class.tif": ()} if classes else {}),
+            **({"roughness.tif": bands} if bands else {}),
+        }
         overlapping = any(common_window(window, shared) is not None for shared in self._shared)
         for sheet in self.sheets:
             part = common_window(window, sheet.window)
             if part is None:
                 continue
-            place = window_slices(window, part)
-            if overlapping:
-                found = sheet.read("barred.tif", part)[0]
-                choice = sheet_choice(barred[place], found)
-                barred[place] = choice(barred[place], found)
-                read = sheet.read("roughness.tif", part, bands) if bands else []
-                for band, new in zip(bands, read, strict=True):
-                    values[band][place] = choice(values[band][place], new)
-            else:
-                sheet.read_into([barred[place]], "barred.tif", part)
-                if bands:
-                    sheet.read_into([values[band][place] for band in bands], "roughness.tif", part, bands)
+            place, choice = window_slices(window, part), None
+            arrays = iter(out.values())
+            for raster, names in rasters.items():
+                own = [next(arrays)[place] for _ in names or (0,)]
+                if not overlapping:
+                    sheet.read_into(own, raster, part, names)
+                    continue
+                found = sheet.read(raster, part, names)
+                choice = choice or sheet_choice(own[0], found[0])  # what bars tiles is read first
+                for old, new in zip(own, found, strict=True):
+                    old[...] = choice(old, new)
+        barred = out["barred"]
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
             raise BadInputError(f"barred.tif of {self.folders[0]} holds unknown codes. Map the survey again")
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
-            if (values[band] < 0.0).any() or (band == "p_fail" and (values[band] > 1.0).any()):
+            if (out[band] < 0.0).any() or (band == "p_fail" and (out[band] > 1.0).any()):
                 raise BadInputError(f"roughness.tif of {self.folders[0]} is damaged: {band}. Map the survey again")
-        nothing = np.broadcast_to(np.float32(np.nan), barred.shape)
-        columns = {band: values.get(band, nothing) for band in _BANDS}
-        return TileField(self.grid, self.georeference, window, barred, **columns, rule=self.rule, vehicle=self.vehicle)
+        return out
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
         """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none.
@@ -188,8 +189,40 @@ class RouteMap:
         return out
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Read mean heights of the ground, m, in ``shape`` pixels that span a window; see `read_relief`."""
-        return read_relief(self.sheets, window, shape)
+        """Read mean heights of the ground from the overviews of heightmap.tif.
+
+        Parameters
+        ----------
+        window : TileWindow
+            May extend beyond the map.
+        shape : tuple
+            Rows and columns of the result, which spans the window.
+
+        Returns
+        -------
+        float32 of that shape
+            m, north row first; NaN where there is none. A sheet is placed to the nearest pixel; of two sheets the
+            higher value counts.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing or damaged.
+        """
+        out = np.full(shape, np.nan, np.float32)
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is None:
+                continue
+            above = window.row + window.rows - part.row - part.rows
+            rows = np.rint(np.array([above, above + part.rows]) * (shape[0] / window.rows)).astype(int).tolist()
+            west = part.col - window.col
+            cols = np.rint(np.array([west, west + part.cols]) * (shape[1] / window.cols)).astype(int).tolist()
+            if rows[1] > rows[0] and cols[1] > cols[0]:
+                place = slice(*rows), slice(*cols)
+                found = sheet.read_relief(part, (rows[1] - rows[0], cols[1] - cols[0]))
+                out[place] = np.fmax(out[place], found)
+        return out
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
@@ -245,7 +278,7 @@ class RouteMap:
 
     @property
     def has_crs(self) -> bool:
-        """Whether longitude and latitude are known."""
+        """True if longitude and latitude are known."""
         return self.georeference.crs is not None
 
     @cached_property
@@ -277,7 +310,7 @@ class RouteMap:
         return [window for window in shared if window is not None]
 
 
-def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
+def open_map(folders: Sequence[str | os.PathLike[str]]) -> MapReader:
     """Open the layers of one map: the folder of a run, in sheets or not, or several that are sheets of one map.
 
     Parameters
@@ -296,7 +329,8 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     if not folders:
         raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
     paths = [sheet for folder in folders for sheet in sheet_folders(folder)]
-    opened = {path.resolve(): RouteSheet.open(path) for path in paths}
+    rasters = kept_rasters()
+    opened = {path.resolve(): SheetReader.open(path, rasters) for path in paths}
     first, *others = sheets = tuple(opened.values())
     for other in others:
         if found := map_differences(first, other):
@@ -308,10 +342,10 @@ def open_map(folders: Sequence[str | os.PathLike[str]]) -> RouteMap:
     west, south = min(window.col for window in windows), min(window.row for window in windows)
     east = max(window.col + window.cols for window in windows)
     north = max(window.row + window.rows for window in windows)
-    return RouteMap(sheets, TileWindow(west, south, east - west, north - south))
+    return MapReader(sheets, TileWindow(west, south, east - west, north - south))
 
 
-def map_differences(first: RouteSheet, second: RouteSheet, *, ground: bool = False) -> str:
+def map_differences(first: SheetReader, second: SheetReader, *, ground: bool = False) -> str:
     """Return how the settings and places of two runs differ, and with ``ground`` which points they took; or nothing."""
     own, other = (
         sheet.identity | ({"ground points only": sheet.manifest.get("ground_only")} if ground else {})

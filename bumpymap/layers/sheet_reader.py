@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -28,13 +27,13 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import gdal_text, open_layer, require_written
+from bumpymap.layers.map_files import KeptRasters, read_averaged, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     from rasterio.io import DatasetReader
 
-__all__ = ["RouteSheet", "common_window", "sheet_choice", "window_slices", "worse_objects"]
+__all__ = ["SheetReader", "common_window", "kept_rasters", "sheet_choice", "window_slices", "worse_objects"]
 
 _DTYPES = {
     "barred.tif": "uint8",
@@ -46,7 +45,7 @@ _DTYPES = {
     "class.tif": "uint8",
 }
 _RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
-"""What a route reads; a comparison of surveys reads the classes too."""
+"""Rasters of a route; a comparison of surveys reads the classes too."""
 _VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
 _PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
 CHECKED_BYTES = 64 << 20
@@ -56,12 +55,18 @@ _OFF = 1e-3
 _PIECE = 512
 """Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
 for one; a piece of all of them fits into its cache."""
-_GDAL: dict[str, Any] = {"GDAL_CACHEMAX": 64}
+_CACHE = 32 << 20
+"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
 _AGAIN = "Map the survey again"
 
 
+def kept_rasters() -> KeptRasters:
+    """Return what opens the rasters of one map."""
+    return KeptRasters(GDAL_CACHEMAX=_CACHE)
+
+
 @dataclass(frozen=True, slots=True)
-class RouteSheet:
+class SheetReader:
     """One folder of layers."""
 
     folder: Path
@@ -72,9 +77,11 @@ class RouteSheet:
     georeference: Georeference
     rule: CostRule
     vehicle: RouteVehicle
+    rasters: KeptRasters = field(default_factory=kept_rasters, repr=False, compare=False)
+    """Its rasters as they are opened; sheets of one map have them together."""
 
     @classmethod
-    def open(cls, folder: Path) -> "RouteSheet":
+    def open(cls, folder: Path, rasters: KeptRasters | None = None) -> "SheetReader":
         """Open the folder of a complete run.
 
         Raises
@@ -83,6 +90,7 @@ class RouteSheet:
             It holds no complete run, one of an earlier version, or a raster is missing, cut off, or does not fit to
             the others.
         """
+        rasters = rasters or kept_rasters()
         manifest = read_manifest(folder)
         try:
             require_written(folder, manifest, _RASTERS, most=CHECKED_BYTES)
@@ -99,12 +107,12 @@ class RouteSheet:
         except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
             raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
         grid, georeference, rule, vehicle = parts
-        window = _common_raster(folder, grid, georeference)
-        return cls(folder, manifest, grid, window, georeference, rule, vehicle)
+        window = _common_raster(folder, grid, georeference, rasters)
+        return cls(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
 
     @property
     def identity(self) -> dict[str, Any]:
-        """What sheets of one map have in common, by the words that a message uses."""
+        """Settings and place that sheets of one map have in common, by the words that a message uses."""
         settings, crs = self.manifest.get("settings", {}), self.manifest.get("crs")
         return {
             "tile size [m]": self.grid.tile_size,
@@ -165,7 +173,7 @@ class RouteSheet:
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         self._require_whole(name)
-        with _opened(self.folder / name) as file:
+        with self.rasters.opened(self.folder / name) as file:
             numbers = _numbers(self.folder / name, file, bands)
             for lines, columns in _pieces(top, left, window.rows * scale, window.cols * scale):
                 part = ((lines.start, lines.stop), (columns.start, columns.stop))
@@ -174,16 +182,13 @@ class RouteSheet:
 
     def read_relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
-        from rasterio.enums import Resampling
-
         own, scale = self.window, self.grid.pixels
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
         self._require_whole("heightmap.tif")
-        with _opened(self.folder / "heightmap.tif") as file:
-            found: NDArray[np.float32] = file.read(1, window=part, out_shape=shape, resampling=Resampling.average)
-        return found
+        with self.rasters.opened(self.folder / "heightmap.tif") as file:
+            return read_averaged(file, shape, part)
 
     def _require_whole(self, name: str) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the sheet was opened is damaged."""
@@ -204,18 +209,6 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
     cols = min(first.col + first.cols, second.col + second.cols) - west
     rows = min(first.row + first.rows, second.row + second.rows) - south
     return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
-
-
-@contextmanager
-def _opened(path: Path) -> "Iterator[DatasetReader]":
-    """Open a raster; errors while the body of the ``with`` reads it become BadInputErrors."""
-    from rasterio.errors import RasterioError
-
-    try:
-        with open_layer(path, **_GDAL) as file:
-            yield file
-    except RasterioError as error:
-        raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {_AGAIN}") from error
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
@@ -241,19 +234,19 @@ def _moved(part: slice, by: int) -> slice:
     return slice(part.start - by, part.stop - by)
 
 
-def _common_raster(folder: Path, grid: Grid, georeference: Georeference) -> TileWindow:
+def _common_raster(folder: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
     """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
-    windows = {name: _window_of(folder / name, grid, georeference) for name in _RASTERS}
+    windows = {name: _window_of(folder / name, grid, georeference, rasters) for name in _RASTERS}
     for name, window in windows.items():
         if window != windows[_RASTERS[0]]:
             raise BadInputError(f"{folder / name} spans other tiles than {folder / _RASTERS[0]}. {_AGAIN}")
     return windows[_RASTERS[0]]
 
 
-def _window_of(path: Path, grid: Grid, georeference: Georeference) -> TileWindow:
+def _window_of(path: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
     pixels = grid.pixels if path.name in _PER_PIXEL else 1
     tile = grid.tile_size / georeference.metres_per_unit
-    with _opened(path) as file:
+    with rasters.opened(path) as file:
         place, width, height = file.transform, file.width, file.height
     sides = (place.c / tile, place.f / tile - height / pixels, width / pixels, height / pixels)
     if not all(map(math.isfinite, sides)):
