@@ -208,7 +208,7 @@ def run_hosts(surveys: Sequence[Path], data: Path, moto: str | None, saved: int,
         _start_cluster(first, second, log)
         idle = len(second.pids())
         started = time.monotonic()
-        command = [bumpymap, "map", *inputs, "--out", f"{_SHARED}/two", "--scheduler", _SCHEDULER]
+        command = [bumpymap, "map", *inputs, "--out", f"{_SHARED}/two", "--set", f"scheduler={_SCHEDULER}"]
         client = first.start([*command, *options], log / "two", **_CLIENT)
         records = data / "shared" / "two" / ".bumpymap-run" / "points"
         at_work = lambda: len(list(records.glob("read-*.json"))) >= saved and len(second.pids()) > idle  # noqa: E731

@@ -20,7 +20,7 @@ from _measure import Sample, run_timed
 
 _POINTS = 124_000
 _KINDS = {
-    "table": ("--products", "table"),
+    "table": ("--set", "products=table"),
     "everything": (),
     "everything, all pictures": ("--pictures", "1"),
 }

@@ -116,7 +116,7 @@ def test_no_order_of_the_points_and_no_budget_changes_a_byte(wood, mapped, tmp_p
 @needs_filter
 def test_a_cluster_gives_the_same_bytes(mapped, tmp_path, dask_scheduler):
     result = run(
-        "map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--scheduler", dask_scheduler
+        "map", mapped / "wood.las", "--ground", "csf", "--out", tmp_path / "csf", "--set", f"scheduler={dask_scheduler}"
     )
     assert result.exit_code == 0, result.output
     assert layers(tmp_path / "csf") == layers(mapped / "csf")

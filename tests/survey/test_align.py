@@ -108,7 +108,7 @@ def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
 
 @pytest.mark.parametrize("on_cluster", [False, True])
 def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, monkeypatch, request, on_cluster):
-    workers = ("--scheduler", request.getfixturevalue("dask_scheduler")) if on_cluster else ()
+    workers = ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}") if on_cluster else ()
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 2_000)
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.waiting_points", 6_000)
     rows = np.random.default_rng(5).permutation(points(STEP))
@@ -141,7 +141,7 @@ def test_a_resumed_run_gives_the_same_bytes(aligned, tmp_path, monkeypatch):
 
 def test_info_tells_the_step_of_a_file_and_of_all(stepped, tmp_path):
     said = CliRunner().invoke(main, ["info", str(stepped), "--json"])
-    (file,) = json.loads(said.output)["files"]
+    (file,) = json.loads(said.stdout)["files"]
     assert abs(file["flight_lines"]["pairs"][0]["step"] - STEP) < 0.002
     rows = points(STEP)
     files = [write(tmp_path / f"{line}.laz", rows[rows[:, 3] == line]) for line in (1, 2)]

@@ -54,13 +54,13 @@ def test_every_run_says_what_is_unknown(unknown, words, tmp_path):
 
 def test_more_unknown_tiles_than_allowed_are_exit_code_4_and_keep_the_layers(tmp_path):
     out = tmp_path / "out"
-    words = ["map", str(QUARRY), "--out", str(out), "--quiet", "--max-unknown"]
-    failed = CliRunner().invoke(main, [*words, "0.1%"])
+    words = ["map", str(QUARRY), "--out", str(out), "--quiet", "--set"]
+    failed = CliRunner().invoke(main, [*words, "max_unknown=0.1%"])
     assert failed.exit_code == 4
-    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown=allows" in failed.output
+    assert "tiles are unknown (1.0%), more than the 0.1% that --set max_unknown allows" in failed.output
     assert "mostly because of too many holes" in failed.output
     assert json.loads((out / "run.json").read_text())["counts"]["unknown"] > 0
-    again = CliRunner().invoke(main, [*words, "50%"])  # the same run, already done
+    again = CliRunner().invoke(main, [*words, "max_unknown=50%"])  # the same run, already done
     assert again.exit_code == 0, again.output
     with pytest.raises(TooUnknownError):
         bumpymap.map_survey(QUARRY, out, max_unknown=0.001)

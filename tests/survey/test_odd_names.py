@@ -93,7 +93,19 @@ def test_map_for_machines_names_the_files(folder):
 
 def test_map_on_a_cluster_with_scratch(folder, dask_scheduler):
     survey, out = write_plain(folder / f"{NAME}.las"), folder / "out"
-    ended(run("map", survey, "--out", out, "--set", f"scheduler={dask_scheduler}", "--scratch", folder / "scratch"), 0)
+    ended(
+        run(
+            "map",
+            survey,
+            "--out",
+            out,
+            "--set",
+            f"scheduler={dask_scheduler}",
+            "--set",
+            f"scratch={folder / 'scratch'}",
+        ),
+        0,
+    )
     assert (out / "run.json").exists()
 
 

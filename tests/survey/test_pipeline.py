@@ -455,7 +455,7 @@ def tight(monkeypatch):
 def test_points_that_wait_on_disk_change_no_bit(survey, tmp_path, request):
     assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
     request.getfixturevalue("tight")
-    assert run("map", survey, "--out", tmp_path / "spilled", "--scratch", tmp_path / "scratch").exit_code == 0
+    assert run("map", survey, "--out", tmp_path / "spilled", "--set", f"scratch={tmp_path / 'scratch'}").exit_code == 0
     assert layers_of(tmp_path / "spilled") == layers_of(tmp_path / "whole")
     assert list((tmp_path / "scratch").iterdir()) == []
 

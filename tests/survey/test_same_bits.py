@@ -114,7 +114,14 @@ def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factor
         for name in ("chunk", "waiting", "block"):
             patch.setattr(Budget, f"{name}_points", way[name])
         content, run = mapped(
-            files, folder / "layers", "--ground", ground, "--threads", way["threads"], "--scratch", folder / "scratch"
+            files,
+            folder / "layers",
+            "--ground",
+            ground,
+            "--threads",
+            way["threads"],
+            "--set",
+            f"scratch={folder / 'scratch'}",
         )
     wanted, wanted_run = whole[ground]
     assert [name for name in wanted if content[name] != wanted[name]] == []

@@ -176,7 +176,7 @@ class TestCommandLine:
         assert "one map: bumpymap map" in both.output
         assert "--sheets 5 --out DIR" in both.output
         assert "--sheets 5 writes it in several folders" in both.output
-        told = json.loads(CliRunner().invoke(main, ["info", str(tmp_path), *quick, "--json"]).output)
+        told = json.loads(CliRunner().invoke(main, ["info", str(tmp_path), *quick, "--json"]).stdout)
         assert told["sheets_km"] == 5
         assert [file["sheets_km"] for file in told["files"]] == [None, None]
         one = CliRunner().invoke(main, ["info", str(tmp_path / "south.las"), *quick])

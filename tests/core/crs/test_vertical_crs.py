@@ -114,7 +114,7 @@ def test_every_layer_names_it_in_its_metadata(tmp_path, wkt, text):
 def test_info_names_both_parts(tmp_path):
     survey = write_las(tmp_path / "site.las", COMPOUND.to_wkt("WKT1_GDAL"))
     assert "NAVD88 height (EPSG:32614+5703)" in run("info", survey).output
-    (record,) = json.loads(run("info", survey, "--json").output)["files"]
+    (record,) = json.loads(run("info", survey, "--json").stdout)["files"]
     assert (record["crs"], record["epsg"], record["vertical_crs"]) == (CRS(32614).name, 32614, "NAVD88 height")
 
 

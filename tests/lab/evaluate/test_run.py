@@ -128,8 +128,8 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
         tmp_path / "own.json",
         "--out",
         tmp_path / "o",
-        "--total-patches",
-        "12",
+        "--set",
+        "total_patches=12",
         "--jobs",
         "1",
     ]

@@ -119,14 +119,14 @@ def test_command_writes_model_and_card(tmp_path):
         "train",
         "--out",
         str(out),
-        "--epochs",
-        "1",
-        "--patches-per-texture",
-        "16",
+        "--set",
+        "epochs=1",
+        "--set",
+        "patches_per_texture=16",
         "--tile-size",
         "1.5",
-        "--seed",
-        "4",
+        "--set",
+        "seed=4",
     ]
     result = CliRunner().invoke(main, argv)
     assert result.exit_code == 0, result.output
@@ -158,7 +158,7 @@ def test_the_same_command_gives_the_same_bytes(tmp_path):
     [
         (["--out", "m.pt"], 2, ".onnx"),
         (["--out", "m.onnx", "--set", "epochs=0"], 2, "epochs is 0"),
-        (["--out", "m.onnx", "--set", "pixels=5"], 2, "at least 9"),
+        (["--out", "m.onnx", "--set", "network.pixels=5"], 2, "at least 9"),
         (["--out", "m.onnx", "--tile-size", "nan"], 2, "--tile-size is nan"),
         (["--out", "m.onnx", "--set", "seed=-1"], 2, "seed is -1"),
         (["--out", "nowhere/m.onnx"], 3, "nowhere"),

@@ -171,7 +171,7 @@ def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
     assert statuses(tmp_path / "o") == {"a": "already done", "b": "done"}
     assert (tmp_path / "o" / "a" / "run.json").stat().st_mtime_ns == before
 
-    other = batch(tmp_path / "in", "--out", tmp_path / "o", "--align", "off")
+    other = batch(tmp_path / "in", "--out", tmp_path / "o", "--set", "align=off")
     assert other.exit_code == 3
     assert "align was report, is off" in table(tmp_path / "o")["a"]["message"]
     (tmp_path / "a.toml").write_text('align = "off"')
@@ -179,7 +179,7 @@ def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
         batch(tmp_path / "in", "--out", tmp_path / "o", "--config", tmp_path / "a.toml", "--overwrite").exit_code == 0
     )
     assert statuses(tmp_path / "o") == {"a": "done", "b": "done"}
-    assert batch(tmp_path / "in", "--out", tmp_path / "o", "--align", "off", "--overwrite").exit_code == 0
+    assert batch(tmp_path / "in", "--out", tmp_path / "o", "--set", "align=off", "--overwrite").exit_code == 0
     assert statuses(tmp_path / "o") == {"a": "already done", "b": "already done"}
 
 
@@ -220,7 +220,7 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
         words = ["map", str(tmp_path / "in" / "own.laz"), "--out", str(tmp_path / name), f"--{name}", "EPSG:32615"]
         result = CliRunner().invoke(main, words)
         assert result.exit_code == expected
-        assert "--force-crs" in result.stderr
+        assert "--set force_crs" in result.stderr
     layers = bumpymap.map_survey(tmp_path / "in" / "own.laz", force_crs="EPSG:32615")
     assert layers.manifest["crs"]["code"] == "EPSG:32615"
 

@@ -213,7 +213,7 @@ def test_files_of_others_are_not_replaced(tmp_path, survey):
     there.mkdir()
     for name, words in (("index.html", "no batch has written"), ("run.json", "layers of one map")):
         (there / name).write_text("mine")
-        result = batch(tmp_path / "in", "--out", there.as_uri(), "--scratch", tmp_path / "scratch")
+        result = batch(tmp_path / "in", "--out", there.as_uri(), "--set", f"scratch={tmp_path / 'scratch'}")
         assert result.exit_code == 3
         assert words in result.stderr
         assert there.as_uri() in result.stderr

@@ -153,7 +153,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     """A task reads a part of a file, or several files: then it has blocks that no other task reaches."""
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
     out = tmp_path / "layers"
-    scratch = ("--set", "scheduler=here", "--scratch", tmp_path / "scratch")
+    scratch = ("--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
     result = run("map", surveys, "--out", out, "--ground", ground, *scratch)
     assert result.exit_code == 0, result.output
     assert layers_of(out) == layers_of(plain / ground)
@@ -639,7 +639,7 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
 
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     out = tmp_path / "layers"
-    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--scratch", tmp_path / "scratch")
+    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")

@@ -184,7 +184,7 @@ def test_a_full_disk_before_any_tile_leaves_nothing(surveys, tmp_path, monkeypat
 
     monkeypatch.setattr("bumpytiles.buckets._write", full)
     monkeypatch.setattr(TileSink, "flush", lambda _: None)
-    result = run("map", surveys, "--out", tmp_path / "out", "--scratch", tmp_path / "scratch")
+    result = run("map", surveys, "--out", tmp_path / "out", "--set", f"scratch={tmp_path / 'scratch'}")
     assert result.exit_code == 3
     assert GO_ON not in result.output
     assert not (tmp_path / "out").exists()
