@@ -40,7 +40,6 @@ _BAD_INPUT = 3
 @settings_options(
     MapConfig,
     *("crs", "force_crs", "z_unit", "trust_points", "tile_size", "pixels", "memory", "threads"),
-    moved=("tile_size", "memory", "threads"),
 )
 @grouped_option(
     "--ground",

@@ -85,7 +85,7 @@ def test_larger_tiles_are_advised_only_where_they_help(tmp_path):
     (record,) = run("info", survey, "--json")["files"]
     assert sum(record["unknown_tiles_about"].values()) > 0.5
     size = record["needs"][-1].split("bumpymap info --tile-size ")[1].split()[0]
-    (record,) = run("info", survey, "--set", f"tile_size={size}", "--json")["files"]
+    (record,) = run("info", survey, "--tile-size", size, "--json")["files"]
     assert sum(record["unknown_tiles_about"].values()) < 0.2
 
 

@@ -135,7 +135,7 @@ print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
     survey = str(make(tmp_path))
     options = ["map", survey, "--out", str(tmp_path / "layers"), "--local", "--threads", "2", "--quiet"]
     said = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True).stdout
-    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--set", "threads=2", "--json"]).stdout)
+    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--threads", "2", "--json"]).stdout)
     # How much is held at once depends on what the threads that write layers do at the same time: up to 160 MB.
     assert 1 / 3 < int(said) * 1024 / foretold["run"]["memory_bytes_at_most"] <= 1
 
