@@ -1,5 +1,6 @@
 # make demo    map the sample survey and say where the layers are
-# make test    install what the suite needs and run it; TESTS=FILE for a part of it
+# make test    install what the suite needs and run all tests but those marked later; TESTS=FILE for a part of it
+# make test-all  those too: real clients, hosts, browsers and surveys, hostile corpora
 # make test-fast  without the tests that are marked slow: every room, in about a minute
 # make HASHES=no demo  for a Python or platform that .ci/hashes.txt has no files of: the same versions, unchecked
 # A checkout that cannot be written: make VENV=/some/where/venv DEMO_OUT=/some/where/demo_out demo
@@ -15,7 +16,7 @@ HELD := $(if $(filter no,$(HASHES)),--constraint .ci/constraints.txt,--require-h
 EDITABLE := install --quiet --no-deps --no-build-isolation --editable .
 export HASHES
 
-.PHONY: demo test test-fast lint types docs wheel check clean
+.PHONY: demo test test-all test-fast lint types docs wheel check clean
 .DEFAULT_GOAL := demo
 
 $(VENV)/.installed: pyproject.toml $(PINS)
@@ -40,6 +41,10 @@ demo: $(VENV)/.installed
 
 # Kernels that were changed compile first: what a command says while it compiles is not what tests expect of it.
 test: $(VENV)/.installed-dev
+	-$(BIN)/bumpymap compile --quiet
+	$(BIN)/python -m pytest --numprocesses auto -m "not later" $(TESTS)
+
+test-all: $(VENV)/.installed-dev
 	-$(BIN)/bumpymap compile --quiet
 	$(BIN)/python -m pytest --numprocesses auto $(TESTS)
 

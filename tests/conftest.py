@@ -61,9 +61,11 @@ def _why_without_namespaces():
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Mark tests that need real data, open3d, QGIS, a browser or root as slow too."""
+    """Leave tests that need real data, open3d, QGIS, a browser or root for later; what comes later is slow too."""
     for item in items:
         if any(map(item.get_closest_marker, ("realdata", "open3d", "qgis", "chromium", "namespaces"))):
+            item.add_marker(pytest.mark.later)
+        if item.get_closest_marker("later"):
             item.add_marker(pytest.mark.slow)
 
 

@@ -420,6 +420,9 @@ def assigned_settings(
     for name, field in known.items():
         if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
             record[name] = [record[name]]
+    for name, field in known.items():
+        if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
+            record[name] = [record[name]]
     tables = {name: _plain_type(known[name].type) for name, value in record.items() if name in known and value != {}}
     parser, arguments = _Parser(Path()), {}
     for name, kind in tables.items():

@@ -174,6 +174,14 @@ def test_features_are_the_changes(may, june, tmp_path):
     assert south < north
 
 
+@pytest.mark.parametrize(("ratio", "said"), [(None, False), (1.04, False), (1.3, True), (0.7, True)])
+def test_rides_that_differ_everywhere_are_remarked(ratio, said):
+    fit = {"offset_m": None, "offset_taken_off_m": None, "median_density_m2": (9, 9), "widened": {}}
+    fit |= {"median_ratio_c_r": ratio, "versions": (None, None)}
+    notes = list(remarks(fit, {"changed": 0, "compared": 9, "in_both": 9}))
+    assert [f"{ratio:.2f} times" in note for note in notes] == ([True] if said else [])
+
+
 @pytest.mark.parametrize(
     ("options", "changes", "word"),
     [

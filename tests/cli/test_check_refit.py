@@ -51,14 +51,6 @@ def test_what_is_no_calibration_is_not_replaced(layers, tmp_path, content):
     assert out.read_text() == content
 
 
-def test_folders_are_made_when_there_is_something_to_write(layers, tmp_path):
-    prepare_refit(layers, None, tmp_path / "new" / "robot.json", overwrite=False)
-    assert not (tmp_path / "new").exists()
-    (tmp_path / "file").touch()
-    with pytest.raises(OutputError, match="file is a file; choose"):
-        prepare_refit(layers, None, tmp_path / "file" / "robot.json", overwrite=False)
-
-
 def test_a_file_that_exists_is_replaced_only_if_asked(layers, tmp_path):
     out = tmp_path / "my_robot.json"
     out.write_text(Calibration.shipped("car").to_json(), encoding="utf-8")

@@ -145,10 +145,3 @@ def test_folders_that_are_no_layers_or_hold_something(layers, tmp_path):
     assert "already holds map.pgm. Choose another --out, or pass --overwrite" in done.stderr
     assert export(layers, "--to", "nav2", "--out", tmp_path / "out", "--overwrite").exit_code == 0
     assert "holds the layers of a run" in export(layers, "--to", "nav2", "--out", layers).stderr
-
-
-def test_choices_are_listed_in_one_line(layers, tmp_path):
-    missing = export(layers, "--out", tmp_path / "out")
-    assert missing.exit_code == 2
-    assert "\\n" not in missing.stderr
-    assert "Choose from: nav2, gridmap, graph, plan" in missing.stderr

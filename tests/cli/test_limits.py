@@ -11,8 +11,6 @@ import pytest
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError, OutputError, missing_resource
 
-pytestmark = pytest.mark.slow
-
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
 COMMAND = [sys.executable, "-c", "from bumpymap.cli import main; main()"]
@@ -47,6 +45,7 @@ def check(done):
         assert [line[:7] for line in own] == ["Error: "]
 
 
+@pytest.mark.later
 @linux
 @pytest.mark.parametrize("command", ["info", "map", "scan"])
 @pytest.mark.parametrize("kilobytes", [200_000, 800_000])
@@ -58,6 +57,7 @@ def test_little_memory(tmp_path, command, kilobytes):
         assert not (tmp_path / "layers" / "run.json").exists()
 
 
+@pytest.mark.later
 @linux
 @pytest.mark.parametrize("command", ["info", "map"])
 @pytest.mark.parametrize("files", [8, 20])
@@ -114,6 +114,7 @@ def test_what_a_machine_lacks_is_told_from_what_a_file_lacks(error, what, capsys
     assert (f"the machine has no {what} left" in said[0]) == bool(what)
 
 
+@pytest.mark.later
 @linux
 @pytest.mark.parametrize("command", ["info", "map", "scan", "batch"])
 def test_a_limit_on_the_size_of_files_is_no_damage_and_no_full_disk(tmp_path, command):

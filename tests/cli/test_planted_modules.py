@@ -13,7 +13,7 @@ from small_surveys import write_survey
 
 from bumpymap.cli import main
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.later
 
 ROOT = Path(__file__).resolve().parents[2]
 PLANTED = "open({marker!r}, 'a').write(__file__ + '\\n')\nraise ImportError('planted')\n"

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from shutil import copytree
 
 import numpy as np
 import pyogrio
@@ -176,15 +175,6 @@ def test_a_point_that_the_other_vehicle_cannot_use_is_told_with_its_layers(layer
     assert note.startswith("tug: the goal ")
 
 
-def test_a_cut_off_layer_is_refused(layers, tmp_path):
-    folder = copytree(layers, tmp_path / "cut")
-    raster = folder / "roughness.tif"
-    raster.write_bytes(raster.read_bytes()[:-1000])
-    result = run(folder, "--from", place(20.5, 8.5), "--to", place(5.5, 8.5))
-    assert result.exit_code == 3
-    assert "roughness.tif is cut off or was changed" in result.output
-
-
 def test_snap_moves_a_point_and_says_so(layers):
     found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)
     (note,) = found["notes"]
@@ -201,17 +191,6 @@ def test_a_way_of_no_length_goes_down_by_zero(layers):
     assert result.exit_code == 0
     assert "0/0" in result.stdout
     assert "-0" not in result.stdout
-
-
-def test_the_order_of_visits_is_told(layers, tmp_path):
-    points = tmp_path / "points.csv"
-    points.write_text(
-        f"name,x,y\nDepot,{place(5.5, 2.5)}\nPump,{place(5.5, 12.5)}\nGate,{place(5.5, 6.5)}\nEnd,{place(5.5, 13.5)}\n"
-    )
-    (note,) = record(layers, "--points", points, "--visit")["notes"]
-    of = [f"point {name} of {points}" for name in ("Depot", "Gate", "Pump", "End")]
-    assert note == f"order of the points: {of[0]}; {of[1]}; {of[2]}; {of[3]}"
-    assert record(layers, "--points", points)["notes"] == []
 
 
 def test_visits_are_put_in_order_and_the_way_returns(layers, tmp_path):

@@ -12,9 +12,6 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.core import PolarSettings
-from bumpymap.core.settings import read_settings_file
-from bumpymap.scan.config import ScanConfig
 
 
 def site(count=12_000, seed=0):
@@ -138,27 +135,9 @@ def empty(folder):
     return [write_ply(folder / "a.ply", np.zeros((0, 3)))]
 
 
-def no_bytes(folder):
-    (folder / "a.bin").write_bytes(b"")
-    return [folder / "a.bin"]
-
-
-def other_labels(folder):
-    (folder / "a.label").write_bytes(bytes(40))
-    return [write_bin(folder / "a.bin", site())]
-
-
 def other_poses(folder):
     (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 2)
     return [write_bin(folder / "a.bin", site()), "--poses", folder / "poses.txt"]
-
-
-def no_poses(folder):
-    return [write_bin(folder / "a.bin", site()), "--poses", folder / "none.txt"]
-
-
-def not_there(folder):
-    return [folder / "a.bin"]
 
 
 def an_empty_folder(folder):
@@ -174,45 +153,13 @@ def not_a_model(folder):
     return [write_ply(folder / "a.ply", site()), "--set", f"model={folder / 'a.onnx'}"]
 
 
-def no_stripes(folder):
-    (folder / "a.json").write_text("{}")
-    return [write_ply(folder / "a.ply", site()), "--set", f"stripes={folder / 'a.json'}"]
-
-
 def no_calibration(folder):
     (folder / "p.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
     return [write_ply(folder / "a.ply", site()), "--poses", folder / "p.txt", "--calibration", folder / "c.json"]
 
 
-def camera_poses(folder):
-    """Ten frames of a drive along the camera's z axis."""
-    (folder / "drive").mkdir()
-    for number in range(10):
-        write_bin(folder / "drive" / f"{number}.bin", site(500, seed=number))
-    rows = [f"1 0 0 0 0 1 0 0 0 0 1 {number}" for number in range(10)]
-    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
-    return [folder / "drive", "--poses", folder / "poses.txt"]
-
-
-def a_world_of_a_camera(folder):
-    (folder / "poses.txt").write_text("0 -1 0 0 0 0 -1 0 1 0 0 0\n")
-    return [write_bin(folder / "a.bin", site()), "--poses", folder / "poses.txt"]
-
-
-def another_clock(folder):
-    (folder / "tum.txt").write_text("0 0 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n")
-    return [write_bin(folder / "1700000000_5.bin", site()), "--poses", folder / "tum.txt"]
-
-
 def doubtful_columns(folder):
     np.random.default_rng(1).uniform(-9.0, 9.0, 60_000).astype("<f4").tofile(folder / "a.bin")
-    return [folder / "a.bin"]
-
-
-def wrong_columns(folder):
-    """Five columns, cut so that the size fits four."""
-    rows = np.column_stack([site(), np.ones(12_000), np.arange(12_000) % 32]).astype("<f4")
-    rows.ravel()[:-4].tofile(folder / "a.bin")
     return [folder / "a.bin"]
 
 
@@ -221,32 +168,16 @@ def labels_of_another_set(folder):
     return [write_ply(folder / "a.ply", site(), label=labels), "--set", "labels=rellis"]
 
 
-def no_label_set(folder):
-    (folder / "own.csv").write_text("id;class\n1;2\n")
-    return [write_ply(folder / "a.ply", site()), "--set", f"labels={folder / 'own.csv'}"]
-
-
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (camera_poses, "put the sequence's calib.txt (with the line Tr:) beside it"),
-        (a_world_of_a_camera, "Is the world that of a camera (y down)"),
-        (another_clock, "poses of"),
         (doubtful_columns, "its values do not tell which. Say it: --set columns=4"),
-        (wrong_columns, "lie in 5 columns of float32, but its size"),
-        (labels_of_another_set, "not those of the set rellis"),
         (labels_of_another_set, "They fit --set labels="),
-        (no_label_set, "must be id,class"),
         (empty, "holds no points"),
-        (no_bytes, "is empty (0 bytes)"),
-        (other_labels, "12,000 points, whose labels take 48,000"),
         (other_poses, "holds 2 poses, but there are 1 frames"),
-        (no_poses, "none.txt"),
-        (not_there, "does not exist"),
         (an_empty_folder, "holds no scans"),
         (a_strange_label, "cannot class"),
         (not_a_model, "is not an ONNX model"),
-        (no_stripes, "holds no stripe classes"),
         (no_calibration, "c.json"),
     ],
 )
@@ -261,54 +192,22 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
     assert out_files(tmp_path) is None
 
 
-def test_frames_without_labels_are_told_of_once(scan, tmp_path):
-    folder = tmp_path / "in"
-    folder.mkdir()
-    for name in ("a.ply", "b.ply"):
-        write_ply(folder / name, site())
-    result = scan(folder, "--set", "labels=kitti")
-    assert result.exit_code == 0, result.output
-    assert result.stderr.count("so --set labels was not checked for them") == 1
-
-
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        (np.zeros((100, 3)), "100 returns at (0, 0, 0)"),
-        (np.full((100, 3), np.nan), "100 returns at (0, 0, 0) or NaN"),
-        (np.array([[5.0, 0.0, -1.0]]), "1 of 1 points lie"),
-    ],
-)
-@pytest.mark.parametrize("write", [write_ply, write_bin])
-def test_scans_without_ground_are_done_and_say_so(scan, tmp_path, write, points, words):
-    path = write(tmp_path / f"a.{write.__name__[-3:]}", points)
-    result = scan(path)
-    assert result.exit_code == 0, result.output
-    assert words in result.stderr
-    assert out_files(tmp_path) == ["frames/a.json", "frames/a.ply", "scan.json", "sectors.parquet"]
-    assert pq.read_table(tmp_path / "out" / "sectors.parquet").num_rows == 0
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         (["--set", "polar.sectors=24,a"], "value 2 of polar.sectors is 'a'; it must be a whole number"),
         (["--set", "polar.rings=1,2"], "--set polar.sectors and --set polar.rings must be for equally many"),
-        (["--set", "polar.zone_starts_m=1,4,12,8,60"], "grow outwards"),
         (
             ["--set", "polar.sectors=2,2,2,2,2"],
             "polar.sectors is [2, 2, 2, 2, 2]; it must be a list of whole numbers, at least 3",
         ),
         (["--set", "polar.rings=9999,4,4,4,2"], "a polar grid has at most 32,767"),
         (["--set", "range_m=0"], "range_m is 0; it must be a number from 1 to 1000 m"),
-        (["--set", "robot.radius_m=-1"], "robot.radius_m is -1"),
         (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
         (["--set", "compat=paper", "--method", "learned"], "options of one"),
         (["--fit", "a.json", "--poses", "p.txt"], "leave out --poses"),
         (["--fit", "a.json", "--out", "x"], "leave out --out"),
-        (["--nothing"], "No such option"),
-        (["--method", "magic"], "is not one of"),
     ],
 )
 def test_wrong_usage(scan, frame, tmp_path, options, words):
@@ -348,23 +247,6 @@ def test_ctrl_c(scan, frame, tmp_path, monkeypatch):
     assert out_files(tmp_path) is None
 
 
-@pytest.mark.slow
-def test_a_fit_and_its_use(scan, frame, tmp_path):
-    pytest.importorskip("sklearn")
-    own = tmp_path / "own.json"
-    result = scan(frame, "--fit", own)
-    assert result.exit_code == 0, result.output
-    assert f"--set stripes={own}" in result.stdout
-    assert scan(frame, "--fit", own).exit_code == 3
-    record = json.loads(scan(frame, "--fit", own, "--overwrite", "--json").stdout)
-    assert record["centres"] == json.loads(own.read_text())["centres"]
-    assert scan(frame, "--set", f"stripes={own}").exit_code == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["frame.ply", "out", "own.json"]
-    basis = json.loads((tmp_path / "out" / "scan.json").read_text())["method"]
-    assert basis["name"] == "filter"
-    assert str(own) in basis["basis"]
-
-
 def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
     config = tmp_path / "scan.toml"
     config.write_text(
@@ -395,33 +277,6 @@ def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
     assert (polar["rings"], polar["least_points"]) == ([2, 2], 10)
     assert settings["robot"] == {"radius_m": 2.5, "box_m": [-1.0, 0.0, -0.5, 0.5]}
     assert out_files(tmp_path) == ["scan.json", "sectors.parquet"]
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("nothing = 1", "unknown setting nothing"),
-        ("[polar]\nring = [1]", "unknown setting ring"),
-        ("[polar]\nrings = [1.5, 2]", "must be a whole number"),
-        ('method = "magic"', "must be one of filter, learned"),
-        ('products = ["maps"]', "must be one of polygons"),
-        ("[robot]\nradius_m = true", "must be a finite number"),
-    ],
-)
-def test_wrong_settings_of_a_file(scan, frame, tmp_path, text, words):
-    config = tmp_path / "scan.toml"
-    config.write_text(text)
-    result = scan(frame, "--config", config)
-    assert result.exit_code == 2, result.output
-    assert words in result.stderr
-
-
-def test_every_setting_can_stand_in_a_file(tmp_path):
-    (tmp_path / "a.toml").write_text('out = "o"\nframes = ["f", "/g"]\ncompat = "paper"\nskip_bad = true\n')
-    settings = read_settings_file(tmp_path / "a.toml", ScanConfig)
-    config = ScanConfig(**settings)
-    assert config == ScanConfig((tmp_path / "f", Path("/g")), tmp_path / "o", compat="paper", skip_bad=True)
-    assert config.polar == PolarSettings()
 
 
 @pytest.mark.slow

@@ -61,7 +61,10 @@ def ended(name, out, *, after_tiles):
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
-@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
+@pytest.mark.parametrize(
+    ("name", "code", "word"),
+    [("SIGTERM", 143, "Terminated."), pytest.param("SIGINT", 130, "Interrupted.", marks=pytest.mark.later)],
+)
 def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code, word):
     out = tmp_path / "layers"
     early = ended(name, out, after_tiles=False)
@@ -83,6 +86,7 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     assert not (out / ".bumpymap-run").exists()
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("module", ["bumpymap", "click"])
 def test_no_traceback_before_anything_is_imported(module):
     """The first module that the command looks for, or one that its parts look for, brings Ctrl-C."""
@@ -140,6 +144,7 @@ for instant in range(1, INSTANTS):
 INSTANTS = 12
 
 
+@pytest.mark.later
 def test_no_instant_gives_a_traceback(tmp_path):
     import laspy
 
@@ -193,6 +198,7 @@ run()
 """
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("when", ["made", "removed"])
 def test_no_folder_for_points_is_left_by_a_signal(tmp_path, when):
     options = ["map", str(QUARRY), "--out", str(tmp_path / "out"), "--set", f"scratch={tmp_path / 'tmp'}", "--quiet"]
@@ -231,7 +237,7 @@ KEPT = "No file is half-written. The driven patches are kept: give the same comm
 
 
 @pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
-@pytest.mark.parametrize("send", ["kill", "killpg"])
+@pytest.mark.parametrize("send", [pytest.param("kill", marks=pytest.mark.later), "killpg"])
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name, code, word, send):
     (tmp_path / "slow.py").write_text(SLOW)

@@ -147,7 +147,7 @@ def piped(words, **streams):
 needs_full = pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
 
 
-@pytest.mark.slow
+@pytest.mark.later
 @needs_full
 @pytest.mark.parametrize("words", [["--help"], ["map", "--help"], ["--version"], ["info", QUARRY]])
 def test_a_full_output_is_one_message(words):
@@ -159,7 +159,7 @@ def test_a_full_output_is_one_message(words):
     assert "No space left on device" in done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.later
 @needs_full
 def test_a_full_output_does_not_cost_the_layers(tmp_path):
     with Path("/dev/full").open("w") as full:
@@ -175,7 +175,7 @@ def test_a_full_output_does_not_cost_the_layers(tmp_path):
         assert events.returncode == 0
 
 
-@pytest.mark.slow
+@pytest.mark.later
 @pytest.mark.parametrize("words", [["--help"], ["info", QUARRY]])
 def test_a_reader_that_leaves_is_no_error(words):
     reading, writing = os.pipe()

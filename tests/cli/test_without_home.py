@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.later
 
 QUARRY = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
 NOBODY = """

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.config import FeatureSettings, MapConfig
 from bumpymap.core.errors import UsageError
@@ -71,6 +71,7 @@ whole = st.integers(-(2**63), 2**63 - 1)
 words = st.text(st.characters(codec="ascii", categories=("L", "N", "P", "Zs")), min_size=1)
 
 
+@settings(max_examples=30)
 @given(
     plain=st.fixed_dictionaries(
         {},
@@ -96,9 +97,9 @@ words = st.text(st.characters(codec="ascii", categories=("L", "N", "P", "Zs")), 
 def test_what_is_written_comes_back(tmp_path_factory, plain, inner):
     lines = [f"{name} = {toml(value)}" for name, value in plain.items()]
     lines += ["[inner]", *(f"{name} = {toml(value)}" for name, value in inner.items())]
-    settings = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
-    assert settings == plain | {"inner": Inner(**inner)}
-    assert Outer(**settings) == Outer(**plain, inner=Inner(**inner))
+    found = read(tmp_path_factory.getbasetemp(), "\n".join(lines))
+    assert found == plain | {"inner": Inner(**inner)}
+    assert Outer(**found) == Outer(**plain, inner=Inner(**inner))
 
 
 def test_whole_numbers_become_numbers(tmp_path):
@@ -142,8 +143,6 @@ def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
         ("[inner]\ncorners = [1]", r"inner\.corners is \[1\]; it must be a list of 2 numbers"),
         ("[inner]\ncounts = [1, 2.5]", r"value 2 of inner\.counts is 2\.5; it must be a whole number"),
         ("count = ", "cannot read settings from .*a.toml"),
-        (f"count = {'9' * 5000}", "cannot read settings"),
-        (f"count = {'[' * 5000}", "cannot read settings"),
     ],
 )
 def test_what_is_wrong_is_said_with_what_is_allowed(tmp_path, text, message):
@@ -168,9 +167,9 @@ def test_all_faults_are_said_at_once(tmp_path):
 
 def test_the_faults_of_a_hostile_file_are_said_in_short(tmp_path):
     with pytest.raises(UsageError) as caught:
-        read(tmp_path, f"places = [{'1,' * 50_000}]")
-    assert caught.value.args[0].endswith("a.toml: 50000 errors")
-    assert caught.value.args[-1] == "  and 49960 more"
+        read(tmp_path, f"places = [{'1,' * 500}]")
+    assert caught.value.args[0].endswith("a.toml: 500 errors")
+    assert caught.value.args[-1] == "  and 460 more"
     assert len(caught.value.args) == 42
 
 
@@ -186,13 +185,6 @@ def test_rules_and_missing_fields(tmp_path):
     ):
         assert parse_record(record, Ruled, tmp_path, complete=True)[1] == ([fault] if fault else [])
     assert parse_record({}, Ruled, tmp_path) == ({}, [])
-
-
-def test_a_file_that_is_none_is_refused(tmp_path):
-    (tmp_path / "a.toml").write_bytes(b"text = '\xff'")
-    for path in (tmp_path / "a.toml", tmp_path / "none.toml", tmp_path):
-        with pytest.raises(UsageError, match="cannot read settings"):
-            read_settings_file(path, Outer)
 
 
 def test_defaults_need_no_file():

@@ -1,6 +1,5 @@
 """Text for people: tables that a spreadsheet may open, and numbers with their nouns."""
 
-import ast
 import csv
 from pathlib import Path
 
@@ -40,6 +39,5 @@ def test_cells_are_text_or_numbers_and_no_formulas(tmp_path, value, cell):
 
 def test_every_table_is_written_so():
     for file in HOUSE.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.Attribute) and ast.unparse(node) in {"csv.writer", "csv.DictWriter"}:
-                assert file.match("core/files.py"), file
+        text = file.read_text(encoding="utf-8")
+        assert file.match("core/files.py") or not ("csv.writer" in text or "csv.DictWriter" in text), file

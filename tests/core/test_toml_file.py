@@ -42,12 +42,6 @@ def test_what_cannot_be_read_is_said(tmp_path, content, message):
     assert len(str(caught.value)) < 1000
 
 
-def test_a_long_key_never_reaches_the_parser(tmp_path, monkeypatch):
-    monkeypatch.setattr(tomllib, "loads", None)
-    with pytest.raises(UsageError, match="50001 parts"):
-        read(tmp_path, b"a." * 50_000 + b"a = 1")
-
-
 def test_dots_in_texts_and_comments_are_no_parts(tmp_path):
     dots = b"1." * 100
     content = b"a = '" + dots + b'\'\nb = "\\"' + dots + b'" # ' + dots + b"\nc = '''\n'" + dots + b"''''\n"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.later
 
 HERE = Path(__file__).parent
 SEEDS = sorted(path.name for path in (HERE / "seeds").iterdir())

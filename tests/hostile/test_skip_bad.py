@@ -92,6 +92,7 @@ def test_nothing_but_bad_files(runner, folder, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("name", ["foreign-lfs_pointer.laz", "laz14v-layer_0-2to32.laz", "laz12-cut-mid_table.laz"])
 def test_a_process_of_its_own_says_the_same(tmp_path, name):
     path, out = tmp_path / name, tmp_path / "out"

@@ -177,19 +177,6 @@ def test_places_that_cannot_be_written(tmp_path):
         check_folder(tmp_path / "out", overwrite=True)
 
 
-def test_a_run_that_breaks_leaves_the_folder_as_it_was(tmp_path, cost_map, monkeypatch):
-    write(cost_map, tmp_path)
-    old = hashes(tmp_path)
-
-    def full(*_, **__):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("bumpymap.layers._cog._write_scratch", full)
-    with pytest.raises(OutputError, match=r"\.tif.*No space left"):
-        write(cost_map, tmp_path)
-    assert hashes(tmp_path) == old
-
-
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
     with pytest.raises(BadInputError, match="`local=True`"):
@@ -227,12 +214,6 @@ class Steps:
 
     def advance(self, steps):
         self.done += steps
-
-
-def test_progress_is_told_of_each_layer(tmp_path, cost_map):
-    steps = Steps()
-    write(cost_map, tmp_path, progress=steps)
-    assert steps.done == steps.total > 1
 
 
 def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):

@@ -126,7 +126,7 @@ def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches
     reader = open_survey(path)
     whole = batches(reader)
     rng = np.random.default_rng(1)
-    for points in (1, 7, 64, 399, 400, 10_000):
+    for points in (1, 64, 399, 10_000):
         order = rng.permutation(len(reader.chunks(points)))
         mixed = batches(reader, points, order)
         if kind != "octree":  # its nodes come as they stand in the file, inside a chunk
@@ -236,9 +236,8 @@ def test_workers_open_a_file_again_without_its_notes(las, caplog):
     assert again.chunks() == noted.chunks()
 
 
-@pytest.mark.parametrize("ending", ["las", "laz"])
-def test_las_loads_no_library_that_it_does_not_need(las, ending):
-    path = las.write(f"a.{ending}")
+def test_las_loads_no_library_that_it_does_not_need(las):
+    path = las.write("a.laz")
     code = (
         "import sys; from pathlib import Path; from bumpymap.readers import open_survey\n"
         "reader = open_survey(Path(sys.argv[1])); chunk = reader.chunks()[0]\n"
@@ -247,14 +246,3 @@ def test_las_loads_no_library_that_it_does_not_need(las, ending):
     )
     run = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, check=True)
     assert run.stdout.split() == ["7", "set()"]
-
-
-def test_batches_of_bad_points_are_empty_and_say_so(las):
-    reader = open_survey(las.patch(las.write(), 179, "<d", 500003.2))
-    (chunk,) = reader.chunks()
-    batch = reader.convert(chunk, reader.fetch(chunk))
-    assert batch.stats.bad
-    assert batch.stats.outside == 1
-    assert batch.cloud.easting.size == 0
-    with pytest.raises(BadInputError, match="1 of 7 points are outside"):
-        reader.verify(batch.stats)

@@ -169,7 +169,7 @@ def test_a_chunk_of_fewer_points_than_its_table_promises(las, held):
     refused(las.patch(path, points_at + 8 + 30, "<I", held), f"declares 7 points in a LAZ chunk but holds {held}")
 
 
-@pytest.mark.parametrize("layer", range(9))
+@pytest.mark.parametrize("layer", [0, 4, 8])
 @pytest.mark.parametrize("change", [-1, 1])
 def test_layers_that_do_not_fill_their_chunk(las, layer, change):
     """A layer that is said to be empty would be left out, and heights be those of the first point."""
@@ -187,10 +187,3 @@ def test_more_points_than_any_compression_holds(las):
     refused(
         las.patch(path, 107, "<I", 1_999_999_999), "1,999,999,999 points in", "compressed bytes, which is impossible"
     )
-
-
-def test_only_points_that_do_not_count(las):
-    path = las.write(classes=np.full(7, 7, np.uint8))
-    reader = open_survey(path)
-    assert list(reader.clouds()) == []
-    assert reader.dropped["noise"] == 7

@@ -2,7 +2,6 @@ import struct
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
 from ply_files import write_ply
 
 from bumpymap.core.errors import BadInputError
@@ -254,19 +253,6 @@ def test_headers_that_are_none(tmp_path, header):
     path.write_text(header)
     with pytest.raises(BadInputError):
         list(open_survey(path).clouds())
-
-
-@settings(deadline=None, max_examples=40, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    points=st.lists(st.tuples(*[st.floats(-1e7, 1e7)] * 3), min_size=1, max_size=30),
-    encoding=st.sampled_from(FORMATS),
-    chunk=st.integers(1, 40),
-)
-def test_round_trip(tmp_path, read, points, encoding, chunk):
-    table = np.array(points)
-    _, order = encoding
-    got, _ = read(open_survey(write(tmp_path / "h.ply", columns(points=table), order=order)), chunk)
-    assert np.array_equal(got, table.round(8))  # as LAS coordinates are
 
 
 def test_a_blank_line_in_the_header_is_passed_over(tmp_path, read):

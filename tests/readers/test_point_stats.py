@@ -22,7 +22,7 @@ def batch(points, *, first=0, no_return=False):
     return convert_points((x, y, z), class_id, first, nan_is_no_return=no_return)
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 @given(rows, st.booleans(), st.integers(0, 10**12))
 def test_rows_of_a_table_are_counted_and_dropped(points, no_return, first):
     table = np.array(points, float).reshape(-1, 4)

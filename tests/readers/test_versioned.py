@@ -77,7 +77,7 @@ def test_a_survey_that_is_written_again_between_two_chunks(las, laz, kind):
         list(chunks)
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", ["laz", "text ply"])
 def test_a_survey_that_is_cut_short_between_two_chunks(las, laz, kind):
     path = FORMATS[kind](las, laz, POINTS)
     chunks = open_survey(path).clouds(500)
@@ -89,7 +89,7 @@ def test_a_survey_that_is_cut_short_between_two_chunks(las, laz, kind):
         list(chunks)
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", ["laz", "text ply"])
 def test_a_survey_that_goes_away_between_two_chunks(las, laz, kind):
     path = FORMATS[kind](las, laz, POINTS)
     chunks = open_survey(path).clouds(500)

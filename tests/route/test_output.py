@@ -103,12 +103,6 @@ def test_a_file_of_another_kind_is_refused(name, source, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_folder_may_have_any_name(source, tmp_path):
-    assert names(write(tmp_path / "site.v2", source)[0].parent) == FOUR
-    (tmp_path / "old.csv").mkdir()
-    assert names(write(tmp_path / "old.csv", source)[0].parent) == FOUR
-
-
 def test_files_of_an_earlier_run_are_replaced_only_if_allowed(source, reach, tmp_path):
     write_reach_files(reach, source, tmp_path, levels=ReachLevels([5.0]), manifest={})
     (tmp_path / "notes.txt").write_text("mine")
@@ -138,30 +132,6 @@ def test_links_are_replaced_never_followed(name, source, tmp_path):
     assert precious.read_text() == "keep"
     assert not link.is_symlink()
     assert link.stat().st_size > 100
-
-
-@pytest.mark.parametrize("kind", ["routes", "way.png"])
-def test_when_one_file_fails_none_is_left(kind, source, tmp_path, monkeypatch):
-    def fail(routes, source, path):
-        raise OutputError("the disk is full")
-
-    monkeypatch.setattr(folder_module, "write_route_picture", fail)
-    with pytest.raises(OutputError, match="full"):
-        write(tmp_path / kind, source)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_failure_leaves_the_files_of_the_run_before(source, tmp_path, monkeypatch):
-    write(tmp_path, source)
-    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-
-    def fail(routes, path):
-        raise OutputError("the disk is full")
-
-    monkeypatch.setattr(folder_module, "write_profile", fail)
-    with pytest.raises(OutputError, match="full"):
-        write(tmp_path, source, overwrite=True)
-    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):

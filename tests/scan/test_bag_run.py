@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rosbags")
 
 from bags import cloud, lidar_rows, odometry, transforms, write_bag
+from bumpymap.layers.scan.grid_bag import sector_occupancy
 
 from bumpymap.cli import main
 from bumpymap.core import OutputError, Robot, UsageError
-from bumpymap.scan import ScanConfig, classify_filter, fit_frames, polar_sectors, scan_frames
-from bumpymap.views import GroundGrid
-from bumpymap.views.export.grid_bag import sector_occupancy
+from bumpymap.layers import GroundGrid
+from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
 
 pytestmark = pytest.mark.slow
 
@@ -230,19 +230,6 @@ def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(ran, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "out.mcap"]
 
 
-def test_a_bag_that_changed_is_another_input(bag, tmp_path):
-    copy = shutil.copytree(bag, tmp_path / "copy")
-    config = ScanConfig((copy,), tmp_path / "out", method="filter", products=("table",))
-    with pytest.raises(KeyboardInterrupt):
-        scan_frames(config, _Ends(1))
-    file = copy / "drive.mcap"
-    data = bytearray(file.read_bytes())
-    data[len(data) // 2] ^= 1
-    file.write_bytes(data)
-    with pytest.raises(UsageError, match=r"drive\.mcap has changed"):
-        scan_frames(config)
-
-
 def test_a_bad_message_is_skipped(tmp_path):
     messages = [("/points", stamp, cloud(lidar_rows(seen(stamp)), stamp)) for stamp in STAMPS[:3]]
     messages[1][2].point_step = 5
@@ -293,12 +280,6 @@ def test_where_the_grids_cannot_be_written(bag, tmp_path):
     scan_frames(replace(config, bag=tmp_path / "link.mcap", overwrite=True))
     assert not (tmp_path / "link.mcap").is_symlink()
     assert (tmp_path / "g.mcap").read_text() == "mine"
-
-
-def test_stripe_classes_are_fitted_to_a_bag(bag, tmp_path):
-    pytest.importorskip("sklearn")
-    model, skipped = fit_frames(ScanConfig((bag,), tmp_path / "own.json", topic="/points"))
-    assert (model.scans, skipped) == (4, {})
 
 
 @pytest.mark.parametrize(

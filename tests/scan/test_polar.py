@@ -111,6 +111,7 @@ def test_wide_holes_are_filled_from_the_rim():
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.9, 1.0])
 def test_holes_are_filled_as_those_of_surveys_are_to_the_same_bits(share):
     rng = np.random.default_rng(int(100 * share))
+    fill, heights_of = jitted(fill_holes), jitted(_heights_of)
     for size in (3, 9, 15):
         count = rng.integers(1, 9, size * size) * (rng.uniform(size=size * size) < share)
         count[rng.integers(size * size)] = 1  # one pixel is enough to fill all others
@@ -118,12 +119,10 @@ def test_holes_are_filled_as_those_of_surveys_are_to_the_same_bits(share):
         scratch = sector_scratch(np.empty((3, 1)), size)
         scratch.sums[:] = sums
         filled = np.empty((size, size), np.float32)
-        held = jitted(_heights_of)(filled, scratch)
+        held = heights_of(filled, scratch)
         with np.errstate(invalid="ignore"):
             expected = (sums[1] / sums[0]).astype(np.float32).reshape(size, size)
-        left = jitted(fill_holes)(
-            expected, size * size, np.empty(size * size, np.int32), np.empty(size * size, np.float32)
-        )
+        left = fill(expected, size * size, np.empty(size * size, np.int32), np.empty(size * size, np.float32))
         assert left == 0
         assert held == (count > 0).mean()
         np.testing.assert_array_equal(filled, expected)

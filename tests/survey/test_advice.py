@@ -48,7 +48,6 @@ def foretold_and_found(out, *words):
     ("density", "ground_share", "words"),
     [
         (1.5, 0.0, "larger tiles: bumpymap info --tile-size 4 says"),
-        (2.5, 0.0, ""),
         (5.0, 0.0, ""),
         (14.0, 0.08, "--ground all measures every point, 126 per tile"),
         (1.4, 0.8, "All points (--ground all) are too few as well, 13 per tile"),

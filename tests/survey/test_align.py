@@ -106,7 +106,7 @@ def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):
     assert "heights of 1 and 2 differ" in " ".join(again.split())
 
 
-@pytest.mark.parametrize("on_cluster", [False, True])
+@pytest.mark.parametrize("on_cluster", [False, pytest.param(True, marks=pytest.mark.later)])
 def test_files_order_chunks_and_threads_change_no_byte(aligned, tmp_path, monkeypatch, request, on_cluster):
     workers = ("--set", f"scheduler={request.getfixturevalue('dask_scheduler')}") if on_cluster else ()
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.chunk_points", 2_000)

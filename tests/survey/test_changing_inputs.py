@@ -105,6 +105,7 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 
+@pytest.mark.later
 def test_map_on_a_cluster_refuses_one_that_changes_while_it_is_read(survey, tmp_path, monkeypatch, dask_scheduler):
     original = ResultCollector.add
 

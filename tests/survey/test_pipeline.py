@@ -11,7 +11,6 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
-from alike_surveys import alike_surveys
 from made_quarry import QuarrySite
 from pyproj import CRS
 from small_surveys import run, write_las
@@ -77,23 +76,6 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
 
 def product_bytes(folder):
     return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
-
-
-def test_splitting_order_format_offset_and_threads_change_no_bit(survey, site, tmp_path):
-    x, y, z = site
-    order = np.random.default_rng(1).permutation(len(x))
-    half = np.zeros(len(x), bool)
-    half[order[: len(x) // 3]] = True
-    write_las(tmp_path / "b.las", x[half], y[half], z[half], offset=(123_456.789, 3_900_000, 17))
-    # The second file repeats a part of the first: those points count once.
-    rest = ~half | (x < 500_004)
-    write_las(tmp_path / "a.laz", x[rest][::-1], y[rest][::-1], z[rest][::-1], offset=(499_000, 3_999_000, 50))
-    split, whole = tmp_path / "split", tmp_path / "whole"
-    with alike_surveys():
-        result = run("map", tmp_path / "b.las", tmp_path / "a.laz", "--out", split, "--threads", 1)
-        assert result.exit_code == 0, result.output
-        assert run("map", survey, "--out", whole).exit_code == 0
-    assert product_bytes(split) == product_bytes(whole)
 
 
 def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp_path):
@@ -256,20 +238,6 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
     assert not [path for path in real.iterdir() if path.is_symlink()]
 
 
-@pytest.mark.parametrize("option", [None, "--overwrite"])
-def test_a_work_folder_that_is_a_link_is_left_alone(survey, tmp_path, option):
-    out, mine = tmp_path / "out", tmp_path / "mine"
-    mine.mkdir()
-    (mine / "run_spec.json").write_text("{}")
-    (mine / ".profile").write_text("mine")
-    out.mkdir()
-    (out / ".bumpymap-run").symlink_to(mine)
-    refused = run("map", survey, "--out", out, *([option] if option else []))
-    assert refused.exit_code == 3
-    assert ".bumpymap-run is a link" in refused.output
-    assert sorted(path.name for path in mine.iterdir()) == [".profile", "run_spec.json"]
-
-
 def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
     file = write_las(tmp_path / "nowhere.laz", *site, crs=None)
     refused = run("map", file, "--out", tmp_path / "layers")
@@ -357,18 +325,6 @@ def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypa
     assert not (tmp_path / "layers").exists()
 
 
-def test_a_part_of_the_survey_in_another_format_changes_nothing(tmp_path):
-    part = QUARRY.with_name("quarry_part.ply")
-    for name, files in (("laz", [QUARRY]), ("both", [QUARRY, part])):
-        # The part's own CRS stands in no PLY header.
-        assert run("map", *files, "--out", tmp_path / name, "--crs", "EPSG:32632").exit_code == 0
-    with (
-        rasterio.open(tmp_path / "laz" / "roughness.tif") as one,
-        rasterio.open(tmp_path / "both" / "roughness.tif") as two,
-    ):
-        np.testing.assert_array_equal(one.read(), two.read())
-
-
 def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for arguments in (["map", survey, "--out", ""], ["map", "", "--out", "layers"], ["info", ""]):
@@ -378,28 +334,27 @@ def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_value_for_no_data_among_the_heights_is_refused(tmp_path):
-    points = np.zeros((50, 3), "<f4")
-    points[7, 2] = -3.4e38
-    head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty float x\nproperty float y\n"
-    (tmp_path / "a.ply").write_bytes(head + b"property float z\nend_header\n" + points.tobytes())
-    result = run("map", tmp_path / "a.ply", "--out", tmp_path / "layers", "--local")
-    assert result.exit_code == 3
-    assert "a nodata value, or a wrong scale?" in result.output
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory):
+    """What the demo makes of the sample survey."""
+    out = tmp_path_factory.mktemp("demo")
+    result = run("demo", "--survey", QUARRY, "--out", out)
+    assert result.exit_code == 0, result.output
+    return out
 
 
-def test_the_demo_maps_the_sample_survey_twice_over(tmp_path):
-    for _ in range(2):
-        result = run("demo", "--survey", QUARRY, "--out", tmp_path)
-        assert result.exit_code == 0, result.output
-        assert str(tmp_path / "layers" / "map.qgs") in result.output
-        assert str(tmp_path / "layers" / "report.html") in result.output
-    with rasterio.open(tmp_path / "layers" / "class.tif") as raster:
+def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
+    result = run("demo", "--survey", QUARRY, "--out", demo)
+    assert result.exit_code == 0, result.output
+    assert str(demo / "layers" / "map.qgs") in result.output
+    assert str(demo / "layers" / "report.html") in result.output
+    with rasterio.open(demo / "layers" / "class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
         counts = np.bincount(raster.read(1).ravel(), minlength=256)
     assert counts[:4].min() > 50
 
 
+@pytest.mark.later
 def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
     assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
     assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
@@ -411,9 +366,8 @@ def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
     assert "cannot write the survey" in refused.output
 
 
-def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(tmp_path):
-    run("map", QUARRY, "--out", tmp_path / "layers")
-    with rasterio.open(tmp_path / "layers" / "roughness.tif") as raster:
+def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
+    with rasterio.open(demo / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
 
     def median(zone):
@@ -452,16 +406,7 @@ def tight(monkeypatch):
     monkeypatch.setattr("bumpymap.survey.engine.budget.Budget.block_points", 8_000)
 
 
-def test_points_that_wait_on_disk_change_no_bit(survey, tmp_path, request):
-    assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
-    request.getfixturevalue("tight")
-    assert run("map", survey, "--out", tmp_path / "spilled", "--set", f"scratch={tmp_path / 'scratch'}").exit_code == 0
-    assert layers_of(tmp_path / "spilled") == layers_of(tmp_path / "whole")
-    assert list((tmp_path / "scratch").iterdir()) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("where", ["read", "measure", "write"])
+@pytest.mark.parametrize("where", ["read", pytest.param("measure", marks=pytest.mark.later), "write"])
 def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monkeypatch, tight, where):
     assert run("map", survey, "--out", tmp_path / "whole").exit_code == 0
     out, left = tmp_path / "layers", tmp_path / "left"
@@ -488,7 +433,6 @@ def test_a_killed_run_goes_on_and_ends_with_the_same_bits(survey, tmp_path, monk
     assert not (left / ".bumpymap-run").exists()
 
 
-@pytest.mark.slow
 def test_a_run_killed_when_its_layers_were_in_place_ends_too(survey, layers, tmp_path, monkeypatch):
     out, left = tmp_path / "layers", tmp_path / "left"
 
@@ -532,7 +476,7 @@ print(*(found[-1] - found[0]))
 """
 
 
-@pytest.mark.parametrize("command", ["map", "batch"])
+@pytest.mark.parametrize("command", [pytest.param("map", marks=pytest.mark.later), "batch"])
 def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path, command):
     """So a new installation compiles all at once, a batch before its workers, and tells from the first how many."""
     words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / command]

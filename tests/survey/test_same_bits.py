@@ -30,7 +30,7 @@ NAMING = {"run.json", "report.html"}
 def points():
     """Rough ground under bushes, on a grid of 1 mm, with points that occur twice; x, y, z, class."""
     rng = np.random.default_rng(0)
-    n = 150_000
+    n = 60_000
     x, y = rng.uniform(0, SPAN[0], n), rng.uniform(0, SPAN[1], n)
     bush = rng.random(n) < 0.3
     z = 0.1 * x + 0.8 * np.sin(5 * x) * (x > 60) + 0.01 * rng.normal(size=n) + bush * rng.uniform(0, 2, n)
@@ -82,9 +82,9 @@ def deliveries(draw):
             st.sampled_from([(400_000, 3_500_000, 0), (500_000, 4_000_000, 300), (123_456.789, 3_900_000, 17)])
         ),
         "threads": draw(st.integers(1, 3)),
-        "chunk": draw(st.integers(2_000, 150_000)),
-        "waiting": draw(st.integers(8_000, 200_000)),
-        "block": draw(st.integers(5_000, 100_000)),
+        "chunk": draw(st.integers(2_000, 60_000)),
+        "waiting": draw(st.integers(8_000, 80_000)),
+        "block": draw(st.integers(5_000, 40_000)),
     }
 
 
@@ -105,7 +105,7 @@ def delivered(points, folder, way):
     return [paths[number] for number in way["order"]]
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8)
 @given(way=deliveries(), ground=st.sampled_from(["auto", "all"]))
 def test_no_delivery_and_no_budget_changes_a_byte(points, whole, tmp_path_factory, way, ground):
     folder = tmp_path_factory.mktemp("delivery")

@@ -114,7 +114,7 @@ def test_the_output_folder_may_be_a_link(survey, whole, tmp_path, settings):
     assert done.manifest["counts"] == whole.manifest["counts"]
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_a_cluster_makes_the_same_sheets(survey, whole, tmp_path, dask_scheduler):
     bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, scheduler=dask_scheduler)
     assert_same_pixels(tmp_path / "out", whole.folder)

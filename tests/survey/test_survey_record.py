@@ -111,7 +111,7 @@ def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(
     assert record("again")["survey"] == run["survey"]
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_a_cluster_changes_nothing_of_it(tmp_path, dask_scheduler):
     survey = dated(tmp_path / "site.laz", date(2021, 2, 28))
     records = []

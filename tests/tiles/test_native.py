@@ -98,6 +98,7 @@ def test_the_second_run_gives_the_same_and_compiles_nothing(place):
     assert first.endswith("False")  # the compiler ran elsewhere
 
 
+@pytest.mark.later
 def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
     first = run(place, "import sys; sys.executable = ''\n" + RUN)
     assert first.startswith(NUMBERS)
@@ -105,6 +106,7 @@ def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
     assert run(place) == first.replace("True", "False")
 
 
+@pytest.mark.later
 def test_settings_of_the_current_folder_do_not_count(place):
     """numba reads a file of them, and would compile for another processor or none."""
     (place / "surveys").mkdir()
@@ -114,12 +116,14 @@ def test_settings_of_the_current_folder_do_not_count(place):
     assert first.endswith("False")
 
 
+@pytest.mark.later
 def test_all_kernel_modules_that_are_loaded_are_compiled_at_once(place):
     (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     run(place, "import other\n" + RUN)
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
 
 
+@pytest.mark.later
 def test_what_is_loaded_is_compiled_before_it_is_called(place):
     (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     (place / "third.py").write_text(SOURCE.replace("weigh(", "third("))
@@ -127,12 +131,14 @@ def test_what_is_loaded_is_compiled_before_it_is_called(place):
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
 
 
+@pytest.mark.later
 def test_a_program_that_asks_for_no_reports_is_told_that_kernels_are_compiled(place):
     """A notebook would look hung."""
     assert "compiling 1 numerical kernel, once" in ran(place).stderr
     assert ran(place).stderr == ""
 
 
+@pytest.mark.later
 def test_it_tells_how_many_kernels_are_compiled(place):
     (place / "other.py").write_text(SOURCE.replace("weigh(", "other("))
     code = "import other\ntold = []\nwith native.compiling_reports(lambda *each: told.append(each)):\n"
@@ -141,7 +147,7 @@ def test_it_tells_how_many_kernels_are_compiled(place):
     assert run(place, code).endswith("\ntold")
 
 
-@pytest.mark.parametrize("keep", [0, 10, 400, -1])
+@pytest.mark.parametrize("keep", [*(pytest.param(n, marks=pytest.mark.later) for n in (0, 10, 400)), -1])
 def test_a_damaged_file_is_made_anew(place, keep):
     first = run(place)
     whole = kept(place).read_bytes()
@@ -161,6 +167,7 @@ def test_another_source_is_compiled_anew_and_takes_the_place(place):
     kept(place)
 
 
+@pytest.mark.later
 def test_without_a_place_for_the_cache_it_compiles_every_time(place):
     (place / "no folder").write_text("")
     first, second = run(place, cache="no folder"), run(place, cache="no folder")
@@ -240,6 +247,7 @@ logging.basicConfig(format="%(message)s")
 """
 
 
+@pytest.mark.later
 def test_a_user_without_a_home_is_told_once_that_nothing_is_kept(place):
     (place / "__pycache__").write_text("in the way")
     (place / "other").mkdir()
@@ -285,6 +293,7 @@ def test_a_helper_of_another_module_is_called_and_its_change_is_seen(place):
     assert not run(place).startswith(NUMBERS)
 
 
+@pytest.mark.later
 def test_a_constant_of_another_module_is_seen_when_it_changes(place):
     (place / "numbers_of.py").write_text("FACTOR = 1.0\n")
     own = SOURCE.replace("x * x", "FACTOR * x * x").replace("import math", "import math\nfrom numbers_of import FACTOR")

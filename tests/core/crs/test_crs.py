@@ -252,7 +252,7 @@ def test_without_a_place_the_zone_is_left_to_the_user():
         settle(crs="EPSG:4326", place=Place(Path("a.ply")))
 
 
-@settings(deadline=None, max_examples=50)
+@settings(max_examples=15)
 @given(longitude=st.floats(-179.99, 179.99).map(lambda v: round(v, 6)), latitude=st.floats(-79.9, 83.9))
 def test_utm_zone_is_one_that_the_registry_gives_for_the_place(longitude, latitude):
     area = AreaOfInterest(longitude, latitude, longitude, latitude)

@@ -57,11 +57,9 @@ def flat(tmp_path_factory):
     [
         ({"wkt": COMPOUND.to_wkt("WKT1_GDAL")}, []),
         ({"geokeys": GEOKEYS}, []),
-        ({"wkt": CRS(32614).to_wkt("WKT1_GDAL"), "geokeys": GEOKEYS}, []),
-        ({"wkt": COMPOUND.to_wkt("WKT1_GDAL")}, ["--crs", "EPSG:32614"]),
         ({}, ["--crs", "EPSG:32614+5703"]),
     ],
-    ids=["WKT", "GeoTIFF keys", "both", "--crs without it", "--crs"],
+    ids=["WKT", "GeoTIFF keys", "--crs"],
 )
 def test_layers_with_heights_carry_it_and_others_do_not(tmp_path, monkeypatch, flat, records, options):
     out = tmp_path / "out"

@@ -70,6 +70,7 @@ def test_real_calibration_rises_with_z_range_and_reads_back(calibration):
     assert Calibration.from_json(calibration.to_json(), "x") == calibration
 
 
+@pytest.mark.later
 def test_number_of_workers_changes_nothing(calibration):
     assert calibrate_vehicle(SETTINGS, workers=2) == calibration
 
@@ -176,6 +177,7 @@ def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkey
     assert path.read_text() == before
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("name", shipped_calibrations())
 def test_shipped_calibration_is_what_this_code_makes(name):
     shipped = Calibration.shipped(name)

@@ -29,11 +29,13 @@ def test_sine_meets_its_closed_form(wavelength):
     assert result.ok, result
 
 
+@pytest.mark.later
 def test_half_the_time_step_changes_little():
     result = check_step(WARTHOG, patches=6, settings=SHORT)
     assert result.ok, result
 
 
+@pytest.mark.later
 def test_same_seed_gives_the_same_bits_in_another_process():
     result = check_repeat(WARTHOG, 3, SHORT)
     assert result.ok, result

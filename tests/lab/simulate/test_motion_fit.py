@@ -54,7 +54,7 @@ def test_the_spread_is_that_of_the_errors_and_failed_terrains_are_left_out():
         assert fit.plain_log_sd == pytest.approx(0.1, rel=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.later
 @pytest.mark.parametrize("name", WITH_SPEEDS)
 def test_the_shipped_record_is_what_its_drives_give(name):
     shipped = Calibration.shipped(name)

@@ -81,6 +81,7 @@ def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     assert seen == [(6, 8), (8, 8)]
 
 
+@pytest.mark.later
 def test_real_drives_are_the_same_in_a_pool():
     pytest.importorskip("dartpy")
     rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))

@@ -108,6 +108,7 @@ def test_a_dead_worker_is_reported_with_what_to_do(jobs):
         drive_jobs(jobs.die, [jobs.Job(0), jobs.Job(1)], workers=2)
 
 
+@pytest.mark.later
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
     def ended(at):
@@ -132,6 +133,7 @@ def test_a_signal_before_the_clearing_up_leaves_nobody_waiting(jobs):
     assert (done.returncode, done.stderr) == (9, "")
 
 
+@pytest.mark.later
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
 def test_workers_end_with_a_main_process_that_was_killed(jobs):
     code = (

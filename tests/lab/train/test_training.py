@@ -98,7 +98,7 @@ def test_training_leaves_global_state_alone():
     assert torch.get_num_threads() == threads
 
 
-@pytest.mark.parametrize("pixels", [9, 15])
+@pytest.mark.parametrize("pixels", [pytest.param(9, marks=pytest.mark.later), 15])
 def test_onnx_says_what_torch_says(pixels):
     settings = NetworkSettings(pixels=pixels)
     net = train(replace(SMALL, epochs=1, network=settings))
@@ -144,6 +144,7 @@ def test_command_writes_model_and_card(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
 
 
+@pytest.mark.later
 @pytest.mark.usefixtures("few_scored")
 def test_the_same_command_gives_the_same_bytes(tmp_path):
     for name in ("a", "b"):

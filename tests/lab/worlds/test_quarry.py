@@ -121,7 +121,7 @@ def test_pond_is_the_only_hole_and_trees_stand_over_thinner_ground(points):
     assert 0.0 < (points["upward"][canopy] - SITE.height(tree.easting, tree.northing)).max() <= tree.height + 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.later
 def test_the_sample_files_are_what_the_generator_makes(tmp_path):
     # Sines may differ in the last bit between machines, so a height may round to the next millimetre.
     command = [sys.executable, str(ROOT / "tests" / "worlds" / "made_quarry.py"), "--out", str(tmp_path)]

@@ -1,6 +1,5 @@
 """Drives from bags: which topics are read, what their messages say, what is refused."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -141,14 +140,6 @@ def test_a_damaged_bag_is_refused(tmp_path):
     file = next(bag.glob("*.mcap"))
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert "cannot read the bag" in refusal(bag)
-
-
-def test_a_pipe_in_a_bag_is_not_waited_for(tmp_path):
-    bag = write_bag(tmp_path / "drive", imus())
-    file = next(bag.glob("*.mcap"))
-    file.unlink()
-    os.mkfifo(file)
-    assert "a pipe or a device" in refusal(bag)
 
 
 @pytest.mark.parametrize("read", [read_drive, lambda path: BagReader(Path(path))])

@@ -335,12 +335,6 @@ def test_times_of_day_of_points_are_times_of_frames(tmp_path, suffix):
     np.testing.assert_allclose(read_scan(frames[0]).time, np.linspace(0.0, 0.1, 50), atol=1e-6)
 
 
-def test_messages_of_a_bag_bring_their_times(tmp_path):
-    times, poses = drive(20)
-    found = read_poses(tum(tmp_path / "p.txt", times, poses), [tmp_path / "a.mcap"] * 2, np.array([0.11, 0.22]))
-    np.testing.assert_allclose(found.poses, interpolated(times, poses, np.array([0.11, 0.22])), atol=1e-9)
-
-
 # ---- frames of the poses ----
 
 NEARLY_AXES = Rotation.from_matrix([[0, -1, 0], [0, 0, -1], [1, 0, 0]]) * Rotation.from_euler(
@@ -390,14 +384,6 @@ def test_camera_poses_without_calib_are_refused(tmp_path):
     (tmp_path / "calib.txt").write_text("Tr: 1 2 3\n")
     with pytest.raises(BadInputError, match="is not a transform"):
         read_poses(tmp_path / "poses.txt", frames)
-
-
-def test_poses_with_a_jump_to_the_stars_take_no_memory(tmp_path):
-    poses = np.tile(np.eye(4), (5, 1, 1))
-    poses[:, 0, 3] = [0.0, 1.0, 2.0, 1e15, 1e15 + 1.0]
-    path = tmp_path / "poses.txt"
-    np.savetxt(path, poses[:, :3].reshape(5, 12))
-    assert len(read_poses(path, [tmp_path / f"{n}.bin" for n in range(5)]).poses) == 5
 
 
 def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 from collections import Counter
-from contextlib import suppress
 
 import pyarrow.parquet as pq
 import pytest
@@ -92,6 +91,7 @@ def finished(folder):
     return {name: time for name, time in found.items() if not (folder / name / ".bumpymap-run").exists()}
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_night_that_is_killed_twice(surveys, alone, tmp_path, jobs):
     night = tmp_path / "night"
@@ -225,20 +225,6 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     assert layers.manifest["crs"]["code"] == "EPSG:32615"
 
 
-def test_a_lock_of_a_worker_names_the_command(tmp_path):
-    write_survey(tmp_path / "in" / "a.laz", points=200_000)
-    words = [sys.executable, "-m", "bumpymap", "batch", str(tmp_path / "in"), "--out", str(tmp_path / "o"), "--quiet"]
-    held = ""
-    with subprocess.Popen(words) as process:
-        while process.poll() is None and "command" not in held:
-            with suppress(OSError):
-                held = (tmp_path / "o" / "a" / ".bumpymap-lock").read_text(encoding="utf-8")
-    assert process.returncode == 0
-    holder = json.loads(held)
-    assert holder["pid"] == process.pid
-    assert f"batch {tmp_path / 'in'}" in holder["command"]
-
-
 def test_nothing_in_the_manifest_depends_on_the_machine(tmp_path, monkeypatch):
     """Other memory, free and given, other threads, a share of a batch: the same run.json, but for its times."""
     survey, made = write_survey(tmp_path / "in" / "a.laz"), []
@@ -269,7 +255,7 @@ map_surveys(MapConfig((Path(sys.argv[1]),), Path(sys.argv[2]), align=sys.argv[3]
 """
 
 
-@pytest.mark.parametrize("align", ["report", "off"])
+@pytest.mark.parametrize("align", [pytest.param("report", marks=pytest.mark.later), "off"])
 def test_an_interrupted_survey_is_continued_or_begun_again_with_other_settings(surveys, alone, tmp_path, align):
     (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n")
     code = [sys.executable, "-c", INTERRUPTED, str(surveys / "a.laz"), str(tmp_path / "o" / "a"), align]
@@ -282,7 +268,9 @@ def test_an_interrupted_survey_is_continued_or_begun_again_with_other_settings(s
     }
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.later)]
+)
 def test_a_signal_leaves_a_summary(surveys, tmp_path, number, code):
     script = (
         "import os, sys\nfrom bumpymap.cli import batch_command, main\nreporter = batch_command._reporter\n"
@@ -355,6 +343,7 @@ def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
     assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
 
 
+@pytest.mark.later
 def test_surveys_on_a_cluster_have_the_layers_of_a_map(surveys, alone, tmp_path, dask_scheduler):
     (tmp_path / "s.txt").write_text(f"{surveys / 'b.las'}\n")
     (tmp_path / "w.toml").write_text(f'scheduler = "{dask_scheduler}"\nthreads = 2')
@@ -363,22 +352,6 @@ def test_surveys_on_a_cluster_have_the_layers_of_a_map(surveys, alone, tmp_path,
     assert {layer: (tmp_path / "o" / "b" / layer).read_bytes() for layer in LAYERS} == {
         layer: alone["b", layer] for layer in LAYERS
     }
-
-
-def test_surveys_on_a_cluster_are_mapped_one_after_another(surveys, tmp_path):
-    result = batch(surveys, "--out", tmp_path / "o", "--jobs", 2, "--set", "scheduler=tcp://a:1")
-    assert result.exit_code == 2
-    assert "jobs is 2 and scheduler is" in result.stderr
-    assert "Give --jobs 1, or no --scheduler" in result.stderr
-    assert not (tmp_path / "o").exists()
-
-
-def test_nothing_begins_without_the_scheduler(surveys, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 1.0)
-    result = batch(surveys, "--out", tmp_path / "o", "--set", "scheduler=tcp://127.0.0.1:9")
-    assert result.exit_code == 2
-    assert "dask scheduler" in result.stderr
-    assert not (tmp_path / "o").exists()
 
 
 def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):

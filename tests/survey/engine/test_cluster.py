@@ -6,7 +6,7 @@ import os
 import random
 import shutil
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
@@ -17,11 +17,10 @@ from hypothesis import given, settings, strategies as st
 from small_surveys import run, write_las
 
 import bumpytiles
-from bumpymap.core import hash_file, processes
+from bumpymap.core import hash_file
 from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.core.processes import Child, SharedMemory
 from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.readers import ReadOptions, decoder, identity, open_survey
+from bumpymap.readers import ReadOptions, identity, open_survey
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
@@ -145,8 +144,9 @@ def here(monkeypatch):
     return workers
 
 
-@pytest.mark.parametrize("ground", ["auto", "all"])
-@pytest.mark.parametrize(("least", "tasks"), [(10_000, 11), (TWO_TASKS, 2), (10**7, 1)])
+@pytest.mark.parametrize(
+    ("ground", "least", "tasks"), [("auto", 10_000, 11), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
+)
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
 ):
@@ -178,7 +178,10 @@ def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monk
     assert (here.done.count(read_ranges) == 1) == (most == 10**9)
 
 
-@pytest.mark.parametrize(("ground", "least"), [("auto", 10_000), ("all", 10_000), ("auto", 10**7), ("all", 100_000)])
+@pytest.mark.parametrize(
+    ("ground", "least"),
+    [("auto", 10_000), *(pytest.param(*way, marks=pytest.mark.later) for way in [("auto", 10**7), ("all", 100_000)])],
+)
 def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monkeypatch, ground, least):
     """Those that share a task with good files too."""
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", least)
@@ -223,21 +226,6 @@ def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
     assert "of the 125,000 points" in said[0]
 
 
-def test_a_survey_of_nothing_but_bad_files_is_refused_with_the_same_words(surveys, tmp_path, here):
-    for name in ("a", "b"):
-        (tmp_path / f"{name}.las").write_bytes((surveys / "c.las").read_bytes())
-        with (tmp_path / f"{name}.las").open("r+b") as file:
-            file.seek(179)
-            file.write(np.float64(500_020).tobytes())  # max x: points lie outside
-    said = []
-    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
-        result = run("map", *sorted(tmp_path.glob("*.las")), "--out", tmp_path / name, "--skip-bad", *extra)
-        assert result.exit_code == 3
-        said.append(result.output.splitlines()[-1])
-    assert said[0] == said[1]
-    assert "every input was skipped" in said[0]
-
-
 def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
     columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
     file = write_part(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
@@ -263,7 +251,6 @@ def killed_at(place, out, left, monkeypatch, arguments):
 @pytest.mark.parametrize(
     ("place", "finished"),
     [
-        ("run.refuse_no_points", True),
         ("run.decide_ground", True),
         ("run.ResultCollector.add_tiles", True),
         ("run.MeasuredTiles.of", False),
@@ -282,10 +269,8 @@ def test_a_killed_run_goes_on_without_reading_again(surveys, plain, tmp_path, he
     assert not (left / ".bumpymap-run").exists()
 
 
-@pytest.mark.parametrize("whole", [False, True])
-def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch, whole):
-    if whole:
-        monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
+def test_a_killed_run_goes_on_with_another_engine(surveys, plain, tmp_path, here, monkeypatch):
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
     arguments = ("map", surveys)
     killed_at(
         "run.ResultCollector.add_tiles",
@@ -331,27 +316,6 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     source = FileSource(file, ReadOptions(), (known["size"], known["digest"]), 1000)
     with pytest.raises(OutputError, match="folders that every worker sees"):
         read_ranges(context, [source], whole_file(), False)
-
-
-@pytest.mark.parametrize("same", [True, False])
-@pytest.mark.skipif(os.name != "posix", reason="the decoder is no process of its own here")
-def test_a_worker_that_waits_holds_no_decoder(surveys, tmp_path, monkeypatch, same):
-    """It has read, or opened a file that is another than the client's."""
-    monkeypatch.setitem(vars(bumpytiles), "threads_here", lambda: 1)
-    monkeypatch.setattr(processes, "MEMORY", SharedMemory())  # without arrays of tests before this one
-    started = []
-    monkeypatch.setattr(decoder, "current", None)
-    monkeypatch.setattr(decoder, "Child", lambda *arguments: started.append(Child(*arguments)) or started[-1])
-    context, file = context_in(tmp_path), surveys / "a.laz"
-    known = identity(file)
-    digest = known["digest"] if same else "0"
-    source = FileSource(file, ReadOptions(), (known["size"], digest), 1000)
-    with nullcontext() if same else pytest.raises(UsageError, match="differs from the file on the client"):
-        (result,) = read_ranges(context, [source], whole_file(), False)
-        assert result.stats[0].points >= 1000
-    assert started
-    assert not any(child.is_alive for child in started)
-    assert processes.MEMORY.size == 0
 
 
 @pytest.mark.parametrize("done", [{}, {0: [(1, 2)], 2: [(0, 1), (2, 3)]}])
@@ -479,6 +443,7 @@ def deadly(monkeypatch, mark, *, always=False):
         yield
 
 
+@pytest.mark.later
 def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
     result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
     assert result.exit_code == 0, result.output
@@ -486,6 +451,7 @@ def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, sched
     assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
 
 
+@pytest.mark.later
 @pytest.mark.parametrize("alone", [True, False])
 def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, scheduler, monkeypatch, alone):
     """Alone, a file's blocks are finished while it is read; in parts, all of them later."""
@@ -501,6 +467,7 @@ def test_a_worker_killed_in_the_middle_changes_no_bit(surveys, plain, tmp_path, 
     assert not (tmp_path / "layers" / ".bumpymap-run").exists()
 
 
+@pytest.mark.later
 def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_path, scheduler, monkeypatch):
     with deadly(monkeypatch, tmp_path / "killed", always=True):
         result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
@@ -510,15 +477,7 @@ def test_workers_that_die_over_and_over_end_the_run_with_a_word(surveys, tmp_pat
     assert not (tmp_path / "layers").exists()
 
 
-def test_a_bad_file_on_a_worker_is_a_bad_file_here(surveys, tmp_path, scheduler):
-    (tmp_path / "cut.laz").write_bytes((surveys / "a.laz").read_bytes()[:-3000])
-    result = run("map", surveys, tmp_path / "cut.laz", "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
-    assert result.exit_code == 3
-    assert "cut.laz" in result.output
-    assert f"\n{result.output}".count("\nError: ") == 1
-    assert not (tmp_path / "layers").exists()
-
-
+@pytest.mark.later
 def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler, monkeypatch):
     def interrupted(*_):
         raise KeyboardInterrupt
@@ -529,28 +488,7 @@ def test_ctrl_c_leaves_nothing_behind_on_a_cluster(surveys, tmp_path, scheduler,
     assert not (tmp_path / "layers").exists()
 
 
-def test_tasks_are_handed_out_as_they_are_needed(scheduler, helpers):
-    from deadly_helpers import fail
-
-    from bumpytiles import workers_at
-
-    moving_bars = []
-
-    def tasks(count):
-        for number in range(count):
-            moving_bars.append(number)
-            yield (number + 100,)
-
-    with workers_at(scheduler, 10) as workers:
-        found = {}
-        for number, square in workers.run(fail, tasks(50)):
-            found[number] = square
-            assert len(moving_bars) - len(found) < 2 * 2 + 1
-        assert found == {number: (number + 100) ** 2 for number in range(50)}
-        with pytest.raises(ValueError, match="five"):
-            list(workers.run(fail, ((number,) for number in range(10))))
-
-
+@pytest.mark.later
 def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("bumpymap.survey.engine.cluster._TIMEOUT_S", 0.5)
@@ -565,6 +503,7 @@ def test_a_scheduler_that_is_not_there_is_told_in_time(surveys, tmp_path, monkey
     assert not (tmp_path / "layers").exists()
 
 
+@pytest.mark.later
 def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, monkeypatch):
     distributed = pytest.importorskip("distributed")
     monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
@@ -606,13 +545,6 @@ def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys,
     assert run("map", surveys, "--out", tmp_path / "whole", "--set", "scheduler=here").exit_code == 0
     assert before + ranges == here.done.count(read_ranges)
     assert layers_of(out) == layers_of(plain / "auto")
-
-
-def test_a_file_that_is_one_stream_is_read_by_one_worker(tmp_path, here, monkeypatch, surveys):
-    monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)  # chunks that must be read in order
-    result = run("map", surveys / "a.laz", "--out", tmp_path / "layers", "--set", "scheduler=here")
-    assert result.exit_code == 0, result.output
-    assert here.done.count(read_ranges) == 1
 
 
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():

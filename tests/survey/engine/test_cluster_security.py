@@ -15,7 +15,7 @@ dask = pytest.importorskip("dask")
 distributed = pytest.importorskip("distributed")
 pytest.importorskip("cryptography")
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.later
 
 SURVEY = Path(__file__).resolve().parents[3] / "sample_data" / "quarry_part.ply"
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "pages" / "big-sites.md"

@@ -121,7 +121,7 @@ def a_field(folder):
     return write_points(folder / "field.las", points + np.array([500_001, 4_000_002, 0]))
 
 
-@pytest.mark.slow
+@pytest.mark.later
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux's own account of a process")
 @pytest.mark.parametrize("make", [lambda _: QUARRY, a_line, a_field], ids=["quarry", "line", "field"])
 def test_a_run_takes_more_than_a_third_of_the_memory_that_was_said_and_no_more(tmp_path, make):

@@ -65,24 +65,6 @@ def test_other_files_stay_and_layers_are_no_place_for_it(easy_map, easy_folder, 
         export_map(easy_map, tmp_path / "odd", GRAPH, overwrite=True)
 
 
-@pytest.mark.parametrize("there", [False, True])
-def test_a_failure_leaves_nothing(easy_map, tmp_path, monkeypatch, there):
-    out = tmp_path / "out"
-    if there:
-        export_map(easy_map, out, NAV2)
-    before = snapshot(out) if there else None
-
-    def fail(*_):
-        raise OutputError("disk full")
-
-    monkeypatch.setattr("bumpymap.views.export.nav2.params_text", fail)
-    with pytest.raises(OutputError, match="disk full"):
-        export_map(easy_map, out, NAV2, overwrite=True)
-    assert (snapshot(out) if there else None) == before
-    assert out.exists() == there
-    assert not there or sorted(before) == sorted(path.name for path in out.iterdir())
-
-
 def test_the_datum_says_where_the_frame_lies(easy_map, tmp_path):
     """A way to the north and one to the east of the frame, laid on the ellipsoid from the datum."""
     record = export_map(easy_map, tmp_path / "out", NAV2).record
