@@ -1,4 +1,4 @@
-"""The Python of the notebook page and of the API page runs, block after block, as it stands."""
+"""The Python of the API page runs, block after block, as it stands: the notebook at its begin, then the calls."""
 
 import re
 from pathlib import Path
@@ -14,8 +14,9 @@ pytestmark = pytest.mark.slow
 matplotlib.use("Agg")
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "docs" / "pages"
-PAGES = [FOLDER / "notebook.md", FOLDER / "api.md"]
+PAGE = ROOT / "docs" / "pages" / "api.md"
+TEXT = PAGE.read_text(encoding="utf-8")
+CALLS = TEXT.index("\n## Map a survey\n")
 _BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -24,21 +25,20 @@ def site_layers(tmp_path_factory):
     return bumpymap.map_survey(ROOT / "sample_data" / "quarry.laz", tmp_path_factory.mktemp("site") / "site_layers")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_the_python_of_a_page_runs(page, site_layers, tmp_path, monkeypatch):
+@pytest.mark.parametrize("part", ["notebook", "calls"])
+def test_the_python_of_the_page_runs(part, site_layers, tmp_path, monkeypatch):
     (tmp_path / "sample_data").symlink_to(ROOT / "sample_data")
     for name in ("site_layers", "may_layers", "june_layers"):
         (tmp_path / name).symlink_to(site_layers.folder)
     write_drives(tmp_path)
     monkeypatch.chdir(tmp_path)
-    text = page.read_text(encoding="utf-8")
-    blocks = list(_BLOCK.finditer(text))
+    blocks = [block for block in _BLOCK.finditer(TEXT) if (block.start() < CALLS) == (part == "notebook")]
     assert blocks
     names = {}
     for block in blocks:
-        line = text.count("\n", 0, block.start()) + 1
-        exec(compile("\n" * line + block[1], str(page), "exec"), names)  # noqa: S102 (our own pages)
-    if page.stem == "notebook":
+        line = TEXT.count("\n", 0, block.start()) + 1
+        exec(compile("\n" * line + block[1], str(PAGE), "exec"), names)  # noqa: S102 (our own page)
+    if part == "notebook":
         check_notebook(names, tmp_path)
 
 
@@ -55,8 +55,7 @@ def write_drives(folder):
 
 def check_notebook(names, folder):
     """The numbers that the page speaks of, and the picture."""
-    text = (FOLDER / "notebook.md").read_text(encoding="utf-8")
-    assert repr(names["layers"]) in text
+    assert repr(names["layers"]) in TEXT
     assert list(names["statistics"].index) == ["smooth", "fair", "rough", "very rough"]
     assert names["statistics"]["c_r"].is_monotonic_increasing
     dearest_shown = names["cheapest"]["cost"].max()
@@ -68,8 +67,5 @@ def check_notebook(names, folder):
     assert len({tuple(pixel) for pixel in picture[::4, ::4].reshape(-1, 4).tolist()}) > 50
 
 
-def test_every_public_name_has_its_page():
-    shown = {
-        name for page in PAGES for name in re.findall(r"^::: bumpymap\.(\w+)$", page.read_text("utf-8"), re.MULTILINE)
-    }
-    assert shown == set(bumpymap.__all__) - {"__version__"}
+def test_every_public_name_is_on_the_page():
+    assert set(re.findall(r"^::: bumpymap\.(\w+)$", TEXT, re.MULTILINE)) == set(bumpymap.__all__) - {"__version__"}
