@@ -32,6 +32,7 @@ from bumpymap.layers.map_files import KeptRasters, gdal_text, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
+    from rasterio.enums import Resampling
     from rasterio.io import DatasetReader
 
 __all__ = ["RouteSheet", "common_window", "kept_rasters", "sheet_choice", "window_slices", "worse_objects"]
@@ -185,13 +186,22 @@ class RouteSheet:
         """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
         from rasterio.enums import Resampling
 
+        return self._shrunk("heightmap.tif", window, shape, Resampling.average)
+
+    def read_passage(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read passage.tif in a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
+        from rasterio.enums import Resampling
+
+        return self._shrunk("passage.tif", window, shape, Resampling.nearest)
+
+    def _shrunk(self, name: str, window: TileWindow, shape: tuple[int, int], resampling: "Resampling") -> NDArray[Any]:
         own, scale = self.window, self.grid.pixels
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
-        self._require_whole("heightmap.tif")
-        with _opened(self.folder / "heightmap.tif", self.rasters) as file:
-            found: NDArray[np.float32] = file.read(1, window=part, out_shape=shape, resampling=Resampling.average)
+        self._require_whole(name)
+        with _opened(self.folder / name, self.rasters) as file:
+            found: NDArray[Any] = file.read(1, window=part, out_shape=shape, resampling=resampling)
         return found
 
     def _require_whole(self, name: str) -> None:
