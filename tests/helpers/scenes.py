@@ -180,7 +180,7 @@ class TruePixels(NamedTuple):
     free: np.ndarray
     """Level ground, with nothing in the way within the tolerance: calling it an obstacle or unknown is wrong."""
     relief: np.ndarray
-    """Ground that is not level, likewise. Unless it is as steep as a wall, slopes and steps of tiles bar a way over it."""
+    """Ground that is not level, likewise. Unless it is steep as a wall, slopes and steps of tiles bar ways over it."""
 
 
 def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, pixel=0.2, tolerance=0.4):
