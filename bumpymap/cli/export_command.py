@@ -119,7 +119,7 @@ def _summary(done: "Export") -> Iterator[str]:
         largest = graph["largest_square"]
         yield (
             f"{graph['nodes']:,} nodes, {graph['edges']:,} edges, one node in up to {largest} x {largest} tiles; "
-            f"{graph['tiles_left_out']:,} passable tiles left out, not connected with these"
+            f"free ground of {graph['tiles_left_out']:,} tiles left out, not connected with these"
         )
     if layers := record.get("layer_names"):
         yield f"grid_map on {record['topic']}: {', '.join(layers)}"

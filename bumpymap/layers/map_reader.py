@@ -1,7 +1,7 @@
 """The layers of one run, or of several that are sheets of one map, read by window."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,6 +37,21 @@ from bumpymap.layers.sheet_reader import (
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["MapReader", "map_differences", "open_map"]
+
+
+def _shares(
+    sheets: Sequence[SheetReader], window: TileWindow, shape: tuple[int, int]
+) -> Iterator[tuple[SheetReader, TileWindow, tuple[slice, slice]]]:
+    """Yield each sheet in a window that spans ``shape`` pixels, the tiles of it, and their pixels, where it has any."""
+    for sheet in sheets:
+        part = common_window(window, sheet.window)
+        if part is None:
+            continue
+        above, west = window.row + window.rows - part.row - part.rows, part.col - window.col
+        rows = np.rint(np.array([above, above + part.rows]) * (shape[0] / window.rows)).astype(int).tolist()
+        cols = np.rint(np.array([west, west + part.cols]) * (shape[1] / window.cols)).astype(int).tolist()
+        if rows[1] > rows[0] and cols[1] > cols[0]:
+            yield sheet, part, (slice(*rows), slice(*cols))
 
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
@@ -210,18 +225,9 @@ class MapReader:
             A file is missing or damaged.
         """
         out = np.full(shape, np.nan, np.float32)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is None:
-                continue
-            above = window.row + window.rows - part.row - part.rows
-            rows = np.rint(np.array([above, above + part.rows]) * (shape[0] / window.rows)).astype(int).tolist()
-            west = part.col - window.col
-            cols = np.rint(np.array([west, west + part.cols]) * (shape[1] / window.cols)).astype(int).tolist()
-            if rows[1] > rows[0] and cols[1] > cols[0]:
-                place = slice(*rows), slice(*cols)
-                found = sheet.read_relief(part, (rows[1] - rows[0], cols[1] - cols[0]))
-                out[place] = np.fmax(out[place], found)
+        for sheet, part, place in _shares(self.sheets, window, shape):
+            size = place[0].stop - place[0].start, place[1].stop - place[1].start
+            out[place] = np.fmax(out[place], sheet.read_relief(part, size))
         return out
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
@@ -239,6 +245,14 @@ class MapReader:
         """
         # NO_TILE is the largest code, so the smaller of two is the known one, or the closed one of two that are known.
         out = self._merged("passage.tif", window, np.uint8(NO_TILE), np.minimum)
+        return np.asarray((out > 0) & (out != NO_TILE))
+
+    def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
+        out = np.full(shape, NO_TILE, np.uint8)
+        for sheet, part, place in _shares(self.sheets, window, shape):
+            size = place[0].stop - place[0].start, place[1].stop - place[1].start
+            out[place] = np.minimum(out[place], sheet.read_passage(part, size))
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:

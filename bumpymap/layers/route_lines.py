@@ -87,6 +87,10 @@ class MapSource(Protocol):
         """Read the heights of a window at the resolution of ``shape``, north row first, m; NaN where there is none."""
         ...
 
+    def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
+        """Read where the middle of the vehicle can be, at the resolution of ``shape``, north row first."""
+        ...
+
 
 SEGMENT_M = 96.0
 """Longest straight segment of a line in longitude and latitude, m: its middle is then off by 1.2 mm at most, as for

@@ -182,13 +182,23 @@ class SheetReader:
 
     def read_relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
+        return self._shrunk("heightmap.tif", window, shape, averaged=True)
+
+    def read_passage(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.uint8]:
+        """Read passage.tif in a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
+        return self._shrunk("passage.tif", window, shape, averaged=False)
+
+    def _shrunk(self, name: str, window: TileWindow, shape: tuple[int, int], *, averaged: bool) -> NDArray[Any]:
         own, scale = self.window, self.grid.pixels
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
-        self._require_whole("heightmap.tif")
-        with self.rasters.opened(self.folder / "heightmap.tif") as file:
-            return read_averaged(file, shape, part)
+        self._require_whole(name)
+        with self.rasters.opened(self.folder / name) as file:
+            if averaged:
+                return read_averaged(file, shape, part)
+            found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
+            return found
 
     def _require_whole(self, name: str) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the sheet was opened is damaged."""

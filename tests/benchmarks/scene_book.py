@@ -1,10 +1,15 @@
-"""Draw the table of the made-up scenes: how much of what stands is closed, and how much level ground is barred."""
+"""Draw the table of the made-up scenes: how much of what stands is closed, which gaps lead through, what is barred.
+
+    python tests/benchmarks/scene_book.py [--seeds 4] [--only NAME] [--page docs/pages/obstacles.md]
+
+Three figures a cell: surveyed from straight above with classes; with pulses that lean and see sides too; from straight
+above without classes. All with noise of 3 cm. ``--page`` puts the table in the place of the one that a page holds.
+"""
 
 import argparse
+import math
 import sys
 from pathlib import Path
-
-import numpy as np
 
 sys.path.append(str(Path(__file__).parents[1] / "helpers"))
 from scenes import SCENES, judge, seen_from_above
@@ -13,37 +18,64 @@ from bumpymap.core import VehicleBody
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.38, width_m=1.37, brush_stem_m=0.25)
 DENSITIES = (200, 50, 20, 8, 4)
+SURVEYS = ({}, {"sides": True}, {"classified": False})
+NOISE_M = 0.03
+
+
+def share(value):
+    """Write a share so that a trace is not a zero."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.2f}" if value == 0.0 or value >= 0.005 else f"{value:.0e}".replace("e-0", "e-")
+
+
+def table(scenes, seeds):
+    """Return the lines of the table."""
+    lines = ["| scene | 200 points/m2 | 50 | 20 | 8 | 4 |", "|---|" + "---|" * len(DENSITIES)]
+    gaps, most = [], [[0.0] * len(SURVEYS) for _ in DENSITIES]
+    for scene in scenes:
+        cells, ways = [], []
+        for at, density in enumerate(DENSITIES):
+            found = [
+                judge(
+                    scene if settings.get("sides") else seen_from_above(scene),
+                    *(density, NOISE_M, BODY),
+                    **settings,
+                    seeds=range(seeds),
+                )
+                for settings in SURVEYS
+            ]
+            has_crowns = scene.name.startswith("crowns")
+            asked = [
+                one.barred if has_crowns else one.relief if math.isnan(one.closed) else one.closed for one in found
+            ]
+            cells.append(" / ".join(map(share, asked)))
+            ways.append(" / ".join(share(one.joined) for one in found))
+            if not has_crowns:
+                most[at] = [max(pair) for pair in zip(most[at], (one.barred for one in found), strict=True)]
+        if "-" not in cells[0]:
+            lines.append(f"| {scene.name} | " + " | ".join(cells) + " |")
+        if scene.name.startswith("ring"):
+            gaps.append(f"| *way through*: {scene.name} | " + " | ".join(ways) + " |")
+        print(lines[-1], file=sys.stderr, flush=True)
+    level = " | ".join(" / ".join(map(share, row)) for row in most)
+    return [*lines, *gaps, f"| *level ground*, most of any scene | {level} |"]
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--sides", action="store_true", help="pulses lean, so that sides return too")
-    parser.add_argument("--unclassified", action="store_true")
-    parser.add_argument("--only", default="")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=4, help="places and headings of a scene (4)")
+    parser.add_argument("--only", default="", help="scenes with this in their name")
+    parser.add_argument("--page", type=Path, help="page whose table is replaced")
     given = parser.parse_args()
-    print("| scene | " + " | ".join(f"{density}" for density in DENSITIES) + " |")
-    print("|---|" + "---|" * len(DENSITIES))
-    for scene in SCENES:
-        if given.only not in scene.name:
-            continue
-        seen = scene if given.sides else seen_from_above(scene)
-        cells = []
-        for density in DENSITIES:
-            texts = []
-            for noise in (0.0, 0.03):
-                closed, barred = judge(
-                    seen,
-                    density,
-                    noise,
-                    BODY,
-                    classified=not given.unclassified,
-                    sides=given.sides,
-                    seeds=range(given.seeds),
-                )
-                texts.append(("-" if np.isnan(closed) else f"{closed:.2f}") + (f" ({barred:.4f})" if barred else ""))
-            cells.append(" / ".join(texts))
-        print(f"| {scene.name} | " + " | ".join(cells) + " |", flush=True)
+    lines = table([scene for scene in SCENES if given.only in scene.name], given.seeds)
+    if given.page is None:
+        print("\n".join(lines))
+        return
+    text = given.page.read_text(encoding="utf-8").splitlines()
+    first = next(at for at, line in enumerate(text) if line.startswith("| scene |"))
+    last = next(at for at in range(first, len(text)) if not text[at].startswith("|"))
+    given.page.write_text("\n".join([*text[:first], *lines, *text[last:]]) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

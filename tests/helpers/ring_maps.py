@@ -1,5 +1,6 @@
 """Yards within walls, surveyed and mapped, and who gets out of them: routes, and tools that read the map."""
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import rasterio
 from pyproj import CRS
 from scenes import Place, ring, survey_scene
 from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array
 from skimage.graph import MCP_Geometric
 
 import bumpymap
@@ -18,7 +20,7 @@ from bumpymap.views import ExportSettings, export_map
 SIDE_M = 24.0
 LETHAL = 98
 """Above this value of a cell, planners of Nav2 do not plan."""
-TOOLS = ("cost.tif", "cost.tif on pixels", "Nav2, tiles", "Nav2, pixels")
+TOOLS = ("cost.tif", "cost.tif on pixels", "Nav2, tiles", "Nav2, pixels", "graph")
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ class Yard:
             with rasterio.open(folder / "cost.tif") as raster:
                 found[name] = self.crossed(np.isfinite(raster.read(1)), raster.transform)
                 corner = raster.transform
-        for name, resolution in zip(TOOLS[2:], ("tile", "pixel"), strict=True):
+        for name, resolution in zip(TOOLS[2:4], ("tile", "pixel"), strict=True):
             folder = layers.parent / f"nav2_{resolution}"
             export_map(site, folder, ExportSettings(to="nav2", resolution=resolution))
             cells = read_pgm(folder / "map.pgm")
@@ -90,6 +92,10 @@ class Yard:
                 is_open &= distance_transform_edt(is_open) * cell > 0.5 * site.vehicle.width_m
             step = rasterio.Affine(cell, 0.0, corner.c, 0.0, -cell, corner.f)
             found[name] = self.crossed(is_open, step)
+        places, _ = read_graph(site, layers.parent / "graph")
+        far = np.abs(self.place.in_scene(*places.T)).max(axis=0)
+        # All of its nodes are connected.
+        found[TOOLS[4]] = bool((far < 0.5 * SIDE_M - 3.0).any() and (far > 0.5 * SIDE_M + 2.0).any())
         return found
 
     def way_out(self, layers):
@@ -107,6 +113,19 @@ class Yard:
         start, goal = self.ends
         reach = bumpymap.map_reach(layers, start, snap=6.0)
         return bool(np.isfinite(reach.cost.sel(x=goal[0], y=goal[1], method="nearest")))
+
+
+def read_graph(site, folder):
+    """Export a map as a graph of all its areas; return the places of the nodes, (n, 2), and their costs, (n, n)."""
+    export_map(site, folder, ExportSettings(to="graph", every=1, datum=(0.0, 0.0)))
+    places, edges = [], []
+    for feature in json.loads((folder / "graph.geojson").read_text())["features"]:
+        if feature["geometry"]["type"] == "Point":
+            places.append(feature["geometry"]["coordinates"])
+        else:
+            edges.append([feature["properties"][name] for name in ("startid", "endid", "cost")])
+    start, end, cost = np.array(edges).T
+    return np.array(places), coo_array((cost, (start.astype(int), end.astype(int))), (len(places),) * 2).tocsr()
 
 
 def write_points(points, path):

@@ -53,6 +53,8 @@ class MadeUpMap:
     c_r: np.ndarray
     height: np.ndarray
     """(rows, cols) m: one height a tile."""
+    fits: np.ndarray | None = None
+    """(rows * pixels, cols * pixels) where the middle of the vehicle can be; everywhere if None."""
     grid: Grid = field(default_factory=Grid)
     georeference: Georeference = UTM
     folders: tuple = ()
@@ -88,3 +90,21 @@ class MadeUpMap:
         tiles = self._cut(self.height, window, np.nan)
         row, col = (np.arange(n) * size // n for n, size in zip(shape, tiles.shape, strict=True))
         return tiles[np.ix_(row, col)]
+
+    def passage_shown(self, window, shape):
+        if self.fits is None:
+            return np.ones(shape, bool)
+        pixels = self.grid.pixels
+        tiles = [
+            np.repeat(np.arange(first, first + size), pixels)
+            for first, size in ((self._top(window), window.rows), (window.col - self.window.col, window.cols))
+        ]
+        places = [tile * pixels + np.arange(len(tile)) % pixels for tile in tiles]
+        whole = np.zeros((len(places[0]), len(places[1])), bool)
+        inside = [(at >= 0) & (at < size) for at, size in zip(places, self.fits.shape, strict=True)]
+        whole[np.ix_(*inside)] = self.fits[np.ix_(*(at[here] for at, here in zip(places, inside, strict=True)))]
+        row, col = (np.arange(n) * size // n for n, size in zip(shape, whole.shape, strict=True))
+        return whole[np.ix_(row, col)]
+
+    def _top(self, window):
+        return self.window.row + self.window.rows - (window.row + window.rows)

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import distance_transform_edt, label
 
 from bumpymap.core import (
     CANOPY,
@@ -97,7 +98,7 @@ class Scene:
     """Half the side of the square, m."""
     ground: object = level
     relief: object = nowhere
-    """Where the ground is not level (ditches, ramps): neither closed nor free is asked there."""
+    """Where the ground is not level (ditches, ramps)."""
 
 
 class ScenePoints(NamedTuple):
@@ -174,9 +175,12 @@ class TruePixels(NamedTuple):
     """Truth about the pixels of a window of tiles, (rows, cols) each, north row first."""
 
     closed: np.ndarray
-    """Their middle is in the footprint of something in the vehicle's way; what is thinner is one pixel wide."""
+    """Their middle is in the footprint of something in the vehicle's way, or of a roof that hides what is beneath; what
+    is thinner is one pixel wide."""
     free: np.ndarray
     """Level ground, with nothing in the way within the tolerance: calling it an obstacle or unknown is wrong."""
+    relief: np.ndarray
+    """Ground that is not level, likewise. Unless it is steep as a wall, slopes and steps of tiles bar ways over it."""
 
 
 def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, pixel=0.2, tolerance=0.4):
@@ -203,12 +207,12 @@ def true_pixels(scene, west, south, pixels, *, place=HERE, low=0.25, high=1.38, 
     closed, near = np.zeros((2, *x.shape), bool)
     for solid in scene.solids:
         in_the_way = solid.bottom < high and solid.top > low
-        if in_the_way:
-            closed |= solid.inside(x, y, max(0.0, 0.5 * (pixel - solid.width)))
         if in_the_way or solid.stops == 1.0:  # what is under a closed roof is not seen
+            closed |= solid.inside(x, y, max(0.0, 0.5 * (pixel - solid.width)))
             near |= solid.inside(x, y, tolerance)
-    near |= scene.relief(x, y) | (np.maximum(np.abs(x), np.abs(y)) > scene.half - 1.0)
-    return TruePixels(closed, ~near)
+    near |= np.maximum(np.abs(x), np.abs(y)) > scene.half - 1.0
+    relief = scene.relief(x, y)
+    return TruePixels(closed, ~near & ~relief, ~near & relief)
 
 
 def ring(gap=0.0, thickness=0.3, height=2.0, side=9.0, class_id=BUILDING):
@@ -261,8 +265,7 @@ BALES = tuple(Solid(x, y, 0, 1.3, 1.2, is_round=True) for x, y in ((-4, -3), (0,
 CROWNS = (crown(-4, 3, 4), crown(1, 2, 5), crown(3, -3, 3), crown(-3, -4, 4))
 SCENES = (
     *(wall(thickness, class_id=OTHER) for thickness in (0.1, 0.2, 0.3, 0.6)),
-    ring(),
-    ring(gap=2.0),
+    *(ring(gap=gap) for gap in (0.0, 1.0, 1.5, 2.0, 3.0)),
     wall(0.3),
     fence(),
     Scene("low wall 0.6 m high", (Solid(0, 0, 10, 0.3, 0.6),)),
@@ -274,6 +277,8 @@ SCENES = (
     Scene("hut, unassigned", (Solid(0, 0, 4, 3, 2.6),)),
     Scene("hedge", (Solid(0, 0, 10, 1.0, 1.8, class_id=HEDGE, soft=True),)),
     Scene("carport", (Solid(0, 0, 6, 5, 3.0, bottom=2.6),)),
+    Scene("bridge 5 m above ground", (Solid(0, 0, 14, 4, 5.6, bottom=5.0, class_id=BRIDGE),)),
+    Scene("footbridge 1 m above ground", (Solid(0, 0, 14, 1.5, 1.2, bottom=1.0, class_id=BRIDGE),)),
     Scene("crowns over ground", CROWNS),
     Scene("crowns, unassigned", tuple(one._replace(class_id=OTHER) for one in CROWNS)),
     Scene("open ground", ()),
@@ -334,12 +339,22 @@ def seen_pixels(points, body):
     return settle_objects(settle_solids(states, Grid(), FAR), 15), west, south
 
 
-def judge(scene, density, noise, body, *, classified=True, sides=False, seeds=range(2)):
-    """Return the share of the footprint that is closed (NaN: there is none), and of level ground that is barred.
+class Judgement(NamedTuple):
+    """What surveys of a scene at several places say; NaN where nothing is asked."""
 
-    Every other place has a heading of its own.
-    """
-    closed = truth = barred = free = 0
+    closed: float
+    """Share of the footprints that is closed."""
+    barred: float
+    """Share of level ground that is closed."""
+    relief: float
+    """Share of other ground that is closed."""
+    joined: float
+    """Share of the places where the vehicle gets from the middle of the scene to its rim."""
+
+
+def judge(scene, density, noise, body, *, classified=True, sides=False, seeds=range(2)):
+    """Hold the pixels of a scene against the truth at several places; every other place has a heading of its own."""
+    hits, counts, joined = np.zeros(3), np.zeros(3), []
     for seed in seeds:
         rng = np.random.default_rng(seed)
         place = Place(rng.uniform(0, 360) if seed % 2 else 0.0, *(1000 + rng.uniform(0, 3, 2)))
@@ -350,6 +365,17 @@ def judge(scene, density, noise, body, *, classified=True, sides=False, seeds=ra
         tolerance = max(0.4, 2.0 / math.sqrt(density))
         true = true_pixels(scene, west, south, len(image), place=place, high=body.height_m, tolerance=tolerance)
         shut = (image != FREE) & (image != CANOPY)
-        closed, truth = closed + (true.closed & shut).sum(), truth + true.closed.sum()
-        barred, free = barred + (true.free & shut).sum(), free + true.free.sum()
-    return closed / truth if truth else math.nan, barred / free
+        hits += [(asked & shut).sum() for asked in true]
+        counts += [asked.sum() for asked in true]
+        joined.append(_gets_out(shut, body, place.x - west, place.y - south, scene.half))
+    with np.errstate(invalid="ignore"):
+        return Judgement(*(hits / counts).tolist(), float(np.mean(joined)))
+
+
+def _gets_out(shut, body, east, north, half, pixel=0.2):
+    """Whether a disc of the vehicle's width and margin gets from a place, m from a corner, to the rim of a scene."""
+    room = distance_transform_edt(~shut) * pixel >= 0.5 * body.width_m + 0.1
+    areas, _ = label(room)
+    axis = (np.arange(len(shut)) + 0.5) * pixel
+    far = np.hypot(axis - east, (axis[::-1] - north)[:, None])
+    return bool(set(areas[(far < 2.0) & room]) & set(areas[(far > half - 2.0) & (far < half) & room]))

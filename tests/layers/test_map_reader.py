@@ -218,6 +218,19 @@ def test_without_a_crs_there_is_no_longitude():
         place.to_lonlat(1.0, 2.0)
 
 
+def test_passage_in_fewer_pixels(folder, sheets):
+    """At full size the same; in fewer pixels, what is free there is free on one of those beneath."""
+    for folders in ([folder], sheets):
+        found = open_map(folders)
+        whole = found.window
+        around = TileWindow(whole.col - 2, whole.row - 1, whole.cols + 4, whole.rows + 3)
+        fine = found.passage(around)
+        assert np.array_equal(found.passage_shown(around, fine.shape), fine)
+        rows, cols = fine.shape[0] // 2, fine.shape[1] // 2
+        coarse = found.passage_shown(around, (rows, cols))
+        assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
+
+
 def open_below(folder):
     """Names of the files below a folder that this process has open."""
     opened = []

@@ -37,9 +37,9 @@ BY_NAME = {scene.name: seen_from_above(scene) for scene in SCENES}
     ],
 )
 def test_a_solid_seen_only_from_above_is_closed(name, density, least, noise):
-    closed, barred = judge(BY_NAME[name], density, noise, BODY)
-    assert closed >= least
-    assert barred == 0
+    found = judge(BY_NAME[name], density, noise, BODY)
+    assert found.closed >= least
+    assert found.barred == 0
 
 
 @pytest.mark.parametrize("density", [200, 50, 20, 8, 4])
@@ -47,13 +47,15 @@ def test_a_solid_seen_only_from_above_is_closed(name, density, least, noise):
 @pytest.mark.parametrize("classified", [True, False])
 def test_level_ground_is_free_at_any_density_and_noise(name, density, classified):
     for noise in (0.0, 0.03):
-        assert judge(BY_NAME[name], density, noise, BODY, classified=classified)[1] == 0
+        found = judge(BY_NAME[name], density, noise, BODY, classified=classified)
+        assert found.barred == 0
+        assert name not in {"ditch", "ramp"} or found.relief == 0
 
 
 @pytest.mark.parametrize("name", ["crowns over ground", "crowns, unassigned"])
 def test_ground_under_crowns_is_free_where_it_is_seen(name):
     for density, most in ((200, 0), (50, 0), (20, 0.002), (8, 0.01)):
-        assert judge(BY_NAME[name], density, 0.03, BODY)[1] <= most
+        assert judge(BY_NAME[name], density, 0.03, BODY).barred <= most
 
 
 @pytest.mark.parametrize(
@@ -62,19 +64,30 @@ def test_ground_under_crowns_is_free_where_it_is_seen(name):
 @pytest.mark.parametrize("classified", [True, False])
 def test_more_points_see_no_less(scene, classified):
     scene = seen_from_above(scene)
-    shares = [judge(scene, density, 0.0, BODY, classified=classified)[0] for density in (8, 20, 50, 200)]
+    shares = [judge(scene, density, 0.0, BODY, classified=classified).closed for density in (8, 20, 50, 200)]
     assert np.all(np.diff(shares) > -0.03)
 
 
 def test_in_a_survey_without_classes_narrow_things_are_told_from_relief():
     for name in ("wall 0.3 m", "crates", "vans", "hedge", "posts"):
-        assert judge(BY_NAME[name], 200, 0.03, BODY, classified=False)[0] > 0.95, name
+        assert judge(BY_NAME[name], 200, 0.03, BODY, classified=False).closed > 0.95, name
 
 
 def test_points_of_buildings_are_obstacles_however_high_and_thin():
     high = wall(0.1, BUILDING, height=9.0)
-    assert judge(high, 200, 0.0, BODY)[0] > 0.95
-    assert judge(wall(0.1, OTHER, height=9.0), 200, 0.0, BODY)[0] < 0.7  # as a branch is seen
+    assert judge(high, 200, 0.0, BODY).closed > 0.95
+    assert judge(wall(0.1, OTHER, height=9.0), 200, 0.0, BODY).closed < 0.7  # as a branch is seen
+
+
+@pytest.mark.parametrize("density", [200, 50, 20])
+@pytest.mark.parametrize("name", ["carport", "bridge 5 m above ground", "footbridge 1 m above ground"])
+def test_what_a_roof_or_a_bridge_hides_is_closed(name, density):
+    assert judge(BY_NAME[name], density, 0.03, BODY).closed > 0.9
+
+
+def test_a_vehicle_gets_through_gaps_that_it_fits_through():
+    for gap, share in ((0.0, 0.0), (1.0, 0.0), (3.0, 1.0)):
+        assert judge(seen_from_above(ring(gap)), 50, 0.03, BODY, seeds=range(4)).joined == share
 
 
 def test_a_fence_seen_here_and_there_is_one_line():

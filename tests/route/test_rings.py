@@ -6,9 +6,11 @@ import re
 import numpy as np
 import pytest
 from pyproj import Transformer
-from ring_maps import SIDE_M, TOOLS, Yard
+from ring_maps import SIDE_M, TOOLS, Yard, read_graph
+from scipy.sparse.csgraph import dijkstra
 
 import bumpymap
+from bumpymap.layers import open_map
 
 pytestmark = pytest.mark.slow
 
@@ -29,6 +31,22 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
         assert obstacle_m == 0.0
     assert yard.is_reached(layers) == fits
     assert yard.crossed_by_tools(layers) == dict.fromkeys(TOOLS, fits)
+
+
+def test_a_solver_that_follows_the_graph_goes_where_a_route_goes(tmp_path):
+    yard = Yard(2.3, 0.2, 50, classified=True, seed=7)
+    layers = yard.map(tmp_path)
+    places, costs = read_graph(open_map([layers]), tmp_path / "graph")
+    start, goal = (int(np.hypot(*(places - end).T).argmin()) for end in yard.ends)
+    spent, before = dijkstra(costs, indices=start, return_predecessors=True)
+    nodes = [goal]
+    while nodes[-1] != start:
+        nodes.append(before[nodes[-1]])
+    (route,) = bumpymap.find_routes(layers, tuple(places[start]), tuple(places[goal]))
+    assert route.figures.cost_m <= spent[goal] < 1.08 * route.figures.cost_m
+    for line in (places[nodes[::-1]], route.line):
+        x, y = yard.place.in_scene(*line.T)
+        assert abs(np.interp(0.5 * SIDE_M, x, y)) < 0.5 * 2.3 - 0.4
 
 
 def test_without_a_way_the_message_names_the_gap_that_is_too_narrow(tmp_path):

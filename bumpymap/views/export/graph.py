@@ -1,29 +1,37 @@
 """A graph of ways for the route server of Nav2 (nav2_route), as GeoJSON in the local frame.
 
-There is one node in each square of open tiles of about the same cost. Squares have 1, 3, 9 or 27 tiles on a side, so
-that the middle of each is the middle of a tile, and lie in one another without remainder. Open ground of even cost gets
-large squares; along everything closed or dearer they shrink to single tiles. The straight line between the middles of
-two squares that share a side stays inside the two: it crosses that side within the smaller square. So thinning never
-cuts off ground that can be reached.
+Its nodes are the free areas of tiles, of pixels that hang together and in which the middle of the vehicle can be: so no
+edge leads through a wall, wherever in its tile the wall stands. Tiles that are free on all pixels and cost about the
+same share a node, one in each square of 1, 3, 9 or 27 tiles on a side; squares lie in one another without remainder.
+
+All edges are straight lines over free pixels. The line between the middles of two squares that share a side stays
+inside the two: it crosses that side within the smaller square. Where the line between two areas that touch is not free,
+the edge gets bends, which are nodes of their own. So two areas are joined in the graph exactly where they touch, and
+thinning never cuts off ground that can be reached.
 """
 
 import json
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bumpymap.core import BadInputError
-from bumpymap.views.export.area import FRAME, ExportArea, passable_cost, write_file
+from bumpymap.core import OPEN_THROUGH, BadInputError
+from bumpymap.views.export.area import FRAME, ExportArea, write_file
 from bumpymap.views.export.settings import NodeSquare
+from bumpytiles import TileWindow
 
 __all__ = [
     "SQUARES",
+    "FreeGround",
     "Lattice",
     "Squares",
     "line_cost",
@@ -33,38 +41,39 @@ __all__ = [
     "write_graph",
 ]
 
-_CHUNK = 4_000_000
-"""Crossings of lines with borders of tiles that are held at once."""
+_CHUNK, _PART = 4_000_000, 4096
+"""Crossings of lines with borders of cells that are held at once, and lines."""
 
 
 def line_cost(
     factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer]
 ) -> NDArray[np.float64]:
-    """Integrate a factor along straight lines from tile centre to tile centre.
+    """Integrate a factor along straight lines from cell centre to cell centre.
 
-    A line that touches a corner of tiles needs all four tiles around it to be open, so none slips between two closed
-    tiles. Lines between centres never run along a border.
+    A line that touches a corner of cells needs all four cells around it to be open, so none slips between two closed
+    cells. Lines between centres never run along a border.
 
     Parameters
     ----------
     factor : float (rows, cols)
         Cost per unit of length; inf where closed.
     start, stop : int (n, 2)
-        Row and column of the tiles.
+        Row and column of the cells.
 
     Returns
     -------
     float64 (n,)
-        In sides of a tile; inf where a line meets a closed tile.
+        In sides of a cell; inf where a line meets a closed cell.
     """
     cost = np.empty(len(start))
-    if not len(start):
-        return cost
-    longest = int(np.abs(stop - start).max())
-    step = max(1, _CHUNK // (2 * longest + 2))
-    for first in range(0, len(start), step):
-        part = slice(first, first + step)
+    spans = np.abs(stop - start).max(axis=1, initial=0)
+    order = np.argsort(spans, kind="stable")
+    first = 0
+    while first < len(order):  # the longest line of a part sets how much memory it takes
+        step = max(1, _CHUNK // (2 * int(spans[order[min(first + _PART, len(order)) - 1]]) + 2))
+        part = order[first : first + min(step, _PART)]
         cost[part] = _integrate(factor, start[part], stop[part])
+        first += len(part)
     return cost
 
 
@@ -127,21 +136,158 @@ class Squares:
 
 
 @dataclass(frozen=True, slots=True)
+class FreeGround:
+    """The tiles of a window, what a metre costs on them, and on which of their pixels the vehicle can be."""
+
+    factor: NDArray[np.float64]
+    """(rows, cols) cost per unit of length, north row first; inf where closed."""
+    pixels: int
+    """Pixels along a side of a tile."""
+    read: Callable[[slice, slice], NDArray[np.bool_]]
+    """Gives the free pixels of some rows and columns of tiles, (rows * pixels, cols * pixels)."""
+
+    def costs(self, rows: slice, cols: slice) -> NDArray[np.float32]:
+        """Return the cost of each pixel of some rows and columns of tiles; inf where closed."""
+        factor = self.factor[rows, cols].astype(np.float32)
+        out = np.repeat(np.repeat(factor, self.pixels, 0), self.pixels, 1)
+        out[~self.read(rows, cols)] = np.inf
+        return out
+
+    def line_costs(self, start: NDArray[np.int64], stop: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Integrate the cost along straight lines between middles of pixels, (n, 2) of the window; see `line_cost`."""
+        cost = np.full(len(start), np.inf)
+        rows, cols = self.factor.shape
+        top, bottom = np.minimum(start, stop)[:, 0] // self.pixels, np.maximum(start, stop)[:, 0] // self.pixels
+        height = max(_LEAST_ROWS, _STRIP_PIXELS // (cols * self.pixels**2))
+        for first in range(0, rows, height):
+            lines = np.flatnonzero((top >= first) & (top < first + height))
+            if len(lines):
+                factor = self.costs(slice(first, int(bottom[lines].max()) + 1), slice(0, cols))
+                corner = np.array([first * self.pixels, 0])
+                cost[lines] = line_cost(factor, start[lines] - corner, stop[lines] - corner)
+        return cost
+
+
+_LEAST_ROWS, _STRIP_PIXELS = 32, 4_000_000
+"""Pixels that are read at once, but at least so many rows of tiles."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Areas:
+    """Free areas: pixels of a tile that hang together; those that fill their tile are full."""
+
+    tile: NDArray[np.int64]
+    """(n, 2) row and column of the tile."""
+    size: NDArray[np.int64]
+    """(n,) pixels."""
+    place: NDArray[np.int64]
+    """(n, 2) row and column of the pixel that is nearest to the middle of the area."""
+    pair: NDArray[np.int64]
+    """(m, 2) areas that touch, in order, each pair once; not those that are both full."""
+    contact: NDArray[np.int64]
+    """(m, 2, 2) row and column of a pixel of both, side by side in the middle of where they touch."""
+
+    @classmethod
+    def of(cls, ground: FreeGround) -> "_Areas":
+        """Find the areas strip by strip; they are sorted by tile."""
+        rows, cols = ground.factor.shape
+        pixels, height = ground.pixels, max(1, _STRIP_PIXELS // (cols * ground.pixels**2))
+        parts, contacts, count = [], [], 0
+        above = np.full((0, cols, pixels), -1, np.int64)
+        for top in range(0, rows, height):
+            lines = slice(top, min(top + height, rows))
+            node, part = _areas_of(np.isfinite(ground.costs(lines, slice(0, cols))), pixels, top, count)
+            parts.append(part)
+            count += len(part[0])
+            contacts.append(_touching(node[:, :, :-1, -1], node[:, :, 1:, 0], top * pixels, pixels, across=True))
+            upper = np.concatenate([above, node[:-1, -1]])
+            lower = node[len(node) - len(upper) :, 0]
+            contacts.append(_touching(upper, lower, (lines.stop - len(upper) - 1) * pixels, pixels, across=False))
+            above = node[-1:, -1]
+        tile, size, place = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+        found = np.concatenate(contacts)
+        order = np.lexsort((np.arange(count), tile[:, 1], tile[:, 0]))
+        rank = np.argsort(order)
+        pair = rank[found[:, :2]]
+        contact = found[:, 2:].reshape(-1, 2, 2)
+        swapped = pair[:, 0] > pair[:, 1]
+        pair[swapped], contact[swapped] = pair[swapped, ::-1], contact[swapped, ::-1]
+        tile, size, place = tile[order], size[order], place[order]
+        kept = np.flatnonzero((size[pair] < pixels**2).any(axis=1))
+        kept = kept[np.lexsort((pair[kept, 1], pair[kept, 0]))]
+        return cls(tile, size, place, pair[kept], contact[kept])
+
+
+def _areas_of(
+    free: NDArray[np.bool_], pixels: int, top: int, count: int
+) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    """Find the areas of a strip of tiles, and number them from ``count`` on.
+
+    Returns the area of each pixel (rows, pixels, cols, pixels), -1 where closed, and of each area row and column of its
+    tile, its pixels, and row and column of its place. ``top``: first row of the strip.
+    """
+    rows, cols = free.shape[0] // pixels, free.shape[1] // pixels
+    apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
+    apart[:, :-1, :, :-1] = free.reshape(rows, pixels, cols, pixels)
+    labels, found = ndimage.label(apart.reshape(rows * (pixels + 1), cols * (pixels + 1)))
+    node = labels.reshape(apart.shape)[:, :-1, :, :-1].astype(np.int64) - 1
+    number = node[node >= 0]
+    at = np.argwhere(node >= 0)
+    tile = np.empty((found, 2), np.int64)
+    tile[number] = at[:, [0, 2]]
+    place = at[:, [0, 2]] * pixels + at[:, [1, 3]]
+    size = np.bincount(number, minlength=found)
+    middle = np.stack([np.bincount(number, place[:, axis], found) / size for axis in (0, 1)], axis=1)
+    off = np.square(place - middle[number]).sum(axis=1)
+    order = np.lexsort((off, number))
+    nearest = order[np.diff(number[order], prepend=-1) > 0]
+    node[node >= 0] += count
+    return node, (tile + np.array([top, 0]), size, place[nearest] + np.array([top * pixels, 0]))
+
+
+def _touching(
+    first: NDArray[np.int64], other: NDArray[np.int64], top: int, pixels: int, *, across: bool
+) -> NDArray[np.int64]:
+    """Return the areas that touch over borders between tiles, and where, (m, 6): both areas, and a pixel of each.
+
+    ``first``, ``other``: areas of the pixels west and east of borders, (rows, pixels, cols - 1), or with ``across``
+    False north and south of them, (rows - 1, cols, pixels); ``top``: row of the first pixel of the first tiles.
+    """
+    i, j, k = np.nonzero((first >= 0) & (other >= 0))
+    one, two = first[i, j, k], other[i, j, k]
+    if across:
+        row, col = top + i * pixels + j, (k + 1) * pixels
+        places = np.stack([row, col - 1, row, col], axis=1)
+    else:
+        row, col = top + (i + 1) * pixels, j * pixels + k
+        places = np.stack([row - 1, col, row, col], axis=1)
+    order = np.lexsort((np.arange(len(one)), two, one))
+    starts = np.flatnonzero((np.diff(one[order], prepend=-1) != 0) | (np.diff(two[order], prepend=-1) != 0))
+    lengths = np.diff(np.append(starts, len(order)))
+    middle = order[starts + lengths // 2]
+    return np.column_stack([one, two, places])[middle]
+
+
+@dataclass(frozen=True, slots=True)
 class Lattice:
-    """A connected graph of squares."""
+    """A connected graph of squares, areas and bends."""
 
     row: NDArray[np.int64]
-    """(n,) row of each node's tile in the window, from the north."""
+    """(n,) row of each node's pixel in the window, from the north."""
     col: NDArray[np.int64]
     """(n,) column, from the west."""
+    side: NDArray[np.int64]
+    """(n,) side of its square, tiles; 0 for other nodes."""
+    size: NDArray[np.int64]
+    """(n,) pixels of its square or area; 0 for a bend."""
     first: NDArray[np.int64]
     """(m,) number of the node at one end of each edge."""
     second: NDArray[np.int64]
     """(m,) at the other end."""
     cost: NDArray[np.float64]
-    """(m,) cost of the straight line between them, in sides of a tile; the same in both directions."""
+    """(m,) cost of the straight line between them, in sides of a pixel; the same in both directions."""
     tiles_left_out: int
-    """Open tiles that are not connected with the largest part, and were left out."""
+    """Free ground that is not connected with the largest part and was left out, in tiles."""
 
 
 def make_squares(factor: NDArray[np.floating], largest: int, origin: tuple[int, int]) -> Squares:
@@ -184,36 +330,171 @@ def _sides(factor: NDArray[np.floating], largest: int) -> NDArray[np.int64]:
     return side
 
 
-def make_lattice(factor: NDArray[np.floating], squares: Squares) -> Lattice:
-    """Make the graph: nodes in the middle of squares, edges where a straight line crosses only open tiles.
+def make_lattice(ground: FreeGround, largest: int, origin: tuple[int, int]) -> Lattice:
+    """Make the graph: nodes in squares and areas, edges where a straight line crosses only free pixels.
 
-    Only the connected part with most tiles is kept: from each of its nodes there is a way to every other.
+    Only the connected part with most ground is kept: from each of its nodes there is a way to every other.
 
     Parameters
     ----------
-    factor : float (rows, cols)
-        Cost per unit of length; inf where closed.
-    squares : Squares
-        From `make_squares`.
+    ground : FreeGround
+    largest : int
+        Largest side of a square, one of ``SQUARES``.
+    origin : (int, int)
+        As in `make_squares`.
     """
-    nodes = np.stack([squares.row, squares.col], axis=1)
-    count = len(nodes)
-    first, second = _pairs(squares.number, count)
-    cost = line_cost(factor, nodes[first], nodes[second])
-    usable = np.isfinite(cost)
-    first, second, cost = first[usable], second[usable], cost[usable]
-    graph = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+    return _joined(ground, _Nodes.of(ground, _Areas.of(ground), largest, origin))
+
+
+@dataclass(frozen=True, slots=True)
+class _Nodes:
+    """Squares of full tiles, then the other areas."""
+
+    areas: _Areas
+    squares: Squares
+    place: NDArray[np.int64]
+    """(n, 2) row and column of the node's pixel."""
+    size: NDArray[np.int64]
+    """(n,) pixels."""
+    of_area: NDArray[np.int64]
+    """The node of each area."""
+
+    @classmethod
+    def of(cls, ground: FreeGround, areas: _Areas, largest: int, origin: tuple[int, int]) -> "_Nodes":
+        pixels = ground.pixels
+        is_full = areas.size == pixels**2
+        factor = np.full(ground.factor.shape, np.inf)
+        at = tuple(areas.tile[is_full].T)
+        factor[at] = ground.factor[at]
+        squares = make_squares(factor, largest, origin)
+        middle = np.column_stack([squares.row, squares.col]) * pixels + (pixels - 1) // 2
+        of_area = np.empty(len(is_full), np.int64)
+        of_area[is_full] = squares.number[at]
+        of_area[~is_full] = len(middle) + np.arange((~is_full).sum())
+        size = np.concatenate([squares.side**2 * pixels**2, areas.size[~is_full]])
+        return cls(areas, squares, np.concatenate([middle, areas.place[~is_full]]), size, of_area)
+
+    @property
+    def is_small(self) -> NDArray[np.bool_]:
+        """Say which nodes are an area or a square of one tile, (n,)."""
+        small = np.ones(len(self.place), np.bool_)
+        small[: len(self.squares.side)] = self.squares.side == 1
+        return small
+
+
+def _joined(ground: FreeGround, nodes: _Nodes) -> Lattice:
+    """Join nodes by edges."""
+    count, squares = len(nodes.place), len(nodes.squares.side)
+    pair = nodes.of_area[nodes.areas.pair]
+    touching, at = np.unique(np.sort(pair, axis=1), axis=0, return_index=True)
+    beside = np.column_stack(_pairs(nodes.squares.number, squares))
+    near = _two_apart(np.concatenate([touching, beside]), nodes, 2 * ground.pixels)
+    wanted = np.concatenate([touching, beside, near])
+    cost = ground.line_costs(nodes.place[wanted[:, 0]], nodes.place[wanted[:, 1]])
+    place, ends, costs = [nodes.place], [wanted[np.isfinite(cost)]], [cost[np.isfinite(cost)]]
+    detours = _Detours(ground, nodes)
+    for contact in at[np.isinf(cost[: len(touching)])].tolist():
+        bends, part = detours.find(contact)
+        numbers = np.concatenate([pair[contact, :1], count + np.arange(len(bends)), pair[contact, 1:]])
+        count += len(bends)
+        place.append(bends)
+        ends.append(np.column_stack([numbers[:-1], numbers[1:]]))
+        costs.append(part)
+    return _largest_part(np.concatenate(place), nodes, np.concatenate(ends), np.concatenate(costs), ground.pixels)
+
+
+def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[np.int64]:
+    """Return the pairs of small nodes, not both squares, that touch a third and are less than ``most`` pixels apart."""
+    count, small = len(nodes.place), nodes.is_small
+    ends = joined[small[joined].all(axis=1)]
+    one = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
+    one += one.T
+    first, second = (one @ one).tocoo().coords
+    kept = (first < second) & (second >= len(nodes.squares.side))
+    first, second = first[kept], second[kept]
+    apart = np.abs(nodes.place[first] - nodes.place[second]).max(axis=1, initial=0)
+    found = np.column_stack([first, second])[apart < most].astype(np.int64)
+    known = set(map(tuple, np.sort(joined, axis=1).tolist()))
+    is_new = np.array([pair not in known for pair in map(tuple, found.tolist())], np.bool_)
+    return found[is_new]
+
+
+class _Detours:
+    """Lines with bends between areas that touch where the straight line is not free."""
+
+    def __init__(self, ground: FreeGround, nodes: _Nodes) -> None:
+        self._ground, self._nodes = ground, nodes
+        self._before: dict[int, dict[tuple[int, int], tuple[int, int]]] = {}
+
+    def find(self, contact: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return the bends of the line between two areas, (k, 2) row and column, and the costs of its k + 1 parts."""
+        areas = self._nodes.areas
+        ways = [self._way(area, place) for area, place in zip(areas.pair[contact], areas.contact[contact], strict=True)]
+        line = np.array([*ways[0], *ways[1][::-1]])
+        pixels = self._ground.pixels
+        corner, end = line.min(axis=0) // pixels, line.max(axis=0) // pixels + 1
+        factor = self._ground.costs(slice(int(corner[0]), int(end[0])), slice(int(corner[1]), int(end[1])))
+        cells, at, kept, costs = line - corner * pixels, 0, [0], []
+        while at < len(cells) - 1:
+            ahead = line_cost(factor, np.broadcast_to(cells[at], cells[at + 1 :].shape), cells[at + 1 :])
+            far = int(np.flatnonzero(np.isfinite(ahead))[-1])
+            costs.append(float(ahead[far]))
+            at += far + 1
+            kept.append(at)
+        return line[kept[1:-1]], np.array(costs)
+
+    def _way(self, area: int, end: NDArray[np.int64]) -> list[tuple[int, int]]:
+        """Return pixels from the node of an area to one of its pixels: the corners of a line over free pixels."""
+        nodes, at = self._nodes, (int(end[0]), int(end[1]))
+        node = int(nodes.of_area[area])
+        if node < len(nodes.squares.side):  # in a square all lines are free
+            return [tuple(nodes.place[node].tolist()), at]
+        if area not in self._before:
+            self._before[area] = self._walk(nodes.areas.tile[area], tuple(nodes.place[node].tolist()))
+        way = [at]
+        while (ahead := self._before[area][way[-1]]) != way[-1]:
+            way.append(ahead)
+        return way[::-1]
+
+    def _walk(self, tile: NDArray[np.int64], start: tuple[int, int]) -> dict[tuple[int, int], tuple[int, int]]:
+        """Return, of each pixel of an area, the one before it on a shortest way over sides from ``start``."""
+        row, col = (int(x) for x in tile)
+        top, left = row * self._ground.pixels, col * self._ground.pixels
+        free = np.isfinite(self._ground.costs(slice(row, row + 1), slice(col, col + 1)))
+        before, waiting = {start: start}, deque([start])
+        while waiting:
+            here = waiting.popleft()
+            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+                i, j = here[0] + down, here[1] + right
+                inside = 0 <= i - top < len(free) and 0 <= j - left < len(free)
+                if inside and (i, j) not in before and free[i - top, j - left]:
+                    before[i, j] = here
+                    waiting.append((i, j))
+        return before
+
+
+def _largest_part(
+    place: NDArray[np.int64], nodes: _Nodes, ends: NDArray[np.int64], cost: NDArray[np.float64], pixels: int
+) -> Lattice:
+    """Leave out what is not connected with the largest part."""
+    count, bends = len(place), len(place) - len(nodes.size)
+    size = np.append(nodes.size, np.zeros(bends, np.int64))
+    side = np.append(nodes.squares.side, np.zeros(count - len(nodes.squares.side), np.int64))
+    graph = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
     _, part = connected_components(graph, directed=False)
-    kept = part == np.bincount(part, weights=squares.side**2, minlength=1).argmax()
+    kept = part == np.bincount(part, weights=size, minlength=1).argmax()
     number = np.cumsum(kept) - 1
-    inside = kept[first]
+    inside = kept[ends[:, 0]]
+    first, second = number[ends[inside]].T
     return Lattice(
-        nodes[kept, 0],
-        nodes[kept, 1],
-        number[first[inside]],
-        number[second[inside]],
+        place[kept, 0],
+        place[kept, 1],
+        side[kept],
+        size[kept],
+        first,
+        second,
         cost[inside],
-        tiles_left_out=int((squares.side[~kept] ** 2).sum()),
+        tiles_left_out=round(float(size[~kept].sum()) / pixels**2),
     )
 
 
@@ -239,7 +520,7 @@ _BATCH = 5_000
 
 
 def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
-    """Thin the passable tiles of an area to a graph; return it, and the side of its largest squares, tiles.
+    """Thin the free ground of an area to a graph; return it, and the side of its largest squares, tiles.
 
     Parameters
     ----------
@@ -252,7 +533,7 @@ def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
     Raises
     ------
     BadInputError
-        The area is too large, holds no two passable tiles that are connected, or gives too many nodes.
+        The area is too large, holds no two free areas that are connected, or gives too many nodes.
     """
     window = area.window
     if window.cols * window.rows > _MAX_TILES:
@@ -262,31 +543,43 @@ def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
         )
     factor = np.empty(area.shape)
     for part, lines in area.strips():
-        factor[lines] = passable_cost(area.route_map.read(part, ("c_r", "p_fail")))
-    factor[~np.isfinite(factor)] = np.inf
+        field = area.route_map.read(part, ("c_r", "p_fail"))
+        cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail))
+        factor[lines] = np.where(np.isin(field.barred, OPEN_THROUGH) & np.isfinite(cost), cost, np.inf)
     origin = (-(window.row + window.rows), window.col)  # both grow along the array: squares keep their place on Earth
-    every, squares = _thin(factor, every, origin)
-    if len(squares.row) > _MAX_NODES:
-        larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"
-        raise BadInputError(
-            f"the graph would have {len(squares.row):,} nodes with `every={every}`; it may have {_MAX_NODES:,}. "
-            f"{larger} the area with `around` and `radius`"
-        )
-    lattice = make_lattice(factor, squares)
+    with area.route_map.kept_open():
+        ground = FreeGround(factor, area.route_map.grid.pixels, partial(_free_pixels, area))
+        every, nodes = _thin(ground, every, origin)
+        if len(nodes.place) > _MAX_NODES:
+            larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"
+            raise BadInputError(
+                f"the graph would have {len(nodes.place):,} nodes with `every={every}`; it may have {_MAX_NODES:,}. "
+                f"{larger} the area with `around` and `radius`"
+            )
+        lattice = _joined(ground, nodes)
     if not len(lattice.cost):
         raise BadInputError(
-            f"no two nodes are connected: {len(squares.row)} of the area, with `every={every}`. Choose another area, "
+            f"no two nodes are connected: {len(nodes.place)} of the area, with `every={every}`. Choose another area, "
             "or pass a smaller `every`"
         )
     return lattice, every
 
 
-def _thin(factor: NDArray[np.float64], every: int | None, origin: tuple[int, int]) -> tuple[int, Squares]:
+def _free_pixels(area: ExportArea, rows: slice, cols: slice) -> NDArray[np.bool_]:
+    """Read where the middle of the vehicle can be in some rows and columns of tiles of an area."""
+    window = area.window
+    south = window.row + window.rows - rows.stop
+    part = TileWindow(window.col + cols.start, south, cols.stop - cols.start, rows.stop - rows.start)
+    return area.route_map.passage(part)
+
+
+def _thin(ground: FreeGround, every: int | None, origin: tuple[int, int]) -> tuple[int, _Nodes]:
+    areas = _Areas.of(ground)
     for side in SQUARES if every is None else (every,):
-        squares = make_squares(factor, side, origin)
-        if len(squares.row) <= _USUAL_NODES:
+        nodes = _Nodes.of(ground, areas, side, origin)
+        if len(nodes.place) <= _USUAL_NODES:
             break
-    return side, squares
+    return side, nodes
 
 
 def write_graph(folder: Path, area: ExportArea, lattice: Lattice, every: int) -> dict[str, Any]:
@@ -306,6 +599,7 @@ def write_graph(folder: Path, area: ExportArea, lattice: Lattice, every: int) ->
         "graph": {
             "nodes": nodes,
             "edges": edges,
+            "bends": int((lattice.size == 0).sum()),
             "tiles_left_out": lattice.tiles_left_out,
             "largest_square": every,
             "cost": "m of smooth, safe ground",
@@ -318,12 +612,15 @@ def _features(area: ExportArea, lattice: Lattice) -> Iterator[dict[str, Any]]:
 
     The cost is not overridable: with scorers of its own, such as that of distance, the server would not look at it.
     """
-    size, bounds = area.route_map.grid.tile_size, area.bounds
+    size, bounds = area.route_map.grid.pixel_size, area.bounds
     x = (bounds.west + (lattice.col + 0.5) * size).tolist()
     y = (bounds.north - (lattice.row + 0.5) * size).tolist()
-    for number, place in enumerate(zip(x, y, strict=True)):
+    sizes = zip(lattice.side.tolist(), lattice.size.tolist(), strict=True)
+    for number, (place, (side, pixels)) in enumerate(zip(zip(x, y, strict=True), sizes, strict=True)):
         geometry = {"type": "Point", "coordinates": place}
-        yield {"type": "Feature", "properties": {"id": number, "frame": FRAME}, "geometry": geometry}
+        about = {"kind": "square" if side else "area" if pixels else "bend", "tiles": side, "pixels": pixels}
+        properties = {"id": number, "frame": FRAME, "metadata": about}
+        yield {"type": "Feature", "properties": properties, "geometry": geometry}
     ends = zip(lattice.first.tolist(), lattice.second.tolist(), (lattice.cost * size).tolist(), strict=True)
     number = len(x)
     for first, second, cost in ends:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bumpymap.core import NO_TILE, Barred, RouteProfile
+from bumpymap.core import NO_TILE, OPEN_THROUGH, Barred, RouteProfile
 from bumpymap.layers import MapSource, RideScale, box_sum
 from bumpytiles import Grid, TileWindow
 
@@ -209,7 +209,7 @@ class MapView:
 
 
 def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
-    """Paint the ground.
+    """Paint the ground; of tiles that are open, closed pixels are hatched, for that is where ways do not go.
 
     Returns
     -------
@@ -218,17 +218,35 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
         The scale of the colours of passable ground.
     """
     barred, c_r = _sample(source, view)
-    passable = barred == Barred.NO
+    passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & _fits(source, view)
     scale = RideScale.of(next(iter(source.manifests), {}), c_r[passable])
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
-    colour[barred == Barred.UNKNOWN] = UNKNOWN_SHADE
+    colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
     darkest = np.where(passable, *_DARKEST)
     colour *= (darkest + (1 - darkest) * _shade(source, view))[:, :, None]
     colour[barred == NO_TILE] = NO_DATA
     closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
     colour[closed & hatched(view.height, view.width)] = HATCH
     return np.clip(colour, 0, 255).astype(np.uint8), scale
+
+
+def _fits(source: MapSource, view: MapView) -> NDArray[np.bool_]:
+    """Return where the middle of the vehicle can be, (height, width)."""
+    shape, place = _finest(view)
+    return np.asarray(source.passage_shown(view.window(), shape)[place])
+
+
+def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ...]]:
+    """Return rows and columns in which a window is read for a view, and the place in them of each of its pixels."""
+    window, grid = view.window(), view.grid
+    step = max(view.metres, grid.pixel_size)
+    rows, cols = (max(1, round(tiles * grid.tile_size / step)) for tiles in (window.rows, window.cols))
+    bounds = grid.window_bounds(window)
+    row = (bounds.north - view.northings) / (bounds.north - bounds.south) * rows
+    column = (view.eastings - bounds.west) / (bounds.east - bounds.west) * cols
+    place = np.ix_(*(np.clip(at.astype(np.int64), 0, n - 1) for at, n in ((row, rows), (column, cols))))
+    return (rows, cols), place
 
 
 def hatched(height: int, width: int) -> NDArray[np.bool_]:
@@ -258,10 +276,8 @@ def _sample(source: MapSource, view: MapView) -> tuple[NDArray[np.uint8], NDArra
 def _shade(source: MapSource, view: MapView) -> NDArray[np.float64]:
     """Return how bright the light from the north-west leaves each pixel, 0 to 1, (height, width)."""
     window, grid = view.window(), view.grid
-    finest = grid.pixel_size
-    step = max(view.metres, finest)
-    shape = tuple(max(1, round(tiles * grid.tile_size / step)) for tiles in (window.rows, window.cols))
-    heights = _fill(source.relief(window, (shape[0], shape[1])).astype(np.float64))
+    shape, place = _finest(view)
+    heights = _fill(source.relief(window, shape).astype(np.float64))
     down, right = (np.gradient(heights, axis=axis) if heights.shape[axis] > 1 else heights * 0.0 for axis in (0, 1))
     # m per m; rows and columns may differ a little in size, since both are whole numbers
     east = right / (window.cols * grid.tile_size / shape[1])
@@ -274,10 +290,6 @@ def _shade(source: MapSource, view: MapView) -> NDArray[np.float64]:
     # Normal (-east, -north, 1) on the light (-1, 1, sqrt(2)) / 2 from the north-west, 45 degrees up; flat ground: 0.71.
     light = (east - north + np.sqrt(2.0)) / 2 / np.sqrt(1 + east**2 + north**2)
     light = np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), np.sqrt(0.5))
-    bounds = grid.window_bounds(window)
-    row = (bounds.north - view.northings) / (bounds.north - bounds.south) * shape[0]
-    column = (view.eastings - bounds.west) / (bounds.east - bounds.west) * shape[1]
-    place = np.ix_(*(np.clip(at.astype(np.int64), 0, n - 1) for at, n in ((row, shape[0]), (column, shape[1]))))
     return np.asarray(light[place], dtype=np.float64)
 
 

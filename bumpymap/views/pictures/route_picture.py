@@ -162,7 +162,7 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     row += 92
     barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
     barred[hatched(24, 40)] = HATCH
-    swatches = ((barred, "not passable"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
+    swatches = ((barred, "not passable, or no room"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
     for colour, text in swatches:
         pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
         pen.rectangle((left, row, left + 40, row + 24), None, FAINT)

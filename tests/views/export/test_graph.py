@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from bumpymap.core import BadInputError
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.graph import SQUARES, line_cost, make_lattice, make_squares
+from bumpymap.views.export.graph import SQUARES, FreeGround, line_cost, make_lattice, make_squares
 
 
 def load_graph(path):
@@ -43,31 +43,65 @@ def load_graph(path):
     return nodes, edges
 
 
-def closed_factor(route_map):
-    with rasterio.open(route_map.folders[0] / "cost.tif") as file:
-        cost = file.read(1).astype(float)
-    return np.where(np.isnan(cost), np.inf, cost)
+def pixel_factor(route_map):
+    """Cost of a metre on each pixel, inf where the middle of the vehicle cannot be, as the files say it."""
+    with rasterio.open(route_map.folders[0] / "passage.tif") as file:
+        passage = file.read(1)
+    field = route_map.read(route_map.window)
+    cost = field.rule.cost(field.c_r.astype(float), field.rule.hazard(field.p_fail))
+    pixels = route_map.grid.pixels
+    cost = np.repeat(np.repeat(np.where(np.isnan(cost), np.inf, cost), pixels, 0), pixels, 1)
+    return np.where((passage > 0) & (passage < 255), cost, np.inf)
+
+
+def places_of(route_map, nodes):
+    """Row and column of the pixel of each node, (n, 2), in the rasters of a map; the datum is (0, 0)."""
+    window, size = route_map.window, route_map.grid.pixel_size
+    x, y = np.array([nodes[number] for number in range(len(nodes))]).T
+    bounds = route_map.grid.window_bounds(window)
+    return np.floor(np.column_stack([bounds.north - y, x - bounds.west]) / size).astype(int)
 
 
 @pytest.mark.parametrize("every", [1, 3])
-def test_every_edge_crosses_only_passable_tiles_at_its_cost(easy_map, tmp_path, every):
-    done = export_map(easy_map, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
+@pytest.mark.parametrize("which", ["easy_map", "route_map"])
+def test_every_edge_crosses_only_free_pixels_at_its_cost(request, tmp_path, which, every):
+    site = request.getfixturevalue(which)
+    done = export_map(site, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
     nodes, edges = load_graph(tmp_path / "out" / "graph.geojson")
     assert done.record["graph"]["nodes"] == len(nodes)
     assert done.record["graph"]["edges"] == len(edges)
-    window, factor = easy_map.window, closed_factor(easy_map)
-    place = np.array([nodes[number] for number in range(len(nodes))]) / 3.0 - 0.5
-    row = np.rint(window.row + window.rows - 1 - place[:, 1]).astype(int)
-    col = np.rint(place[:, 0] - window.col).astype(int)
-    np.testing.assert_allclose(place[:, 1], window.row + window.rows - 1 - row, atol=1e-6)
-    tiles = np.stack([row, col], axis=1)
-    assert np.isfinite(factor[row, col]).all()
+    factor, pixels = pixel_factor(site), places_of(site, nodes)
+    assert np.isfinite(factor[tuple(pixels.T)]).all()
     start, end, cost = (np.array(part) for part in zip(*edges, strict=True))
-    np.testing.assert_allclose(cost, 3.0 * line_cost(factor, tiles[start], tiles[end]), rtol=1e-6)
+    size = site.grid.pixel_size
+    np.testing.assert_allclose(cost, size * line_cost(factor, pixels[start], pixels[end]), rtol=1e-6)
     back = {(one, other): price for one, other, price in edges}
     assert all(back[other, one] == price for one, other, price in edges)
     graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes),) * 2)
     assert connected_components(graph, directed=True, connection="strong")[0] == 1
+
+
+@pytest.mark.parametrize("every", [1, 9])
+@pytest.mark.parametrize("which", ["easy_map", "route_map"])
+def test_the_graph_joins_what_pixels_join(request, tmp_path, which, every):
+    """Of the largest piece of free pixels, over their sides, every area has a node, and no other piece has one."""
+    site = request.getfixturevalue(which)
+    export_map(site, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
+    nodes, _ = load_graph(tmp_path / "out" / "graph.geojson")
+    pixels = places_of(site, nodes)
+    pieces = label(np.isfinite(pixel_factor(site)))[0]
+    largest = np.bincount(pieces.ravel())[1:].argmax() + 1
+    assert (pieces[tuple(pixels.T)] == largest).all()
+    if every == 1:
+        side = site.grid.pixels
+        reached = np.unique(pixels // side, axis=0)
+        open_tiles = np.argwhere((pieces == largest).reshape(site.window.rows, side, -1, side).any(axis=(1, 3)))
+        assert np.array_equal(reached, open_tiles)
+
+
+def bare(factor):
+    """Tiles of one pixel each, free where they are open."""
+    return FreeGround(factor, 1, lambda rows, cols: np.ones(factor[rows, cols].shape, bool))
 
 
 def ways(lattice):
@@ -86,7 +120,7 @@ def field(seed, closed, size=(40, 50)):
 
 
 def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long():
-    lattice = make_lattice(*((ground := np.ones((90, 90))), make_squares(ground, 9, (0, 0))))
+    lattice = make_lattice(bare(np.ones((90, 90))), 9, (0, 0))
     assert len(lattice.row) == 100
     straight = np.hypot(*(axis[:, None] - axis for axis in (lattice.row, lattice.col)))
     ratio = ways(lattice)[straight > 0] / straight[straight > 0]
@@ -118,8 +152,7 @@ def test_thinning_cuts_nothing_off(seed):
     assert count > 1
     sizes = np.bincount(parts.ravel())[1:]
     for largest in SQUARES:
-        squares = make_squares(factor, largest, (3, 8))
-        lattice = make_lattice(factor, squares)
+        lattice = make_lattice(bare(factor), largest, (3, 8))
         kept = np.unique(parts[lattice.row, lattice.col])
         assert len(kept) == 1
         assert sizes[kept[0] - 1] == sizes.max()
@@ -129,7 +162,7 @@ def test_thinning_cuts_nothing_off(seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_ways_over_large_squares_cost_little_more_than_over_tiles(seed):
     factor = field(seed, 0.3)
-    fine, thin = (make_lattice(factor, make_squares(factor, largest, (0, 0))) for largest in (1, 9))
+    fine, thin = (make_lattice(bare(factor), largest, (0, 0)) for largest in (1, 9))
     assert len(thin.row) < 0.8 * len(fine.row)
     place = {(row, col): number for number, (row, col) in enumerate(zip(fine.row, fine.col, strict=True))}
     same = [place[row, col] for row, col in zip(thin.row, thin.col, strict=True)]
@@ -152,7 +185,7 @@ def test_no_way_leads_over_a_corner():
     factor[:3] = 1.0
     factor[3, 3] = factor[4, 4] = 1.0  # touch at a corner
     factor[5:7, 5:7] = 1.0
-    lattice = make_lattice(factor, make_squares(factor, 3, (0, 0)))
+    lattice = make_lattice(bare(factor), 3, (0, 0))
     assert len(lattice.row) == 4
     assert lattice.tiles_left_out == 5
 

@@ -54,10 +54,10 @@ def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
     pixels, scale = paint_ground(ground, view)
     place = tile_of(view, ground)
     barred, c_r = ground.barred[place], ground.c_r[place]
-    passable = barred == Barred.NO
+    passable = np.isin(barred, (Barred.NO, Barred.OBSTACLE))  # the vehicle fits everywhere
     expected = direction(scale.colours(c_r[passable]))
     np.testing.assert_allclose(direction(pixels[passable].astype(float)), expected, atol=0.02)
-    closed = ~np.isin(barred, (Barred.NO, Barred.UNKNOWN, NO_TILE))
+    closed = ~passable & ~np.isin(barred, (Barred.UNKNOWN, NO_TILE))
     lines = hatched(*barred.shape)
     assert (pixels[closed & lines] == HATCH).all()
     for chosen, colour in ((closed & ~lines, BARRED_SHADE), (barred == Barred.UNKNOWN, UNKNOWN_SHADE)):
@@ -65,6 +65,24 @@ def test_level_ground_has_the_colour_of_its_ride_cost(view, ground):
         assert len(shown) == 1
         np.testing.assert_allclose(direction(shown.astype(float)), direction(np.array([colour], float)), atol=0.02)
     assert (pixels[barred == NO_TILE] == NO_DATA).all()
+
+
+def test_closed_pixels_are_hatched_and_not_whole_tiles(ground):
+    size, side = 0.2, 15
+    ground.barred[:] = Barred.SPLIT
+    ground.c_r[:] = 0.1
+    ground.fits = np.random.default_rng(2).random((ground.window.rows * side, ground.window.cols * side)) < 0.7
+    corner = ground.grid.window_bounds(ground.window)
+    middle = np.floor(CORNERS.mean(axis=0))
+    view = MapView(ground.grid, middle[0], middle[1], size, 80, 60)
+    pixels, scale = paint_ground(ground, view)
+    row = np.floor((corner.north - view.northings) / size + 1e-6).astype(int)
+    col = np.floor((view.eastings - corner.west) / size + 1e-6).astype(int)
+    fits, lines = ground.fits[np.ix_(row, col)], hatched(60, 80)
+    assert (pixels[~fits & lines] == HATCH).all()
+    for chosen, colour in ((fits, scale.colours(np.array(0.1))), (~fits & ~lines, np.array(BARRED_SHADE, float))):
+        shown = direction(pixels[chosen].astype(float))
+        np.testing.assert_allclose(shown, np.broadcast_to(direction(colour), shown.shape), atol=0.02)
 
 
 def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
