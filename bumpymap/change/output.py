@@ -9,38 +9,24 @@ from bumpymap.layers import (
     CHANGED_BAND,
     REPORT_NAME,
     ChangeField,
-    check_own_folder,
+    OutputFolder,
     place_entries,
     plain_manifest,
     software_versions,
     write_change_raster,
     write_change_regions,
-    write_own_folder,
 )
 from bumpymap.views import write_change_report, write_change_style
 
-__all__ = ["CHANGE_NAMES", "CHANGE_VIEW_NAMES", "check_change_out", "write_change"]
+__all__ = ["CHANGE_FILES", "write_change"]
 
-_MANIFEST = "change.json"
-CHANGE_NAMES = ("change.tif", "change.geojson", _MANIFEST)
-CHANGE_VIEW_NAMES = ("change.qml", REPORT_NAME)
-"""Files to look at the others with: a style, a page. GIS programs rewrite them, so they have no checksum."""
-_NAMES = (*CHANGE_NAMES, *CHANGE_VIEW_NAMES)
+CHANGE_FILES = OutputFolder(
+    ("change.tif", "change.geojson", "change.json", "change.qml", REPORT_NAME),
+    "change.json",
+    views=("change.qml", REPORT_NAME),
+)
 _FORMAT = "bumpymap-change"
 _VERSION = 1
-
-
-def check_change_out(out: Path, *, overwrite: bool) -> None:
-    """Check, before anything is computed, that the files can be written to a folder. Writes nothing.
-
-    Raises
-    ------
-    UsageError
-        ``out`` holds the layers of a survey.
-    OutputError
-        There are files that must not be replaced, or ``out`` is a file.
-    """
-    check_own_folder(out, _NAMES, overwrite=overwrite)
 
 
 def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], overwrite: bool = False) -> list[Path]:
@@ -62,7 +48,7 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
     Raises
     ------
     UsageError, OutputError
-        See `check_change_out`; or a file cannot be written.
+        See `OutputFolder.check`; or a file cannot be written.
     BadInputError
         The window is too large for a raster.
     """
@@ -73,11 +59,11 @@ def write_change(field: ChangeField, out: Path, *, manifest: Mapping[str, Any], 
         write_change_report(staged, plain_manifest(record), staged / REPORT_NAME)
         return record
 
-    check_change_out(out, overwrite=overwrite)
+    CHANGE_FILES.check(out, overwrite=overwrite)
     writers: dict[str, Callable[[Path], None]] = {
         "change.tif": partial(write_change_raster, field),
         "change.geojson": partial(write_change_regions, field),
-        CHANGE_VIEW_NAMES[0]: partial(write_change_style, band=CHANGED_BAND),
+        "change.qml": partial(write_change_style, band=CHANGED_BAND),
     }
-    write_own_folder(out, _NAMES, _MANIFEST, writers, describe, views=CHANGE_VIEW_NAMES, overwrite=overwrite)
-    return [out / name for name in _NAMES]
+    CHANGE_FILES.write(out, writers, describe, overwrite=overwrite)
+    return [out / name for name in CHANGE_FILES.names]

@@ -23,7 +23,7 @@ from bumpymap.change.compare import (
     height_offset,
     ride_z,
 )
-from bumpymap.change.output import check_change_out, write_change
+from bumpymap.change.output import CHANGE_FILES, write_change
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
@@ -213,7 +213,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     progress = progress or SilentProgress()
     pair = open_pair(config.before, config.after)
     if config.out is not None:
-        check_change_out(config.out, overwrite=config.overwrite)
+        CHANGE_FILES.check(config.out, overwrite=config.overwrite)
     progress.start("comparing", None)
     surveys = pair.tiles(pair.window)
     shared = (surveys[0].barred != NO_TILE) & (surveys[1].barred != NO_TILE)

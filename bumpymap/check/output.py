@@ -9,10 +9,8 @@ from bumpymap.core import (
     CheckResult,
 )
 from bumpymap.layers import (
+    CHECK_FILES,
     CHECK_FORMAT,
-    CHECK_MANIFEST_NAME,
-    CHECK_NAMES,
-    CHECK_VIEW_NAMES,
     MANIFEST_NAME,
     CheckGround,
     CheckPlaces,
@@ -22,7 +20,6 @@ from bumpymap.layers import (
     place_entries,
     software_versions,
     write_driven_tiles,
-    write_own_folder,
     write_stretch_table,
     write_stretches,
 )
@@ -96,9 +93,7 @@ def write_check(
         if result.tiles is not None and len(result.tiles.col):
             writers["check_tiles.geojson"] = partial(write_driven_tiles, result.tiles, places)
             writers["check_tiles.qml"] = partial(write_check_style, areas=True)
-    views = [name for name in CHECK_VIEW_NAMES if name in writers]
-    names = (*CHECK_NAMES, *CHECK_VIEW_NAMES)
-    return write_own_folder(out, names, CHECK_MANIFEST_NAME, writers, describe, views=views, overwrite=overwrite)
+    return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
 
 
 def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:

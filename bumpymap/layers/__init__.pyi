@@ -25,10 +25,8 @@ from .change import (
     write_change_regions as write_change_regions,
 )
 from .check_record import (
+    CHECK_FILES as CHECK_FILES,
     CHECK_FORMAT as CHECK_FORMAT,
-    CHECK_MANIFEST_NAME as CHECK_MANIFEST_NAME,
-    CHECK_NAMES as CHECK_NAMES,
-    CHECK_VIEW_NAMES as CHECK_VIEW_NAMES,
     check_check_out as check_check_out,
     check_entries as check_entries,
     read_check as read_check,
@@ -115,11 +113,10 @@ from .products import (
     REPORT_NAME as REPORT_NAME,
     SHEET_FOLDER as SHEET_FOLDER,
     SHEET_TABLE_NAME as SHEET_TABLE_NAME,
+    OutputFolder as OutputFolder,
     check_folder as check_folder,
-    check_own_folder as check_own_folder,
     refuse_present as refuse_present,
     require_folder as require_folder,
-    write_own_folder as write_own_folder,
 )
 from .reach import (
     ReachField as ReachField,

@@ -23,13 +23,12 @@ from bumpymap.core import (
     read_regular,
 )
 from bumpymap.layers.manifest import plain_manifest
-from bumpymap.layers.products import OTHER_FILES, check_own_folder
+from bumpymap.layers.products import OTHER_FILES, OutputFolder
 
 __all__ = [
+    "CHECK_FILES",
     "CHECK_FORMAT",
     "CHECK_MANIFEST_NAME",
-    "CHECK_NAMES",
-    "CHECK_VIEW_NAMES",
     "check_check_out",
     "check_entries",
     "read_check",
@@ -37,16 +36,14 @@ __all__ = [
 ]
 
 CHECK_MANIFEST_NAME = "check.json"
-CHECK_NAMES = (
-    "check.html",
-    "stretches.csv",
-    "check.geojson",
-    "check_tiles.geojson",
+CHECK_FILES = OutputFolder(
+    (
+        *("check.html", "stretches.csv", "check.geojson", "check_tiles.geojson", CHECK_MANIFEST_NAME),
+        *("check.qml", "check_tiles.qml"),
+    ),
     CHECK_MANIFEST_NAME,
+    views=("check.qml", "check_tiles.qml"),
 )
-"""Every file that a check may leave in its folder, but those to look at the others with."""
-CHECK_VIEW_NAMES = ("check.qml", "check_tiles.qml")
-"""Styles of QGIS, which rewrites them, so they have no checksum."""
 
 
 def check_check_out(out: Path, *, overwrite: bool) -> None:
@@ -61,7 +58,7 @@ def check_check_out(out: Path, *, overwrite: bool) -> None:
     """
     if out.suffix.lower() in OTHER_FILES and not out.is_dir():
         raise UsageError(f"{out} is named like a {out.suffix.lower()} file, but a check is a folder. Give one as `out`")
-    check_own_folder(out, (*CHECK_NAMES, *CHECK_VIEW_NAMES), overwrite=overwrite)
+    CHECK_FILES.check(out, overwrite=overwrite)
 
 
 CHECK_FORMAT = "bumpymap-check"

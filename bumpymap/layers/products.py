@@ -4,7 +4,8 @@ Nothing here needs GDAL or Arrow, whose import takes a fifth of a second: a run 
 """
 
 import re
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -38,13 +39,12 @@ __all__ = [
     "SPEEDS_VIRTUAL_NAME",
     "VIEW_NAMES",
     "VIRTUAL_NAMES",
+    "OutputFolder",
     "check_folder",
-    "check_own_folder",
     "refuse_blocked",
     "refuse_present",
     "require_folder",
     "sheets_in",
-    "write_own_folder",
 ]
 
 
@@ -70,22 +70,6 @@ def refuse_present(folder: Path, names: Sequence[str], *, overwrite: bool) -> No
             f"{folder} already holds {', '.join(present)}. Choose another `out`, or pass `overwrite=True` to replace "
             "them"
         )
-
-
-def check_own_folder(out: Path, names: Sequence[str], *, overwrite: bool) -> None:
-    """Check, before anything is computed, that files can be written to a folder of their own. Writes nothing.
-
-    Raises
-    ------
-    UsageError
-        ``out`` holds the layers of a survey.
-    OutputError
-        There are files that must not be replaced, or ``out`` is a file.
-    """
-    require_folder(out)
-    if lexists(out / MANIFEST_NAME):
-        raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
-    refuse_present(out, names, overwrite=overwrite)
 
 
 OTHER_FILES = frozenset(
@@ -206,55 +190,74 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         )
 
 
-def write_own_folder(
-    out: Path,
-    names: Sequence[str],
-    manifest: str,
-    writers: Mapping[str, Callable[[Path], None]],
-    describe: Callable[[Path, list[dict[str, Any]]], Mapping[str, Any]],
-    *,
-    views: Collection[str] = (),
-    overwrite: bool,
-) -> list[Path]:
-    """Write files to a folder, which is created if it is missing: all of them, or none.
+@dataclass(frozen=True, slots=True)
+class OutputFolder:
+    """The files that one kind of run leaves in a folder of its own."""
 
-    Parameters
-    ----------
-    out : Path
-    names : sequence of str
-        Every file that a run may leave there. Those of an earlier run that are not written are removed.
-    manifest : str
-        The one among them that is written last: a folder that has it is complete.
-    writers : mapping
-        How each is written, by name.
-    describe : callable
-        Returns the content of the manifest, given the folder with the new files, and their sizes and checksums.
-    views : collection of str
-        Files among them that the manifest does not list.
-    overwrite : bool
-        Allow files of an earlier run to be replaced.
+    names: tuple[str, ...]
+    """Every file that a run may leave there. Those of an earlier run that are not written again are removed."""
+    manifest: str
+    """The one among them that is written last: a folder that has it is complete."""
+    views: tuple[str, ...] = ()
+    """Those among them that the manifest does not list, since GIS programs rewrite them."""
 
-    Returns
-    -------
-    list of Path
-        What was written, the manifest last.
+    def check(self, out: Path, *, overwrite: bool) -> None:
+        """Check, before anything is computed, that the files can be written to a folder. Writes nothing.
 
-    Raises
-    ------
-    OutputError
-        There are files that must not be replaced, or one cannot be written.
-    """
-    written = (*writers, manifest)
-    with remove_empty_on_error(out), locked(out):
-        check_folder(out, overwrite=True)
-        refuse_present(out, names, overwrite=overwrite)
-        with write_together(out, manifest) as staged:
-            for name, write in writers.items():
-                write(staged / name)
-            files = [describe_file(staged / name) | {"path": name} for name in writers if name not in views]
-            write_manifest(describe(staged, files), staged / manifest)
-        with writing_to(out):
-            for name in names:
-                if name not in {*written, *views} and lexists(out / name):
-                    remove_path(out / name)
-    return [out / name for name in written]
+        Raises
+        ------
+        UsageError
+            ``out`` holds the layers of a survey.
+        OutputError
+            There are files that must not be replaced, or ``out`` is a file.
+        """
+        require_folder(out)
+        if lexists(out / MANIFEST_NAME):
+            raise UsageError(f"{out} holds the layers of a survey. Give a folder of its own as `out`")
+        refuse_present(out, self.names, overwrite=overwrite)
+
+    def write(
+        self,
+        out: Path,
+        writers: Mapping[str, Callable[[Path], None]],
+        describe: Callable[[Path, list[dict[str, Any]]], Mapping[str, Any]],
+        *,
+        overwrite: bool,
+    ) -> list[Path]:
+        """Write files to a folder, which is created if it is missing: all of them, or none.
+
+        Parameters
+        ----------
+        out : Path
+        writers : mapping
+            How each is written, by name.
+        describe : callable
+            Returns the content of the manifest, given the folder with the new files, and their sizes and checksums; it
+            may write views there.
+        overwrite : bool
+            Allow files of an earlier run to be replaced.
+
+        Returns
+        -------
+        list of Path
+            Files of the writers, then the manifest.
+
+        Raises
+        ------
+        OutputError
+            There are files that must not be replaced, or one cannot be written.
+        """
+        with remove_empty_on_error(out), locked(out):
+            check_folder(out, overwrite=True)
+            refuse_present(out, self.names, overwrite=overwrite)
+            with write_together(out, self.manifest) as staged:
+                for name, write in writers.items():
+                    write(staged / name)
+                files = [describe_file(staged / name) | {"path": name} for name in writers if name not in self.views]
+                write_manifest(describe(staged, files), staged / self.manifest)
+                made = {path.name for path in staged.iterdir()}
+            with writing_to(out):
+                for name in self.names:
+                    if name not in made and lexists(out / name):
+                        remove_path(out / name)
+        return [out / name for name in (*writers, self.manifest)]

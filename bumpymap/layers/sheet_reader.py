@@ -31,7 +31,6 @@ from bumpymap.layers.map_files import KeptRasters, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
-    from rasterio.enums import Resampling
     from rasterio.io import DatasetReader
 
 __all__ = ["SheetReader", "common_window", "kept_rasters", "sheet_choice", "window_slices", "worse_objects"]
@@ -183,25 +182,23 @@ class SheetReader:
 
     def read_relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
-        from rasterio.enums import Resampling
-
-        return self._shrunk("heightmap.tif", window, shape, Resampling.average)
+        return self._shrunk("heightmap.tif", window, shape, averaged=True)
 
     def read_passage(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.uint8]:
         """Read passage.tif in a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
-        from rasterio.enums import Resampling
+        return self._shrunk("passage.tif", window, shape, averaged=False)
 
-        return self._shrunk("passage.tif", window, shape, Resampling.nearest)
-
-    def _shrunk(self, name: str, window: TileWindow, shape: tuple[int, int], resampling: "Resampling") -> NDArray[Any]:
+    def _shrunk(self, name: str, window: TileWindow, shape: tuple[int, int], *, averaged: bool) -> NDArray[Any]:
         own, scale = self.window, self.grid.pixels
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
-            found: NDArray[Any] = file.read(1, window=part, out_shape=shape, resampling=resampling)
-        return found
+            if averaged:
+                return read_averaged(file, shape, part)
+            found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
+            return found
 
     def _require_whole(self, name: str) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the sheet was opened is damaged."""

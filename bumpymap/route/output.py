@@ -17,6 +17,7 @@ from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,
     MapSource,
+    OutputFolder,
     ReachField,
     RouteCoordinates,
     describe_file,
@@ -27,7 +28,6 @@ from bumpymap.layers import (
     stop_names,
     write_gpx,
     write_isochrones,
-    write_own_folder,
     write_profile,
     write_reach,
     write_reach_back,
@@ -48,8 +48,10 @@ ROUTE_KINDS = {
 }
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """What a single file is, by its suffix."""
-ROUTE_NAMES = (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME)
-"""Every file that a run may leave in its folder."""
+ROUTE_FILES = OutputFolder(
+    (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
+    ROUTE_MANIFEST_NAME,
+)
 
 
 def check_route_out(out: Path, *, overwrite: bool) -> None:
@@ -99,7 +101,7 @@ def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> None:
             f"ends in {', '.join(kinds)}"
         )
     require_folder(out)
-    refuse_present(out, ROUTE_NAMES, overwrite=overwrite)
+    refuse_present(out, ROUTE_FILES.names, overwrite=overwrite)
 
 
 ROUTE_MANIFEST_FORMAT = "bumpymap-route"
@@ -155,7 +157,7 @@ def write_routes(
     Returns
     -------
     list of Path
-        What was written, in the order of ``ROUTE_NAMES``.
+        What was written, the manifest last.
 
     Raises
     ------
@@ -224,7 +226,7 @@ def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
         head = {"format": ROUTE_MANIFEST_FORMAT, "version": _VERSION, **output.manifest}
         return head | {"versions": software_versions(), "notes": output.notes, "files": files}
 
-    return write_own_folder(out, ROUTE_NAMES, ROUTE_MANIFEST_NAME, output.writers, describe, overwrite=overwrite)
+    return ROUTE_FILES.write(out, output.writers, describe, overwrite=overwrite)
 
 
 def _describe_layers(source: MapSource) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from route_maps import write_folder
 from survey_pairs import survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.output import CHANGE_NAMES, CHANGE_VIEW_NAMES
+from bumpymap.change.output import CHANGE_FILES
 from bumpymap.core import CHANGE_KINDS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")
@@ -21,7 +21,7 @@ def rows(title):
 
 
 def test_files_and_bands_are_those_of_the_code():
-    assert [name for (name,) in rows("file")] == [*CHANGE_NAMES, *CHANGE_VIEW_NAMES]
+    assert [name for (name,) in rows("file")] == [*CHANGE_FILES.names]
     bands = [name for names in rows("band") for name in names]
     assert bands == ["d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed"]
     for number in range(len(CHANGE_KINDS)):

@@ -11,7 +11,7 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.output import CHANGE_NAMES, CHANGE_VIEW_NAMES
+from bumpymap.change.output import CHANGE_FILES
 from bumpymap.change.pipeline import remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpytiles import Grid
@@ -134,10 +134,9 @@ def test_only_tiles_of_both_are_compared(may, root):
 
 def test_files_say_what_the_result_says(may, june, tmp_path):
     result = compare(may, june, out=tmp_path / "out")
-    assert [path.name for path in result.files] == [*CHANGE_NAMES, *CHANGE_VIEW_NAMES]
+    assert [path.name for path in result.files] == [*CHANGE_FILES.names]
     assert {path.name for path in (tmp_path / "out").iterdir() if not path.name.startswith(".")} == {
-        *CHANGE_NAMES,
-        *CHANGE_VIEW_NAMES,
+        *CHANGE_FILES.names,
     }
     with rasterio.open(tmp_path / "out" / "change.tif") as file:
         assert file.descriptions == ("d_c_r", "z_c_r", "d_height", "z_height", "z_shape", "changed")

@@ -14,15 +14,14 @@ from bumpymap.check.output import write_check
 from bumpymap.core import BadInputError, CheckedDrive, OutputError, UsageError
 from bumpymap.layers import check_check_out
 from bumpymap.layers.check_record import (
+    CHECK_FILES,
     CHECK_MANIFEST_NAME,
-    CHECK_NAMES,
-    CHECK_VIEW_NAMES,
     check_entries,
     read_check,
     result_of,
 )
 
-ALL = sorted((*CHECK_NAMES, *CHECK_VIEW_NAMES))
+ALL = sorted(CHECK_FILES.names)
 WITHOUT_MAP = ["check.html", "check.json", "stretches.csv"]
 SETTINGS = {"settings": {"band_hz": 10.0, "window_m": 10.0}}
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")

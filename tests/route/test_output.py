@@ -13,8 +13,8 @@ from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import ReachField
 from bumpymap.route import output as folder_module
 from bumpymap.route.output import (
+    ROUTE_FILES,
     ROUTE_MANIFEST_NAME,
-    ROUTE_NAMES,
     ReachLevels,
     check_reach_out,
     check_route_out,
@@ -60,7 +60,7 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     assert not out.exists()
     files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
     assert names(out) == FOUR
-    assert [path.name for path in files] == [name for name in ROUTE_NAMES if name in FOUR]
+    assert [path.name for path in files] == [name for name in ROUTE_FILES.names if name in FOUR]
     record = json.loads((out / ROUTE_MANIFEST_NAME).read_text())
     assert record["format"] == "bumpymap-route"
     assert record["settings"] == SETTINGS["settings"]
