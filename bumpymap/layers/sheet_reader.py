@@ -27,7 +27,7 @@ from bumpymap.core import (
     stated_crs,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import KeptRasters, require_written
+from bumpymap.layers.map_files import KeptRasters, read_averaged, require_written
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ def test_the_columns_of_the_summary_are_described_in_their_order():
 
 
 def test_the_columns_of_a_table_are_described_and_the_example_is_one(tmp_path):
-    (named,) = re.findall(r"The columns are (.*?)\.\s", PAGE, re.DOTALL)
+    (named,) = re.findall(r"The\s+columns are (.*?)\.\s", PAGE, re.DOTALL)
     columns = re.findall(r"`(\w+)`", named)
     with pytest.raises(UsageError) as caught:
         read_table("survey,nonsense", "a.csv", tmp_path)
