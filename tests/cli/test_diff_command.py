@@ -42,20 +42,6 @@ def test_a_record_for_machines(surveys):
     assert sum(map(sum, record["classes"]["tiles_before_after"])) == 1_200
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "told"),
-    [
-        (["--set", "fdr=2"], 2, "fdr"),
-        (["--set", "min_tiles=0"], 2, "min_tiles"),
-        (["--set", "offset=nan"], 2, "offset"),
-    ],
-)
-def test_wrong_usage(surveys, words, code, told):
-    done = CliRunner().invoke(main, ["diff", *map(str, surveys), *words], standalone_mode=True)
-    assert done.exit_code == code
-    assert told in done.output
-
-
 def test_a_folder_without_layers(surveys, tmp_path):
     done = run(surveys[0], tmp_path)
     assert done.exit_code == 3

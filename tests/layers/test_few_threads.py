@@ -1,14 +1,11 @@
 """Rasters where the system gives no more threads: written by one, never waited for."""
 
-import resource
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import rasterio
-
-from bumpymap.layers import _cog
 
 pytestmark = pytest.mark.slow
 
@@ -45,14 +42,3 @@ def test_a_raster_is_written_where_no_thread_can_be_started(tmp_path):
     with rasterio.open(path) as file:
         assert file.overviews(1)
         assert (file.read(1) == 7).all()
-
-
-def test_gdal_may_use_every_core_where_nothing_is_limited(monkeypatch):
-    monkeypatch.setattr("resource.getrlimit", lambda _: (resource.RLIM_INFINITY,) * 2)
-    assert _cog.gdal_threads() == "ALL_CPUS"
-
-    def refuse(thread):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr("threading.Thread.start", refuse)
-    assert _cog.gdal_threads() == "1"

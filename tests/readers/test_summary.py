@@ -107,6 +107,12 @@ def test_thin_tiles_are_known_if_their_points_span_them(las):
     assert stats(path, replace(known_by_pixels, min_points=3), grid, thin=True).summary().unknown == {few: 0, holes: 0}
 
 
+def test_a_dense_tile_is_not_thin_whatever_stands_beside_it():
+    pixels = np.zeros((2, 15, 15), np.bool_)
+    pixels[0] = pixels[1, 2::5, 2::5] = True
+    assert thin_rule(pixels).tolist() == [False, True]
+
+
 def test_pixels_tell_what_the_measure_of_points_tells():
     rng = np.random.default_rng(8)
     tile = np.repeat(np.arange(256), rng.integers(4, 25, 256))

@@ -98,23 +98,6 @@ def interrupted(config):
     return config.out / ".bumpymap-run"
 
 
-def test_a_stopped_run_goes_on_from_what_is_finished(frames, serial, tmp_path, monkeypatch):
-    config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", pictures=3, threads=2)
-    run = interrupted(config)
-    done = {path.stem for path in run.glob("frame-*.npz")}
-    assert 2 <= len(done) < FRAMES
-    read = []
-
-    def reading(path, *rest):
-        read.append(path)
-        return read_scan(path, *rest)
-
-    monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
-    scan_frames(replace(config, threads=3))  # another number of threads is no other run
-    assert len(read) == FRAMES - len(done)
-    assert checksums(tmp_path / "out") == checksums(serial[0])
-
-
 @pytest.mark.parametrize("loss", ["part cut", "file cut", "file missing"])
 def test_what_a_power_cut_has_left_half_written_is_made_again(frames, serial, tmp_path, loss):
     config = settings(frames, tmp_path / "out", poses=frames / "poses.txt", pictures=3, threads=1)

@@ -136,13 +136,6 @@ def test_sheets_need_a_folder(survey):
         bumpymap.map_survey(survey, sheets=SIDE)
 
 
-@pytest.mark.parametrize("value", [0, -1, "5", True, 1e9])
-def test_a_size_that_is_none_is_refused(survey, tmp_path, value):
-    with pytest.raises(bumpymap.UsageError, match=r"`?sheets`? is"):
-        bumpymap.map_survey(survey, tmp_path / "out", sheets=value)
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_site_too_large_for_one_map_is_told_of_sheets(survey, tmp_path, monkeypatch):
     monkeypatch.setattr(placement, "MAX_TILES", 100)
     with pytest.raises(bumpymap.BadInputError, match=r"in sheets with `sheets=5`.*site.laz"):

@@ -98,8 +98,6 @@ def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_pa
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ([], "takes surveys"),
-        (["site.laz", "--set", "total_patches=3"], "--total-patches is 3"),
         (["site.laz", "--vehicle", "warthog", "--vehicle", "warthog", "--set", "rating=table"], "twice"),
     ],
 )

@@ -50,17 +50,9 @@ def fake_drives(monkeypatch):
     return ran
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"patches": 1}, "`patches` is 1; it must be a whole number, at least 2"),
-        ({"tile_size": 0.0}, "`tile_size` is 0.0"),
-        ({"z_range": (0.2, 0.1)}, "rise"),
-    ],
-)
-def test_settings_that_cannot_be_used_are_refused(change, words):
-    with pytest.raises(UsageError, match=words):
-        replace(SETTINGS, **change)
+def test_relief_that_does_not_rise_is_refused():
+    with pytest.raises(UsageError, match="rise"):
+        replace(SETTINGS, z_range=(0.2, 0.1))
 
 
 def test_real_calibration_rises_with_z_range_and_reads_back(calibration):

@@ -1,19 +1,17 @@
 """The vehicle in DART: short drives whose answer is known."""
 
 import math
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.errors import OutputError
 from bumpymap.lab.simulate import model
 from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.model import (
     DartVehicle,
     Physics,
-    require_dart,
     standing_pose,
 )
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip
@@ -30,12 +28,6 @@ SHORT = DriveSettings(measure_s=2.0)
 def rough_ground(z_range, seed=3):
     patch = make_textures("high_noise", 1, np.random.default_rng(seed))[0].astype(np.float64)
     return PatchGround.from_heights(patch * z_range, 3.0)
-
-
-def test_missing_engine_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(sys.modules, "dartpy", None)
-    with pytest.raises(UsageError, match=r"pip install 'bumpymap\[sim\]'"):
-        require_dart()
 
 
 def test_standing_vehicle_rests_on_its_wheels():

@@ -178,10 +178,3 @@ def test_memory_and_threads_are_shared_out(tmp_path):
     assert config.share(config.of_survey({}), 8).threads == 1
     with pytest.raises(UsageError, match="Give 1152MB or more"):
         BatchConfig(tmp_path, tmp_path, given={"memory": "1GB"}, jobs=9)
-
-
-def test_settings_are_checked_before_anything_begins(tmp_path):
-    write_survey(tmp_path / "a.las")
-    for wrong in ({"jobs": 0}, {"survey_per": "day"}, {"given": {"pixels": 1}}):
-        with pytest.raises(UsageError):
-            BatchConfig(tmp_path, tmp_path / "o", **wrong)

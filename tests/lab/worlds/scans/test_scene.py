@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from bumpymap.core.errors import UsageError
 from bumpymap.lab.worlds.scans.ground import ground_mesh, make_blob, make_road
 from bumpymap.lab.worlds.scans.scene import ROADSIDES, THEMES, make_scene
 from bumpymap.lab.worlds.scans.things import REFLECTIONS, Label
@@ -25,11 +24,6 @@ def test_the_seed_decides_every_bit_of_a_scene(theme):
     for (_, soup), (_, again) in zip(one.things, two.things, strict=True):
         assert_array_equal(soup, again)
     assert (one.ground.sample(X, Y).z != other.ground.sample(X, Y).z).any()
-
-
-def test_an_unknown_theme_is_refused():
-    with pytest.raises(UsageError, match="'moon'; it must be one of meadow"):
-        make_scene(1, 1, "moon")
 
 
 def test_all_labels_turn_up_and_all_have_an_answer_to_light():
