@@ -238,10 +238,13 @@ def _opened(path: Path, rasters: KeptRasters) -> "Iterator[DatasetReader]":
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
-    missing = [band for band in bands if band not in file.descriptions]
+    if not bands:
+        return [1]
+    names = file.descriptions
+    missing = [band for band in bands if band not in names]
     if missing:
         raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
-    return [file.descriptions.index(band) + 1 for band in bands] or [1]
+    return [names.index(band) + 1 for band in bands]
 
 
 def _pieces(top: int, left: int, lines: int, columns: int) -> Iterator[tuple[slice, slice]]:
