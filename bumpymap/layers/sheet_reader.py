@@ -224,10 +224,13 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
-    missing = [band for band in bands if band not in file.descriptions]
+    if not bands:
+        return [1]
+    names = file.descriptions
+    missing = [band for band in bands if band not in names]
     if missing:
         raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
-    return [file.descriptions.index(band) + 1 for band in bands] or [1]
+    return [names.index(band) + 1 for band in bands]
 
 
 def _cut(start: int, stop: int) -> list[slice]:

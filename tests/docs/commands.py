@@ -76,6 +76,7 @@ RULES = (
     Rule(r"^python tests/benchmarks/thinned_maps\.py", "maps a survey three times", None),
     Rule(r"^python tests/benchmarks/(scene_book|rings)\.py", "surveys made-up scenes for minutes", None),
     Rule(r"^python tests/benchmarks/way_pairs\.py", "takes the layers of three sites", None),
+    Rule(r"^python tests/benchmarks/cost_pixels\.py", "takes GRASS, and the layers of two sites", None),
     Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file", None),
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),
