@@ -25,7 +25,8 @@ import rasterio
 from scipy.ndimage import label
 from skimage.graph import MCP_Geometric
 
-from bumpymap.layers import ExportSettings, export_map, open_map
+from bumpymap.layers import open_map
+from bumpymap.views import ExportSettings, export_map
 
 LEAST_M = 20.0
 NO_WAY = (np.nan, np.nan, 0.0)
