@@ -334,7 +334,7 @@ def test_a_run_in_memory_that_ends_early_does_not_speak_of_going_on(tmp_path, mo
         error.add_note("Look at it.")
         raise error
 
-    monkeypatch.setattr("bumpymap.survey.api.map_surveys", end_early)
+    monkeypatch.setattr("bumpymap.survey.map_surveys", end_early)
     with pytest.raises(bumpymap.OutputError) as caught:
         bumpymap.map_survey(QUARRY)
     assert caught.value.__notes__ == ["Look at it."]
@@ -512,7 +512,6 @@ def test_wrong_settings_of_a_check_are_named(layers, settings, words):
 @pytest.mark.parametrize(
     "module",
     [
-        "bumpymap.survey.pipeline",
         "bumpymap.survey.batch.run",
         "bumpymap.change.pipeline",
         "bumpymap.check.pipeline",

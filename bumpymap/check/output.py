@@ -5,9 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import (
-    CheckResult,
-)
+from bumpymap.core import CheckResult
 from bumpymap.layers import (
     CHECK_FILES,
     CHECK_FORMAT,

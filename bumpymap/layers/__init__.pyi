@@ -103,10 +103,6 @@ from .placement import (
     check_extent as check_extent,
     fits_one_map as fits_one_map,
 )
-from .planned_route import (
-    PlannedRoute as PlannedRoute,
-    reach_dataset as reach_dataset,
-)
 from .products import (
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     OTHER_FILES as OTHER_FILES,
@@ -120,6 +116,7 @@ from .products import (
 )
 from .reach import (
     ReachField as ReachField,
+    reach_dataset as reach_dataset,
     write_isochrones as write_isochrones,
     write_reach as write_reach,
     write_reach_back as write_reach_back,
@@ -137,6 +134,7 @@ from .route_inputs import (
 )
 from .route_lines import (
     MapSource as MapSource,
+    PlannedRoute as PlannedRoute,
     RouteCoordinates as RouteCoordinates,
     route_properties as route_properties,
     stop_names as stop_names,

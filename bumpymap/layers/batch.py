@@ -79,10 +79,6 @@ class SurveyRow:
     checksum: str | None = _column("checksums of the input files, as in run.json, separated by spaces")
 
 
-_BOUNDS = ("min_x", "min_y", "max_x", "max_y")
-_RASTER = "class.tif"
-
-
 def map_facts(folder: Path | RemoteFolder) -> dict[str, Any]:
     """Return the columns of a `SurveyRow` that follow from the layers of a complete map.
 
@@ -93,9 +89,13 @@ def map_facts(folder: Path | RemoteFolder) -> dict[str, Any]:
     """
     manifest = _manifest_of(folder)
     try:
-        return {**_counted(manifest), **_described(manifest), **_bounds(folder)}
+        with open_raster(folder, "class.tif") as raster:
+            bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
+        return {**_counted(manifest), **_described(manifest), **bounds}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise BadInputError(f"the run.json in {_name(folder)} cannot be read as that of a map: {error!r}") from error
+        raise BadInputError(
+            f"the run.json in {getattr(folder, 'url', folder)} cannot be read as that of a map: {error!r}"
+        ) from error
 
 
 def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -128,11 +128,6 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _bounds(folder: Path | RemoteFolder) -> dict[str, float]:
-    with open_raster(folder, _RASTER) as raster:
-        return dict(zip(_BOUNDS, map(float, raster.bounds), strict=True))
-
-
 def _manifest_of(folder: Path | RemoteFolder) -> dict[str, Any]:
     if isinstance(folder, Path):
         return read_manifest(folder)
@@ -140,10 +135,6 @@ def _manifest_of(folder: Path | RemoteFolder) -> dict[str, Any]:
     if found is None:
         raise BadInputError(f"{folder.url} holds no complete run: run.json is missing or not that of a map")
     return found
-
-
-def _name(folder: Path | RemoteFolder) -> str:
-    return str(folder) if isinstance(folder, Path) else folder.url
 
 
 BATCH_LOG = "log.jsonl"
@@ -165,7 +156,9 @@ def check_batch_out(out: Path) -> None:
     for name in present:
         if (out / name).is_symlink() or not (out / name).is_file():
             raise OutputError(f"{out / name} is a link or no file, and was not touched. Remove it")
-    if present and not (_is_log(out / BATCH_LOG) or _first_line(out / _CSV) == _header()):
+    if present and not (
+        _is_log(out / BATCH_LOG) or _first_line(out / _CSV) == ",".join(column.name for column in fields(SurveyRow))
+    ):
         raise OutputError(
             f"{out} holds {', '.join(present)}, which no batch has written. Choose another `out`, or remove them"
         )
@@ -226,10 +219,6 @@ def _write_parquet(rows: Sequence[SurveyRow], path: Path) -> None:
     values = [[escape_controls(cell) if isinstance(cell, str) else cell for cell in column] for column in cells]
     arrays = [pa.array(own, column.type) for own, column in zip(values, columns, strict=True)]
     pq.write_table(pa.table(arrays, schema=pa.schema(columns)), path, compression="zstd")
-
-
-def _header() -> str:
-    return ",".join(column.name for column in fields(SurveyRow))
 
 
 def _is_log(path: Path) -> bool:

@@ -10,10 +10,7 @@ import shapely
 import shapely.geometry
 from numpy.typing import NDArray
 
-from bumpymap.core import (
-    BadInputError,
-    Georeference,
-)
+from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written

@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
@@ -13,12 +13,24 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers._cog import write_array
+from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import label, trace_labels
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["NO_MOVE", "ReachField", "reach_polygons", "write_isochrones", "write_reach", "write_reach_back"]
+if TYPE_CHECKING:
+    import xarray
+
+__all__ = [
+    "NO_MOVE",
+    "ReachField",
+    "reach_dataset",
+    "reach_polygons",
+    "write_isochrones",
+    "write_reach",
+    "write_reach_back",
+]
 
 BETWEEN_OBSTACLES, TO_START, NO_MOVE = 253, 254, 255
 """Values of ``ReachField.back``: the way leads between obstacles, without moves; straight to the start, from tiles that
@@ -177,3 +189,24 @@ def reach_polygons(reach: ReachField, inside: NDArray[np.bool_]) -> NDArray[np.o
     """
     labels, first, _ = label(inside.astype(np.uint8))
     return trace_labels(labels, reach.window, slice(0, reach.window.rows), range(1, len(first) + 1))
+
+
+def reach_dataset(reach: ReachField) -> "xarray.Dataset":
+    """Return cost and minutes of a reach on the grid of tiles, dimensions ``y`` (north first) and ``x``.
+
+    Raises
+    ------
+    UsageError
+        The extra ``notebook`` is not installed.
+    """
+    xarray = import_notebook("xarray")
+    import_notebook("rioxarray")
+    place = Placement(reach.georeference, reach.grid, reach.window)
+    window = reach.window
+    x = place.to_crs(window.col + 0.5 + np.arange(window.cols))
+    y = place.to_crs(window.row + window.rows - 0.5 - np.arange(window.rows))
+    variables = {"cost": (("y", "x"), reach.cost, {"units": "m", "long_name": "cost of the cheapest way"})}
+    if reach.minutes is not None:
+        variables["minutes"] = (("y", "x"), reach.minutes, {"units": "min", "long_name": "time along the cheapest way"})
+    dataset = xarray.Dataset(variables, {"y": y, "x": x})
+    return dataset if place.horizontal_crs is None else dataset.rio.write_crs(place.horizontal_crs.to_wkt())

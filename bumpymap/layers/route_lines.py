@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -18,14 +18,19 @@ import shapely
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Georeference, Route, TileField, atomic, write_csv
+from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
+
+if TYPE_CHECKING:
+    import geopandas
 
 __all__ = [
     "PROFILE_COLUMNS",
     "P_ARRIVES_NOTE",
     "MapSource",
+    "PlannedRoute",
     "RouteCoordinates",
     "route_properties",
     "split_at_antimeridian",
@@ -432,3 +437,45 @@ def _rows(route: Route, place: RouteCoordinates) -> Iterator[tuple[str, ...]]:
         for values, form in zip(columns, _FORMATS, strict=True)
     ]
     return zip([route.name] * len(profile.distance), *texts, strict=True)
+
+
+class PlannedRoute(Route):
+    """A way over a map, with its figures and profile."""
+
+    __slots__ = ()
+
+    def to_geodataframe(self) -> "geopandas.GeoDataFrame":
+        """Return one row: the way as a line in the survey's CRS, and its figures as columns.
+
+        Raises
+        ------
+        UsageError
+            The extra ``notebook`` is not installed.
+        """
+        line = shapely.LineString(self.line / self.georeference.metres_per_unit)
+        crs = self.georeference.crs
+        flat = None if crs is None else crs.to_2d()
+        return import_notebook("geopandas").GeoDataFrame([route_properties(self)], geometry=[line], crs=flat)
+
+    def plot(self, ax: Any = None, **style: Any) -> Any:
+        """Draw the way with matplotlib, in coordinates of the survey's CRS.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes, optional
+            Where to draw it, such as over ``layers.dataset().c_r.plot()``.
+        **style
+            Of `geopandas.GeoDataFrame.plot`: ``color``, ``linewidth``, ...
+
+        Returns
+        -------
+        matplotlib Axes
+        """
+        return self.to_geodataframe().plot(ax=ax, **style)
+
+    def __repr__(self) -> str:
+        found = self.figures
+        return (
+            f"<Route {self.name} for {self.vehicle.name}: {found.length_m:,.1f} m, cost {found.cost_m:,.1f} m, "
+            f"c_r {found.c_r_mean:.3f} rad/m, P(arrives) {found.p_arrives:.3f}>"
+        )

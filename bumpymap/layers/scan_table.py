@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pyproj import CRS
 
 from bumpymap.core import NO_CLASS, NOT_TRAVERSABLE, ClassedSectors, sector_bounds
+from bumpymap.layers.tile_table import typed_array
 
 __all__ = ["COLUMNS", "AccumulatedSurvey", "SectorTable", "open_accumulated", "open_table", "sector_rows"]
 
@@ -168,11 +169,4 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
     columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
     schema = _schema()
     columns |= {name: getattr(stack, name) for name in schema.names if name not in columns}
-    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
-
-
-def _array(values: Any, field: pa.Field) -> pa.Array:
-    """Return an array of the field's type in which NaN is null."""
-    if isinstance(values, pa.NullArray):
-        return values.cast(field.type)
-    return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
+    return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)

@@ -1,10 +1,10 @@
 """One folder of layers as a route reads it: checked when it is opened, then read window by window."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -99,7 +99,7 @@ class SheetReader:
             cost = manifest["cost"]
             names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
             parts = (
-                _grid(manifest),
+                Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"])),
                 Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
                 CostRule(*(float(cost[name]) for name in names)),
                 _vehicle(folder, manifest),
@@ -175,7 +175,9 @@ class SheetReader:
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
             numbers = _numbers(self.folder / name, file, bands)
-            for lines, columns in _pieces(top, left, window.rows * scale, window.cols * scale):
+            # Cut at multiples of a piece, so that no block of the file is decoded twice.
+            rows, cols = _cut(top, top + window.rows * scale), _cut(left, left + window.cols * scale)
+            for lines, columns in product(rows, cols):
                 part = ((lines.start, lines.stop), (columns.start, columns.stop))
                 for array, values in zip(out, file.read(numbers, window=part), strict=True):
                     array[_moved(lines, top), _moved(columns, left)] = values
@@ -222,17 +224,13 @@ def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
 
 
 def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
-    missing = [band for band in bands if band not in file.descriptions]
+    if not bands:
+        return [1]
+    names = file.descriptions
+    missing = [band for band in bands if band not in names]
     if missing:
         raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
-    return [file.descriptions.index(band) + 1 for band in bands] or [1]
-
-
-def _pieces(top: int, left: int, lines: int, columns: int) -> Iterator[tuple[slice, slice]]:
-    """Split a window of a raster at multiples of ``_PIECE``, so that no block of the file is decoded twice."""
-    for line in _cut(top, top + lines):
-        for column in _cut(left, left + columns):
-            yield line, column
+    return [names.index(band) + 1 for band in bands]
 
 
 def _cut(start: int, stop: int) -> list[slice]:
@@ -269,10 +267,6 @@ def _window_of(path: Path, grid: Grid, georeference: Georeference, rasters: Kept
             f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
         )
     return TileWindow(*whole)
-
-
-def _grid(manifest: Mapping[str, Any]) -> Grid:
-    return Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"]))
 
 
 def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:

@@ -122,7 +122,8 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
     vertical = describe_crs(crs) if crs is not None and crs.is_compound else {}
     assets = {}
     for name in _names(folder, known):
-        asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [_role(name, known)]}
+        role = "data" if name in known else "overview" if name.endswith(_OVERVIEWS) else "metadata"
+        asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [role]}
         if name.endswith(".tif"):
             asset |= _raster(folder / name, record)
         elif name.endswith(".parquet"):
@@ -159,12 +160,6 @@ def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
     layers = [name for name in EVERY_NAME if name in known and name != ITEM_NAME]
     sides = [f"{name}.aux.xml" for name in layers]
     return [*layers, MANIFEST_NAME, *(name for name in (*EVERY_VIEW_NAME, *sides) if (folder / name).is_file())]
-
-
-def _role(name: str, known: Mapping[str, Any]) -> str:
-    if name in known:
-        return "data"
-    return "overview" if name.endswith(_OVERVIEWS) else "metadata"
 
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from bumpymap.core import (
 from bumpymap.layers.placement import Placement
 from bumpytiles import TileTable
 
-__all__ = ["read_tiles", "require_tiles", "write_tiles"]
+__all__ = ["read_tiles", "require_tiles", "typed_array", "write_tiles"]
 
 _ROW_GROUP = 16_384
 """Most tiles in a row group: 15 MB of heights at 15 x 15 pixels."""
@@ -160,11 +160,13 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
     columns["passable"] = found["passable"] > 0
     columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}
-    return pa.table([_array(columns[field.name], field) for field in schema], schema=schema)
+    return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)
 
 
-def _array(values: Any, field: pa.Field) -> pa.Array:
+def typed_array(values: Any, field: pa.Field) -> pa.Array:
     """Return an array of the field's type in which None and NaN are null."""
+    if isinstance(values, pa.NullArray):
+        return values.cast(field.type)
     return values if isinstance(values, pa.Array) else pa.array(values, field.type, from_pandas=True)
 
 

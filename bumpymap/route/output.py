@@ -8,11 +8,7 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import (
-    OutputError,
-    Route,
-    UsageError,
-)
+from bumpymap.core import OutputError, Route, UsageError
 from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,

@@ -265,8 +265,8 @@ def _touching(
     starts = np.flatnonzero((np.diff(one[order], prepend=-1) != 0) | (np.diff(two[order], prepend=-1) != 0))
     lengths = np.diff(np.append(starts, len(order)))
     middle = order[starts + lengths // 2]
-    ends: NDArray[np.int64] = np.column_stack([one, two, places])[middle]
-    return ends
+    joined: NDArray[np.int64] = np.column_stack([one, two, places])[middle]
+    return joined
 
 
 @dataclass(frozen=True, slots=True)

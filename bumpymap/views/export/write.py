@@ -227,9 +227,9 @@ def export_map(
         The extra ``ros`` is needed and not installed.
     """
     folder = Path(out)
-    area = choose_area(
-        route_map, _split(route_map, settings), _point(settings.around), settings.radius, _point(settings.datum)
-    )
+    by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
+    split = route_map.grid.pixels if by_pixels else 1
+    area = choose_area(route_map, split, _point(settings.around), settings.radius, _point(settings.datum))
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
@@ -245,11 +245,6 @@ def export_map(
 
 def _point(place: tuple[float, float] | None) -> ExportPoint | None:
     return None if place is None else ExportPoint(*map(float, place))
-
-
-def _split(route_map: MapReader, settings: ExportSettings) -> int:
-    by_pixels = settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"}
-    return route_map.grid.pixels if by_pixels or settings.to == "cost" else 1
 
 
 def _sources(route_map: MapReader) -> dict[str, Any]:

@@ -212,7 +212,8 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     root.append(tree(group for group in groups if group.layers))
     present = [layer for group in groups for layer in group.leaves()]
     for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
-        root.append(canvas(_bounds(folder / layer.source), crs))
+        with open_layer(folder / layer.source) as raster:
+            root.append(canvas(raster.bounds, crs))
     layers = add(root, "projectlayers")
     for layer in present:
         style = layer_style(layer.file, facts, layer.blend, layered=True, part=layer.part)
@@ -271,10 +272,3 @@ def _horizontal_crs(record: Mapping[str, Any]) -> CRS | None:
         return horizontal_of(stated_crs(wkt))
     except CRSError:
         return None
-
-
-def _bounds(path: Path) -> tuple[float, float, float, float]:
-    """Return west, south, east, north of a raster."""
-    with open_layer(path) as raster:
-        west, south, east, north = map(float, raster.bounds)
-        return west, south, east, north

@@ -9,7 +9,6 @@ from typing import Any, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bumpymap.core import (
     BANDS,
@@ -360,7 +359,10 @@ class StyleFacts:
             roughness.tif cannot be read.
         """
         limits = class_limits(record)
-        sample = np.empty(0) if limits else _c_r_sample(raster_in(folder, "roughness.tif"))
+        sample = np.empty(0)
+        if not limits:  # c_r from an overview if the raster is large
+            with open_layer(raster_in(folder, "roughness.tif")) as raster:
+                sample = raster.read(1, out_shape=(min(raster.height, _SAMPLE), min(raster.width, _SAMPLE)))
         units = record.get("metres_per_unit")
         metres = units.get("horizontal") if isinstance(units, Mapping) else None
         return cls(
@@ -397,13 +399,6 @@ def _setting(record: Mapping[str, Any], name: str) -> Any:
     """Return a setting of a run, or None; settings are a dataclass until they are written, then an object of JSON."""
     settings = record.get("settings")
     return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
-
-
-def _c_r_sample(path: Path) -> NDArray[np.float32]:
-    """Return the first band of a raster, the ride cost, from an overview if it is large."""
-    with open_layer(path) as raster:
-        shape = (min(raster.height, _SAMPLE), min(raster.width, _SAMPLE))
-        return np.asarray(raster.read(1, out_shape=shape), dtype=np.float32)
 
 
 _C_R_BAND = 1 + [band.name for band in BANDS].index("c_r")
@@ -489,10 +484,6 @@ def layer_style(
     return _RASTERS[layer](facts).elements(blend)
 
 
-def _class(facts: StyleFacts) -> RasterStyle:
-    return paletted(enumerate(facts.class_labels), CLASS_COLOURS)
-
-
 def _roughness(facts: StyleFacts, band: int = _C_R_BAND) -> RasterStyle:
     stops = zip(facts.scale.anchors, facts.ride_labels, strict=True)
     return ramp(band, [(value, label, CLASS_COLOURS[number]) for number, (value, label) in enumerate(stops)])
@@ -513,7 +504,7 @@ def _reason(clear: tuple[int, ...] = ()) -> RasterStyle:
 
 
 _RASTERS: dict[str, Callable[[StyleFacts], RasterStyle]] = {
-    "class.tif": _class,
+    "class.tif": lambda facts: paletted(enumerate(facts.class_labels), CLASS_COLOURS),
     "roughness.tif": _roughness,
     "cost.tif": lambda _: _cost(),
     "barred.tif": lambda _: _barred(),

@@ -34,6 +34,7 @@ __all__ = [
     "font",
     "hatched",
     "paint_ground",
+    "shortened",
     "tick_step",
     "ticks",
 ]
@@ -121,6 +122,11 @@ class Pen:
         upright = lying.transpose(Image.Transpose.ROTATE_90)
         corner = (round(place[0] * _TWICE - upright.width / 2), round(place[1] * _TWICE - upright.height / 2))
         self._sheet.paste(colour, corner, upright)
+
+
+def shortened(name: str, most: int) -> str:
+    """Return a name of at most so many characters."""
+    return name if len(name) <= most else f"{name[: most - 3]}..."
 
 
 def tick_step(span: float, most: int) -> float:

@@ -25,6 +25,7 @@ from bumpymap.views.pictures.drawing import (
     draw_scale,
     hatched,
     paint_ground,
+    shortened,
     ticks,
 )
 from bumpymap.views.words import metres
@@ -117,13 +118,9 @@ def _title(routes: Sequence[Route]) -> str:
     first = routes[0]
     length = metres(first.figures.length_m)
     if len(routes) == 1:
-        return f"{_shortened(first.name, 80)}: {length} for {first.vehicle.name}"
+        return f"{shortened(first.name, 80)}: {length} for {first.vehicle.name}"
     vehicles = dict.fromkeys(route.vehicle.name for route in routes)
-    return _shortened(f"{len(routes)} ways for {', '.join(vehicles)}, the first {length}", 100)
-
-
-def _shortened(name: str, most: int) -> str:
-    return name if len(name) <= most else f"{name[: most - 3]}..."
+    return shortened(f"{len(routes)} ways for {', '.join(vehicles)}, the first {length}", 100)
 
 
 def _colour(number: int) -> Colour:
@@ -148,7 +145,7 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
     left, row = _EDGE + _PANEL + 24, _TITLE
     first = routes[0]
     several = len({route.vehicle.name for route in routes}) > 1
-    of_whom = f"for {_shortened(first.vehicle.name, 22)}" if several else "of the ground"
+    of_whom = f"for {shortened(first.vehicle.name, 22)}" if several else "of the ground"
     pen.text((left, row + 8), f"ride cost {of_whom} [rad/m]", INK, size=16)
     bar = np.broadcast_to(scale.colours(np.linspace(0.0, scale.end, _BAR)), (22, _BAR, 3)).astype(np.uint8)
     pen.paste(left, row + 24, bar)
@@ -191,7 +188,7 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
         _draw_way(pen, np.array([[left + 3.0, row + 12.0], [left + 37.0, row + 12.0]]), _colour(number))
         vehicle = f", {route.vehicle.name}" if several else ""  # ways that are compared have it in their name
         name = route.name if route.name.endswith(vehicle) else route.name + vehicle
-        pen.text((left + 54, row + 12), _shortened(name, 32), INK, size=16)
+        pen.text((left + 54, row + 12), shortened(name, 32), INK, size=16)
         # on unknown ground, and over no length, the ride cost is not known
         ride = {"mean": figures.c_r_mean, "most": figures.c_r_max}.items()
         known = ", ".join(f"{name} {value:.3f}" for name, value in ride if math.isfinite(value))
@@ -211,7 +208,7 @@ def _draw_figures(pen: Pen, routes: Sequence[Route], left: int, row: int) -> Non
 def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
     """Explain the profile to its right."""
     left = _EDGE + _PANEL + 24
-    of_which = f" of {_shortened(route.name, 16)}" if routes > 1 else ""
+    of_which = f" of {shortened(route.name, 16)}" if routes > 1 else ""
     figures = route.figures
     lines = [
         (f"height of the ground{of_which}", INK),

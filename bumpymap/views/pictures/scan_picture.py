@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 
 from bumpymap.core import CLASSES, ClassedSectors, PolarSettings, Scan
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
-from bumpymap.views.pictures.drawing import font
+from bumpymap.views.pictures.drawing import font, shortened
 
 __all__ = ["SIDE", "paint", "write_picture"]
 
@@ -187,7 +187,7 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     ]
     left, row = SIDE + 16, 24
     text = left + _SWATCH_PX + 14
-    draw.text((left, row), _shortened(scan.name), _INK, font(_TEXT_PX), "lm")
+    draw.text((left, row), shortened(scan.name, 24), _INK, font(_TEXT_PX), "lm")
     row += 36
     for colour, (name, count) in zip(SCAN_COLOURS.tolist(), entries, strict=True):
         draw.rectangle((left, row, left + _SWATCH_PX, row + _SWATCH_PX), tuple(colour))
@@ -205,7 +205,3 @@ def _draw_legend(draw: ImageDraw.ImageDraw, scan: Scan, classed: ClassedSectors,
     if not len(stack.zone):
         lines += ["", "no sector holds", f"more than {stack.settings.least_points} points"]
     draw.multiline_text((left, row + 36), "\n".join(lines), _INK, font(_SMALL_PX), spacing=10)
-
-
-def _shortened(name: str, most: int = 24) -> str:
-    return name if len(name) <= most else f"{name[: most - 3]}..."
