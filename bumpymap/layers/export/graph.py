@@ -265,7 +265,8 @@ def _touching(
     starts = np.flatnonzero((np.diff(one[order], prepend=-1) != 0) | (np.diff(two[order], prepend=-1) != 0))
     lengths = np.diff(np.append(starts, len(order)))
     middle = order[starts + lengths // 2]
-    return np.column_stack([one, two, places])[middle]
+    found: NDArray[np.int64] = np.column_stack([one, two, places])[middle]
+    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -416,7 +417,7 @@ def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[n
     found = np.column_stack([first, second])[apart < most].astype(np.int64)
     known = set(map(tuple, np.sort(joined, axis=1).tolist()))
     is_new = np.array([pair not in known for pair in map(tuple, found.tolist())], np.bool_)
-    return found[is_new]
+    return np.asarray(found[is_new], np.int64)
 
 
 class _Detours:
