@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_cdt, distance_transform_edt
 
-from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField
+from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, corners_join
 from bumpymap.layers import RouteMap, tiles_in, tiles_within
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, find_way
@@ -158,6 +158,11 @@ class CostGround:
     def reach_m(self) -> float:
         """Distance that the middle of the vehicle keeps from obstacles, m: half its width and 0.1 m."""
         return 0.5 * self.site.vehicle.width_m + _BESIDE_M
+
+    @property
+    def joins_corners(self) -> bool:
+        """Whether it can go from one free pixel to another that touches it at a corner alone."""
+        return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
 
     @property
     def margin(self) -> float:
