@@ -147,34 +147,42 @@ def leave_out_standing(
         The same without the pixels of things: in all but ``heights`` and what describes all points (lowest and highest
         point, variance, residual, range, density).
     """
-    things = objects.objects == OBSTACLE
-    count, relief, scalars = patches.spread_count.copy(), patches.relief_map.copy(), np.empty((len(things), 4))
-    is_bare = np.empty(len(things), np.bool_)
-    least = BareSettings(
-        patches.grid.pixel_size,
-        max(1, round(settings.max_hole / patches.grid.pixel_size)),
-        settings.min_coverage,
-        settings.min_points,
-        max(THIN_POINTS, settings.min_points if settings.min_points > FeatureSettings().min_points else 0),
-        THIN_SEEN,
-    )
-    tiles = BareTiles(things, patches.heights, count, relief, scalars, is_bare)
-    leave_out_things(tiles, least, bare_scratch(patches.grid.pixels))
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
-    if not is_bare.any():
+    things = objects.objects == OBSTACLE
+    if not things.any():
         return points, patches
-    known = is_bare & np.isfinite(relief[:, 0, 0])
+    least = BareSettings(
+        pixel=patches.grid.pixel_size,
+        depth=max(1, round(settings.max_hole / patches.grid.pixel_size)),
+        min_coverage=settings.min_coverage,
+        min_points=settings.min_points,
+        # As in `measure_thin`: a larger number than usual holds for thin tiles too.
+        thin_points=max(THIN_POINTS, settings.min_points * (settings.min_points > FeatureSettings().min_points)),
+        thin_seen=THIN_SEEN,
+    )
+    tiles = BareTiles(
+        things,
+        patches.heights,
+        patches.spread_count.copy(),
+        patches.spread_variance.copy(),
+        patches.relief_map.copy(),
+        np.empty((len(things), 4)),
+        np.empty(len(things), np.bool_),
+    )
+    leave_out_things(tiles, least, bare_scratch(patches.grid.pixels))
+    _, coverage, relief, slope = tiles.scalars.T
+    is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
     bare = replace(
         patches,
-        count=np.where(is_bare, count.sum(axis=(1, 2)), patches.count),
-        coverage=np.where(is_bare, scalars[:, 1], patches.coverage),
-        relief=np.where(known, scalars[:, 2], patches.relief),
-        slope=np.where(is_bare & np.isfinite(scalars[:, 3]), scalars[:, 3], patches.slope),
-        spread_count=count,
-        spread_variance=np.where(count > 0, patches.spread_variance, np.float32(np.nan)),
-        relief_map=relief,
+        count=np.where(is_bare, tiles.count.sum(axis=(1, 2)), patches.count),
+        coverage=np.where(is_bare, coverage, patches.coverage),
+        relief=np.where(is_bare & has_relief, relief, patches.relief),
+        slope=np.where(is_bare & np.isfinite(slope), slope, patches.slope),
+        spread_count=tiles.count,
+        spread_variance=tiles.variance,
+        relief_map=tiles.relief,
     )
-    is_thin = is_bare & (bare.coverage < DENSE_COVERAGE)
+    is_thin = is_bare & (patches.coverage < DENSE_COVERAGE)
     return _points_apart(points, things & is_thin[:, None, None]), bare
 
 

@@ -145,8 +145,9 @@ class TileRating:
         else:
             rating = rate_as_paper if self.compat == "paper" else rate
             rated = rating(bare, textures, calibration, self.georeference)
-        thin = self._thin(points, bare, on_ground)
-        measured = replace(patches, coverage=bare.coverage, relief=bare.relief, slope=bare.slope)
+        # How thin a tile is, its survey tells, and not how much stands on it.
+        thin = self._thin(points, replace(bare, coverage=patches.coverage), on_ground)
+        measured = replace(patches, relief=bare.relief, slope=bare.slope)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
     def _objects(

@@ -377,6 +377,8 @@ class BareTiles(NamedTuple):
     """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
     count: Annotated[NDArray[np.int32], 3]
     """The same shape: points of each pixel; 0 in things afterwards."""
+    variance: Annotated[Singles, 3]
+    """The same shape: variance of their heights, m^2; NaN in things afterwards."""
     relief: Annotated[Singles, 3]
     """The same shape: relief map, m; NaN in tiles that cannot be rated from their heightmap."""
     scalars: Annotated[NDArray[np.float64], 2]
@@ -486,5 +488,6 @@ def leave_out_things(tiles: BareTiles, settings: BareSettings, scratch: BareScra
                 for c in range(size):
                     if tiles.things[t, r, c]:
                         tiles.count[t, r, c] = 0
+                        tiles.variance[t, r, c] = np.nan
                     scratch.level[r, c] = tiles.heights[t, r, c] if tiles.count[t, r, c] > 0 else np.nan
             tiles.scalars[t, 3] = _slope_of(scratch.level, settings.pixel)
