@@ -6,7 +6,7 @@ is also in the way of a vehicle whose belly is lower.
 
 import math
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,10 @@ from bumpymap.core import (
     FeatureSettings,
     ObjectStack,
     PatchStack,
+    Reason,
     VehicleBody,
 )
+from bumpymap.patches.features import measure
 from bumpymap.patches.kernels.standing import (
     BareSettings,
     BareTiles,
@@ -88,7 +90,9 @@ def take_off_standing(
     return _points_apart(points, standing), replace(patches, heights=heights)
 
 
-def find_in_relief(patches: PatchStack, body: VehicleBody, block: PatchStack | None = None) -> ObjectStack:
+def find_in_relief(
+    patches: PatchStack, body: VehicleBody, block: PatchStack | None = None
+) -> tuple[ObjectStack, Marks]:  # fmt: skip
     """Find what stands on the ground of tiles where all points count as ground.
 
     Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
@@ -106,23 +110,34 @@ def find_in_relief(patches: PatchStack, body: VehicleBody, block: PatchStack | N
         Outline of the vehicle.
     block : PatchStack, optional
         All tiles of their block, if ``patches`` are not.
+
+    Returns
+    -------
+    ObjectStack
+        One row a tile.
+    bool (n, pixels, pixels)
+        Pixels with such a thing, or beside one.
     """
     stack = ObjectStack.empty(*patches.heights.shape[:2])
     stack.objects[patches.spread_count == 0] = EMPTY
     stack.objects[patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2] = STEEP
     whole = patches if block is None else block
-    things = np.zeros(whole.heights.shape, np.bool_)
+    things, near = (np.zeros(whole.heights.shape, np.bool_) for _ in range(2))
     ring = math.ceil(0.5 * _WIDEST / whole.grid.tile_size)
     for tiles, at in _blocks(whole, ring):
         mosaic = _mosaic(whole.heights[tiles], at, ring)
         found = find_standing(mosaic, body, whole.grid.pixel_size, width=_WIDEST, least=body.lowest_obstacle_m)
-        things[tiles] = _of_tiles(found, at, whole.grid.pixels)
-    stack.objects[things if block is None else things[_rows_in(block, patches)]] = OBSTACLE
-    return stack
+        if found.any():
+            things[tiles] = _of_tiles(found, at, whole.grid.pixels)
+            near[tiles] = _of_tiles(_with_neighbours(found), at, whole.grid.pixels)
+    if block is not None:
+        things, near = (marks[_rows_in(block, patches)] for marks in (things, near))
+    stack.objects[things] = OBSTACLE
+    return stack, near
 
 
 def leave_out_standing(
-    points: TilePoints, patches: PatchStack, objects: ObjectStack, settings: FeatureSettings
+    points: TilePoints, patches: PatchStack, objects: ObjectStack, near: Marks, settings: FeatureSettings
 ) -> tuple[TilePoints, PatchStack]:
     """Leave what stands on tiles out of them, so that the ride is that of their ground.
 
@@ -135,7 +150,9 @@ def leave_out_standing(
     patches : PatchStack
         The same tiles, measured.
     objects : ObjectStack
-        Of `find_in_relief`.
+        Of `find_in_relief`, as ``near``.
+    near : bool (n, pixels, pixels)
+        Strays there are no noise: they are the few points that a tile has of a thing at its edge.
     settings : FeatureSettings
         Thresholds.
 
@@ -148,6 +165,7 @@ def leave_out_standing(
         point, variance, residual, range, density).
     """
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
+    points, patches = _without_strays(points, patches, near, settings)
     things = objects.objects == OBSTACLE
     if not things.any():
         return points, patches
@@ -186,21 +204,70 @@ def leave_out_standing(
     return _points_apart(points, things & is_thin[:, None, None]), bare
 
 
+def _without_strays(
+    points: TilePoints, patches: PatchStack, near: Marks, settings: FeatureSettings
+) -> tuple[TilePoints, PatchStack]:
+    """Measure tiles again that are unknown because of strays, if all of these lie near things and above the ground."""
+    asked = np.flatnonzero((patches.reason == Reason.OUTLIER_RELIEF) & near.any(axis=(1, 2)))
+    if not len(asked):
+        return points, patches
+    flag, kept = points.flag.copy(), []
+    for t in asked:
+        part = slice(points.starts[t], points.starts[t + 1])
+        row, col = _pixels_of(points, np.arange(part.start, part.stop), np.full(part.stop - part.start, t))
+        height, known = patches.heights[t], np.isfinite(patches.heights[t]) & ~near[t]
+        terms = np.stack([*np.nonzero(known), np.ones(known.sum())], axis=1)
+        plane = np.linalg.lstsq(terms, height[known].astype(np.float64), rcond=None)[0]
+        ground = height[known] - terms @ plane
+        above = points.upward[part] - np.stack([row, col, np.ones(len(row))], axis=1) @ plane
+        low, high = ground.min() - 0.5 * settings.stray_gap, ground.max() + 0.5 * settings.stray_gap
+        if (above >= low).all() and near[t, row, col][above > high].all():
+            flag[part][above > high] = POINT_OTHER
+            kept.append(t)
+    points = replace(points, flag=flag)
+    if not kept:
+        return points, patches
+    again = measure(_chosen(points, np.array(kept)), settings, ground_only=True)
+    replaced = {f.name: getattr(patches, f.name).copy() for f in fields(PatchStack) if f.name != "grid"}
+    for name, values in replaced.items():
+        values[kept] = getattr(again, name)
+    return points, replace(patches, **replaced)
+
+
+def _chosen(points: TilePoints, tiles: NDArray[np.int64]) -> TilePoints:
+    """Return some tiles with their points."""
+    count = np.diff(points.starts)
+    wanted = np.zeros(len(count), np.bool_)
+    wanted[tiles] = True
+    kept = np.repeat(wanted, count)
+    arrays = {name: getattr(points, name)[kept] for name in ("easting", "northing", "upward", "flag")}
+    starts = np.concatenate(([0], np.cumsum(count[wanted])))
+    return replace(points, starts=starts, col=points.col[wanted], row=points.row[wanted], **arrays)
+
+
+def _pixels_of(
+    points: TilePoints, chosen: NDArray[np.int64], tile: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column of the pixels of some points in their tiles."""
+    grid = points.grid
+    across = points.easting[chosen] - points.col[tile] * grid.tile_size
+    along = points.northing[chosen] - points.row[tile] * grid.tile_size
+    col, north = (
+        np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
+        for offset in (across, along)
+    )
+    return grid.pixels - 1 - north, col
+
+
 def _points_apart(points: TilePoints, standing: Marks) -> TilePoints:
     """Return points of which those in marked pixels, (n, pixels, pixels), are no ground."""
     if not standing.any():
         return points
     tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
     asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
-    tile, grid = tiles[asked], points.grid
-    across = points.easting[asked] - points.col[tile] * grid.tile_size
-    along = points.northing[asked] - points.row[tile] * grid.tile_size
-    col, north = (
-        np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
-        for offset in (across, along)
-    )
+    row, col = _pixels_of(points, asked, tiles[asked])
     flag = points.flag.astype(np.uint8)
-    flag[asked] = np.where(standing[tile, grid.pixels - 1 - north, col], POINT_OTHER, POINT_GROUND)
+    flag[asked] = np.where(standing[tiles[asked], row, col], POINT_OTHER, POINT_GROUND)
     return replace(points, flag=flag)
 
 

@@ -132,10 +132,12 @@ class TileRating:
             )
             points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
         patches = measure(points, self.features, ground_only=ground_only)
-        objects = self._objects(points, patches, ground_only, block)
-        bare, on_ground = patches, ground_only
-        if objects is not None and not ground_only:
-            points, bare = leave_out_standing(points, patches, objects, self.features)
+        objects, bare, on_ground = None, patches, ground_only
+        if ground_only:
+            objects = self._objects(points, patches)
+        elif self.compat == "none":  # the paper knows none
+            objects, near = find_in_relief(patches, self.models.calibration.body, block)
+            points, bare = leave_out_standing(points, patches, objects, near, self.features)
             on_ground = True
         network = self.models.texture
         textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(bare, network)
@@ -145,27 +147,28 @@ class TileRating:
         else:
             rating = rate_as_paper if self.compat == "paper" else rate
             rated = rating(bare, textures, calibration, self.georeference)
-        # How thin a tile is, its survey tells, and not how much stands on it.
-        thin = self._thin(points, replace(bare, coverage=patches.coverage), on_ground)
-        measured = replace(patches, relief=bare.relief, slope=bare.slope)
+        # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
+        thin = self._thin(points, patches, on_ground, bare.count)
+        measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
         return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
-    def _objects(
-        self, points: TilePoints, patches: PatchStack, ground_only: bool, block: PatchStack | None
-    ) -> ObjectStack | None:
-        """Find what stands on the ground; the cloth takes low things for ground. The paper knows none."""
+    def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
+        """Find what stands on the ground; the cloth takes low things for ground."""
         body = self.models.calibration.body
-        if not ground_only:
-            return find_in_relief(patches, body, block) if self.compat == "none" else None
         apart = (points, patches) if self.csf is None else take_off_standing(points, patches, body)
         return find_objects(*apart, body)
 
-    def _thin(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> NDArray[np.float32] | None:
-        """Return what the second pass needs to rate thin tiles; None if they are not rated."""
+    def _thin(
+        self, points: TilePoints, patches: PatchStack, ground_only: bool, count: NDArray[np.int64]
+    ) -> NDArray[np.float32] | None:
+        """Return what the second pass needs to rate thin tiles; None if they are not rated.
+
+        ``count`` (n,) are their points on the ground.
+        """
         if self.ride is None or self.models.calibration.thin is None:
             return None
         pairs, relief_map = measure_thin(points, patches, self.features, ground_only=ground_only)
-        return thin_columns(pairs, relief_map, patches.count, self.ride.operator)
+        return thin_columns(pairs, relief_map, count, self.ride.operator)
 
 
 def _by_ride(config: MapConfig) -> bool:
