@@ -259,6 +259,7 @@ from .types import (
     Texture as Texture,
     TextureMap as TextureMap,
     VehicleBody as VehicleBody,
+    corners_join as corners_join,
     neighbour_columns as neighbour_columns,
     rated_columns as rated_columns,
     speed_bands as speed_bands,

@@ -64,6 +64,7 @@ __all__ = [
     "Texture",
     "TextureMap",
     "VehicleBody",
+    "corners_join",
     "neighbour_columns",
     "rated_columns",
     "speed_bands",
@@ -371,6 +372,17 @@ class VehicleBody:
     def lowest_obstacle_m(self) -> float:
         """Height above ground from which a thing is an obstacle, m: it reaches the belly and is not brushed aside."""
         return max(self.clearance_m, self.brush_stem_m)
+
+
+def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:
+    """Say whether a vehicle can go from one free pixel to another that it touches at a corner alone.
+
+    The middle of a free pixel is at least ``reach_m`` from those of all closed ones, so over the corner the middle of
+    the vehicle is at least sqrt(reach^2 - pixel^2 / 2) from them. That must be half its ``width_m``, and so much that
+    the pixels beside the corner are not what closes the ground: they may be a diagonal line of it.
+    """
+    over = reach_m**2 - 0.5 * pixel_m**2
+    return over >= (0.5 * width_m) ** 2 and reach_m**2 >= 2.0 * pixel_m**2
 
 
 THIN_MEASURES = 20

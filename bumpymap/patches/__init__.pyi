@@ -10,10 +10,11 @@ from .ground.cloth import (
 )
 from .objects import (
     find_objects as find_objects,
-    find_steep as find_steep,
     settle_solids as settle_solids,
 )
 from .standing import (
+    find_in_relief as find_in_relief,
+    leave_out_standing as leave_out_standing,
     settle_relief as settle_relief,
     take_off_standing as take_off_standing,
 )

@@ -85,8 +85,7 @@ def measure(points: TilePoints, settings: FeatureSettings, *, ground_only: bool)
 def points_by_tile(points: TilePoints, *, ground_only: bool) -> PointsByTile:
     """Return the points that are measured: all, or those of the ground alone."""
     starts, place = points.starts, (points.easting, points.northing, points.upward)
-    if ground_only:
-        ground = points.flag == POINT_GROUND
+    if ground_only and not (ground := points.flag == POINT_GROUND).all():
         starts = np.concatenate(([0], np.cumsum(ground)))[starts]
         place = (place[0][ground], place[1][ground], place[2][ground])
     return PointsByTile(starts, *place, points.col, points.row)

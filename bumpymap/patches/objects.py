@@ -3,17 +3,15 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import EMPTY, STEEP, ObjectStack, PatchStack, VehicleBody
+from bumpymap.core import ObjectStack, PatchStack, VehicleBody
 from bumpymap.patches.kernels import solids
 from bumpymap.patches.kernels.measure import PointsByTile
 from bumpymap.patches.kernels.objects import ObjectLimits, TileObjects, find_in_tiles, object_scratch
 from bumpytiles import Grid, TilePoints
 
-__all__ = ["find_objects", "find_steep", "settle_solids"]
+__all__ = ["find_objects", "settle_solids"]
 
 _SCALARS = 4
-_STEEP = 0.7
-"""Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
 _SHARE = 0.02
 """Share of a neighbourhood's points that makes an obstacle: at 100 points/m2 and more a bird has more than one."""
 
@@ -59,18 +57,6 @@ def find_objects(points: TilePoints, patches: PatchStack, body: VehicleBody) -> 
         object_scratch(pixels),
     )
     return ObjectStack(state, *scalars.T.astype(np.float32))
-
-
-def find_steep(patches: PatchStack, body: VehicleBody) -> ObjectStack:
-    """Find the pixels whose points lie far above one another, in tiles where all points count as ground.
-
-    These hold a part of a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an
-    obstacle. The other pixels with points are ``FREE``; of the tile as a whole nothing is known.
-    """
-    stack = ObjectStack.empty(*patches.heights.shape[:2])
-    stack.objects[patches.spread_count == 0] = EMPTY
-    stack.objects[patches.spread_variance > (_STEEP * body.lowest_obstacle_m) ** 2] = STEEP
-    return stack
 
 
 def settle_solids(objects: NDArray[np.uint8], grid: Grid, max_hole: float) -> NDArray[np.uint8]:

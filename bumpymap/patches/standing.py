@@ -4,16 +4,44 @@ The filter keeps what lies close to its cloth, up to half a metre above. That be
 is also in the way of a vehicle whose belly is lower.
 """
 
-from dataclasses import replace
+import math
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FREE, OBSTACLE, POINT_GROUND, POINT_OTHER, STEEP, UNSEEN, PatchStack, VehicleBody
-from bumpymap.patches.kernels.standing import StandingLimits, mark_standing, standing_scratch
+from bumpymap.core import (
+    DENSE_COVERAGE,
+    EMPTY,
+    FREE,
+    OBSTACLE,
+    POINT_GROUND,
+    POINT_OTHER,
+    STEEP,
+    THIN_POINTS,
+    THIN_SEEN,
+    UNSEEN,
+    FeatureSettings,
+    ObjectStack,
+    PatchStack,
+    Reason,
+    VehicleBody,
+)
+from bumpymap.patches.features import measure
+from bumpymap.patches.kernels.standing import (
+    BareSettings,
+    BareTiles,
+    StandingLimits,
+    bare_scratch,
+    leave_out_things,
+    mark_standing,
+    standing_scratch,
+)
 from bumpytiles import BLOCK_TILES, TilePoints
 
-__all__ = ["find_standing", "settle_relief", "take_off_standing"]
+__all__ = ["find_in_relief", "find_standing", "leave_out_standing", "settle_relief", "take_off_standing"]
 
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider things are above its threshold."""
@@ -25,6 +53,8 @@ _RAISED = 0.5
 """Height of the sides above the ground, as a share of the lowest obstacle."""
 _DROP, _REACH = 0.8, 0.3
 """A side drops by this share of the lowest obstacle within so many m."""
+_SPREAD = 0.7
+"""Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
 _STEEP = 0.3
 """Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
 
@@ -53,24 +83,192 @@ def take_off_standing(
     patches : PatchStack
         The same with NaN for their ``heights``.
     """
-    px, corner = points.grid.pixels, _corner(points)
-    block = np.full((BLOCK_TILES, BLOCK_TILES, px, px), np.nan, np.float32)
-    block[corner] = patches.heights
-    mosaic = block.swapaxes(1, 2).reshape(BLOCK_TILES * px, BLOCK_TILES * px)  # side by side, north up
-    found = find_standing(mosaic, body, points.grid.pixel_size)
-    standing: Marks = found.reshape(BLOCK_TILES, px, BLOCK_TILES, px).swapaxes(1, 2)[corner]
-    tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
-    asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
-    tile, grid = tiles[asked], points.grid
-    across = points.easting[asked] - points.col[tile] * grid.tile_size
-    along = points.northing[asked] - points.row[tile] * grid.tile_size
+    at = BLOCK_TILES - 1 - patches.row % BLOCK_TILES, patches.col % BLOCK_TILES
+    mosaic = _mosaic(patches.heights, at, size=(BLOCK_TILES, BLOCK_TILES))
+    standing = _of_tiles(find_standing(mosaic, body, points.grid.pixel_size), at, points.grid.pixels)
+    heights = np.where(standing, np.float32(np.nan), patches.heights)
+    return _points_apart(points, standing), replace(patches, heights=heights)
+
+
+def find_in_relief(
+    patches: PatchStack, body: VehicleBody, block: PatchStack | None = None
+) -> tuple[ObjectStack, Marks]:  # fmt: skip
+    """Find what stands on the ground of tiles where all points count as ground.
+
+    Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
+    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. The other
+    pixels with points are ``FREE``; of the tile as a whole nothing is known.
+
+    A tile is looked at with the others of its block of 16 x 16. What is cut off at the edge of that may be ground at
+    another level, and is left to `settle_relief`.
+
+    Parameters
+    ----------
+    patches : PatchStack
+        n tiles, measured from all points.
+    body : VehicleBody
+        Outline of the vehicle.
+    block : PatchStack, optional
+        All tiles of their block, if ``patches`` are not.
+
+    Returns
+    -------
+    ObjectStack
+        One row a tile.
+    bool (n, pixels, pixels)
+        Pixels with such a thing, or beside one.
+    """
+    stack = ObjectStack.empty(*patches.heights.shape[:2])
+    stack.objects[patches.spread_count == 0] = EMPTY
+    stack.objects[patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2] = STEEP
+    whole = patches if block is None else block
+    things, near = (np.zeros(whole.heights.shape, np.bool_) for _ in range(2))
+    ring = math.ceil(0.5 * _WIDEST / whole.grid.tile_size)
+    for tiles, at in _blocks(whole, ring):
+        mosaic = _mosaic(whole.heights[tiles], at, ring)
+        found = find_standing(mosaic, body, whole.grid.pixel_size, width=_WIDEST, least=body.lowest_obstacle_m)
+        if found.any():
+            things[tiles] = _of_tiles(found, at, whole.grid.pixels)
+            near[tiles] = _of_tiles(_with_neighbours(found), at, whole.grid.pixels)
+    if block is not None:
+        things, near = (marks[_rows_in(block, patches)] for marks in (things, near))
+    stack.objects[things] = OBSTACLE
+    return stack, near
+
+
+def leave_out_standing(
+    points: TilePoints, patches: PatchStack, objects: ObjectStack, near: Marks, settings: FeatureSettings
+) -> tuple[TilePoints, PatchStack]:
+    """Leave what stands on tiles out of them, so that the ride is that of their ground.
+
+    A tile of which too little is left to be rated stays as it is. So does a tile on which nothing stands.
+
+    Parameters
+    ----------
+    points : TilePoints
+        All points of n tiles of one block; all count as ground.
+    patches : PatchStack
+        The same tiles, measured.
+    objects : ObjectStack
+        Of `find_in_relief`, as ``near``.
+    near : bool (n, pixels, pixels)
+        Strays there are no noise: they are the few points that a tile has of a thing at its edge.
+    settings : FeatureSettings
+        Thresholds.
+
+    Returns
+    -------
+    points : TilePoints
+        The same, all of them ground but those of things in thin tiles, which are rated from their points.
+    patches : PatchStack
+        The same without the pixels of things: in all but ``heights`` and what describes all points (lowest and highest
+        point, variance, residual, range, density).
+    """
+    points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
+    points, patches = _without_strays(points, patches, near, settings)
+    things = objects.objects == OBSTACLE
+    if not things.any():
+        return points, patches
+    least = BareSettings(
+        pixel=patches.grid.pixel_size,
+        depth=max(1, round(settings.max_hole / patches.grid.pixel_size)),
+        min_coverage=settings.min_coverage,
+        min_points=settings.min_points,
+        # As in `measure_thin`: a larger number than usual holds for thin tiles too.
+        thin_points=max(THIN_POINTS, settings.min_points * (settings.min_points > FeatureSettings().min_points)),
+        thin_seen=THIN_SEEN,
+    )
+    tiles = BareTiles(
+        things,
+        patches.heights,
+        patches.spread_count.copy(),
+        patches.spread_variance.copy(),
+        patches.relief_map.copy(),
+        np.empty((len(things), 4)),
+        np.empty(len(things), np.bool_),
+    )
+    leave_out_things(tiles, least, bare_scratch(patches.grid.pixels))
+    _, coverage, relief, slope = tiles.scalars.T
+    is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
+    bare = replace(
+        patches,
+        count=np.where(is_bare, tiles.count.sum(axis=(1, 2)), patches.count),
+        coverage=np.where(is_bare, coverage, patches.coverage),
+        relief=np.where(is_bare & has_relief, relief, patches.relief),
+        slope=np.where(is_bare & np.isfinite(slope), slope, patches.slope),
+        spread_count=tiles.count,
+        spread_variance=tiles.variance,
+        relief_map=tiles.relief,
+    )
+    is_thin = is_bare & (patches.coverage < DENSE_COVERAGE)
+    return _points_apart(points, things & is_thin[:, None, None]), bare
+
+
+def _without_strays(
+    points: TilePoints, patches: PatchStack, near: Marks, settings: FeatureSettings
+) -> tuple[TilePoints, PatchStack]:
+    """Measure tiles again that are unknown because of strays, if all of these lie near things and above the ground."""
+    asked = np.flatnonzero((patches.reason == Reason.OUTLIER_RELIEF) & near.any(axis=(1, 2)))
+    if not len(asked):
+        return points, patches
+    flag, kept = points.flag.copy(), []
+    for t in asked:
+        part = slice(points.starts[t], points.starts[t + 1])
+        row, col = _pixels_of(points, np.arange(part.start, part.stop), np.full(part.stop - part.start, t))
+        height, known = patches.heights[t], np.isfinite(patches.heights[t]) & ~near[t]
+        terms = np.stack([*np.nonzero(known), np.ones(known.sum())], axis=1)
+        plane = np.linalg.lstsq(terms, height[known].astype(np.float64), rcond=None)[0]
+        ground = height[known] - terms @ plane
+        above = points.upward[part] - np.stack([row, col, np.ones(len(row))], axis=1) @ plane
+        low, high = ground.min() - 0.5 * settings.stray_gap, ground.max() + 0.5 * settings.stray_gap
+        if (above >= low).all() and near[t, row, col][above > high].all():
+            flag[part][above > high] = POINT_OTHER
+            kept.append(t)
+    points = replace(points, flag=flag)
+    if not kept:
+        return points, patches
+    again = measure(_chosen(points, np.array(kept)), settings, ground_only=True)
+    replaced = {f.name: getattr(patches, f.name).copy() for f in fields(PatchStack) if f.name != "grid"}
+    for name, values in replaced.items():
+        values[kept] = getattr(again, name)
+    return points, replace(patches, **replaced)
+
+
+def _chosen(points: TilePoints, tiles: NDArray[np.int64]) -> TilePoints:
+    """Return some tiles with their points."""
+    count = np.diff(points.starts)
+    wanted = np.zeros(len(count), np.bool_)
+    wanted[tiles] = True
+    kept = np.repeat(wanted, count)
+    arrays = {name: getattr(points, name)[kept] for name in ("easting", "northing", "upward", "flag")}
+    starts = np.concatenate(([0], np.cumsum(count[wanted])))
+    return replace(points, starts=starts, col=points.col[wanted], row=points.row[wanted], **arrays)
+
+
+def _pixels_of(
+    points: TilePoints, chosen: NDArray[np.int64], tile: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return row and column of the pixels of some points in their tiles."""
+    grid = points.grid
+    across = points.easting[chosen] - points.col[tile] * grid.tile_size
+    along = points.northing[chosen] - points.row[tile] * grid.tile_size
     col, north = (
         np.minimum(grid.pixels - 1, (grid.pixels * offset / grid.tile_size).astype(np.int64))
         for offset in (across, along)
     )
+    return grid.pixels - 1 - north, col
+
+
+def _points_apart(points: TilePoints, standing: Marks) -> TilePoints:
+    """Return points of which those in marked pixels, (n, pixels, pixels), are no ground."""
+    if not standing.any():
+        return points
+    tiles = np.repeat(np.arange(len(points.col)), np.diff(points.starts))
+    asked = np.flatnonzero((points.flag == POINT_GROUND) & np.asarray(standing.any(axis=(1, 2)))[tiles])
+    row, col = _pixels_of(points, asked, tiles[asked])
     flag = points.flag.astype(np.uint8)
-    flag[asked] = np.where(standing[tile, grid.pixels - 1 - north, col], POINT_OTHER, POINT_GROUND)
-    return replace(points, flag=flag), replace(patches, heights=np.where(standing, np.float32(np.nan), patches.heights))
+    flag[asked] = np.where(standing[tiles[asked], row, col], POINT_OTHER, POINT_GROUND)
+    return replace(points, flag=flag)
 
 
 def settle_relief(
@@ -155,6 +353,40 @@ def _with_neighbours(marks: Marks) -> Marks:
     return out
 
 
-def _corner(points: TilePoints) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the rows from the north and the columns of tiles in their block."""
-    return BLOCK_TILES - 1 - points.row % BLOCK_TILES, points.col % BLOCK_TILES
+Places = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Rows from the north and columns of tiles in a mosaic."""
+
+
+def _blocks(patches: PatchStack, ring: int) -> Iterator[tuple[NDArray[np.int64], Places]]:
+    """Yield the tiles of each block, and their places in a mosaic with a ring of so many tiles around them."""
+    key = np.stack([patches.row // BLOCK_TILES, patches.col // BLOCK_TILES])
+    order = np.lexsort(key)
+    cuts = 1 + np.flatnonzero((np.diff(key[:, order], axis=1) != 0).any(axis=0))
+    for tiles in np.split(order, cuts):
+        row, col = patches.row[tiles], patches.col[tiles]
+        yield tiles, (row.max() - row + ring, col - col.min() + ring)
+
+
+def _mosaic(maps: NDArray[Any], at: Places, ring: int = 0, size: tuple[int, int] | None = None) -> NDArray[Any]:
+    """Put maps of tiles, (n, pixels, pixels), side by side, north up; missing ones are NaN or False.
+
+    ``size`` are the rows and columns of tiles; by default as many as there are, and a ring.
+    """
+    px = maps.shape[1]
+    rows, cols = size or (int(at[0].max()) + 1 + ring, int(at[1].max()) + 1 + ring)
+    block = np.full((rows, px, cols, px), np.nan if maps.dtype.kind == "f" else 0, maps.dtype)
+    block[at[0], :, at[1]] = maps
+    return block.reshape(rows * px, cols * px)
+
+
+def _of_tiles(mosaic: Marks, at: Places, px: int) -> Marks:
+    """Cut tiles out of a mosaic again."""
+    rows, cols = (side // px for side in mosaic.shape)
+    return np.asarray(mosaic.reshape(rows, px, cols, px)[at[0], :, at[1]])
+
+
+def _rows_in(block: PatchStack, patches: PatchStack) -> NDArray[np.int64]:
+    """Return the rows of a stack in which the tiles of another are."""
+    keys, wanted = ((stack.row % BLOCK_TILES) * BLOCK_TILES + stack.col % BLOCK_TILES for stack in (block, patches))
+    order = np.argsort(keys)
+    return np.asarray(order[np.searchsorted(keys[order], wanted)])

@@ -38,6 +38,8 @@ class Mosaic(NamedTuple):
     """Along a side of a tile."""
     radius: float
     """Distance from obstacles that the middle of the vehicle keeps, px."""
+    corners: bool
+    """Whether free pixels hang together by their corners too, see `bumpymap.core.corners_join`."""
 
 
 class InnerTiles(NamedTuple):
@@ -142,7 +144,15 @@ def _grow(mosaic: Mosaic, scratch: GrowScratch) -> None:
 
 
 @helper
-def _sides_reached(mask: Bytes, start: int, stack: Integers) -> int:
+def _beside(k: int) -> tuple[int, int]:
+    """Rows and columns from a pixel to one of the four at its sides, or (from the fifth on) at its corners."""
+    if k < 4:
+        return (k == 2) - (k == 0), (k == 1) - (k == 3)
+    return 1 - 2 * (k & 1), 1 - (k & 2)
+
+
+@helper
+def _sides_reached(mask: Bytes, start: int, corners: bool, stack: Integers) -> int:
     """Walk over the free pixels that hang together with one, marking them; returns the sides that they touch."""
     size, sides, depth = mask.shape[0], 0, 1
     stack[0] = start
@@ -152,8 +162,9 @@ def _sides_reached(mask: Bytes, start: int, stack: Integers) -> int:
         r, c = stack[depth] // size, stack[depth] % size
         sides |= (_NORTH if r == 0 else 0) | (_SOUTH if r == size - 1 else 0)
         sides |= (_WEST if c == 0 else 0) | (_EAST if c == size - 1 else 0)
-        for k in range(4):
-            row, col = r + (k == 2) - (k == 0), c + (k == 1) - (k == 3)
+        for k in range(8 if corners else 4):
+            down, right = _beside(k)
+            row, col = r + down, c + right
             if 0 <= row < size and 0 <= col < size and mask[row, col] == 0:
                 mask[row, col] = 2
                 stack[depth] = row * size + col
@@ -203,7 +214,7 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
     passable, blocked = False, True
     for start in range(pixels * pixels):
         if mask[start // pixels, start % pixels] == 0:
-            sides = _sides_reached(mask, start, scratch.stack)
+            sides = _sides_reached(mask, start, mosaic.corners, scratch.stack)
             passable = passable or _count(sides & usable) >= least
             blocked = blocked and _count(sides) < least
     tiles.passable[row, col], tiles.blocked[row, col] = passable, blocked
@@ -211,7 +222,7 @@ def _find_way(mosaic: Mosaic, row: int, col: int, tiles: InnerTiles, scratch: Gr
 
 
 @helper
-def _fill_area(free: Bytes, start: int, number: int, areas: Bytes, stack: Integers) -> int:
+def _fill_area(free: Bytes, start: int, number: int, corners: bool, areas: Bytes, stack: Integers) -> int:
     """Give the free pixels of a tile that hang together with one a number; returns how many there are."""
     size, depth, count = free.shape[0], 1, 0
     stack[0] = start
@@ -220,8 +231,9 @@ def _fill_area(free: Bytes, start: int, number: int, areas: Bytes, stack: Intege
         depth -= 1
         count += 1
         r, c = stack[depth] // size, stack[depth] % size
-        for k in range(4):
-            row, col = r + (k == 2) - (k == 0), c + (k == 1) - (k == 3)
+        for k in range(8 if corners else 4):
+            down, right = _beside(k)
+            row, col = r + down, c + right
             if 0 <= row < size and 0 <= col < size and free[row, col] != 0 and areas[row, col] == 0:
                 areas[row, col] = number
                 stack[depth] = row * size + col
@@ -241,7 +253,7 @@ def _copy(free: Bytes, areas: Bytes) -> int:
 
 
 @helper
-def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) -> None:
+def _number_tile(free: Bytes, corners: bool, areas: Bytes, stack: Integers, sizes: Integers) -> None:
     """Give the areas of one tile their numbers."""
     pixels = free.shape[0] * free.shape[0]
     found = 0
@@ -252,7 +264,7 @@ def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) ->
         r, c = k // free.shape[0], k % free.shape[0]
         if free[r, c] != 0 and areas[r, c] == 0:
             found = min(found + 1, 254)
-            sizes[found] = _fill_area(free, k, found, areas, stack)
+            sizes[found] = _fill_area(free, k, found, corners, areas, stack)
     first = 1
     for number in range(2, found + 1):
         if sizes[number] > sizes[first]:
@@ -267,6 +279,7 @@ def _number_tile(free: Bytes, areas: Bytes, stack: Integers, sizes: Integers) ->
 @kernel
 def number_areas(
     free: Annotated[Bytes, 4],
+    corners: bool,
     areas: Annotated[Bytes, 4],
     stack: Annotated[Integers, 1],
     sizes: Annotated[Integers, 1],
@@ -274,36 +287,38 @@ def number_areas(
     """Give the areas of free pixels of every tile numbers from 1, the largest (of equal ones the northernmost), or 0.
 
     ``free`` and ``areas`` are (rows, cols, pixels, pixels); ``stack`` takes pixels^2 and ``sizes`` 255 numbers. Pixels
-    hang together by their sides. Of more than 254 areas, the last share a number.
+    hang together by their sides, and by their ``corners`` if that is so. Of more than 254 areas, the last share one.
     """
     for row in range(free.shape[0]):
         for col in range(free.shape[1]):
             if 0 < _copy(free[row, col], areas[row, col]) < free.shape[2] * free.shape[2]:
-                _number_tile(free[row, col], areas[row, col], stack, sizes)
+                _number_tile(free[row, col], corners, areas[row, col], stack, sizes)
 
 
 @helper
-def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int) -> bool:
+def _meet_down(north: Bytes, upper: int, south: Bytes, lower: int, corners: bool) -> bool:
     """Return whether an area of a tile and one of its southern neighbour touch across their border."""
-    last = north.shape[0] - 1
+    last, wide = north.shape[0] - 1, 1 if corners else 0
     meet = False
     for c in range(north.shape[0]):
-        meet |= north[last, c] == upper and south[0, c] == lower
+        for other in range(max(0, c - wide), min(last, c + wide) + 1):
+            meet |= north[last, c] == upper and south[0, other] == lower
     return meet
 
 
 @helper
-def _meet_across(west: Bytes, left: int, east: Bytes, right: int) -> bool:
+def _meet_across(west: Bytes, left: int, east: Bytes, right: int, corners: bool) -> bool:
     """Return whether an area of a tile and one of its eastern neighbour touch across their border."""
-    last = west.shape[0] - 1
+    last, wide = west.shape[0] - 1, 1 if corners else 0
     meet = False
     for r in range(west.shape[0]):
-        meet |= west[r, last] == left and east[r, 0] == right
+        for other in range(max(0, r - wide), min(last, r + wide) + 1):
+            meet |= west[r, last] == left and east[other, 0] == right
     return meet
 
 
 @helper
-def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool:
+def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool, corners: bool) -> bool:
     """Return whether an area of the tile beside ``upper``, above or below ``lower``, touches the first areas of both.
 
     ``upper`` lies north of ``lower``, diagonally; ``side`` is the tile south of ``upper`` (and west of ``lower`` if
@@ -313,25 +328,40 @@ def _joined_over(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool
     for k in range(side.shape[0] * side.shape[0]):
         most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
     for number in range(1, most + 1):
-        if _meet_down(upper, 1, side, number):
-            meets = _meet_across(side, number, lower, 1) if is_east else _meet_across(lower, 1, side, number)
+        if _meet_down(upper, 1, side, number, corners):
+            meets = (
+                _meet_across(side, number, lower, 1, corners)
+                if is_east
+                else _meet_across(lower, 1, side, number, corners)
+            )
             if meets:
                 return True
     return False
 
 
 @helper
-def _joined_under(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool) -> bool:
+def _joined_under(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool, corners: bool) -> bool:
     """Return the same over the tile beside ``upper`` and north of ``lower``."""
     most = 0
     for k in range(side.shape[0] * side.shape[0]):
         most = max(most, int(side[k // side.shape[0], k % side.shape[0]]))
     for number in range(1, most + 1):
-        if _meet_down(side, number, lower, 1):
-            meets = _meet_across(upper, 1, side, number) if is_east else _meet_across(side, number, upper, 1)
+        if _meet_down(side, number, lower, 1, corners):
+            meets = (
+                _meet_across(upper, 1, side, number, corners)
+                if is_east
+                else _meet_across(side, number, upper, 1, corners)
+            )
             if meets:
                 return True
     return False
+
+
+@helper
+def _meet_at_corner(upper: Bytes, lower: Bytes, is_east: bool) -> bool:
+    """Return whether the first areas of two tiles that lie diagonally touch where the tiles do."""
+    last = upper.shape[0] - 1
+    return upper[last, last if is_east else 0] == 1 and lower[0, 0 if is_east else last] == 1
 
 
 @kernel
@@ -339,13 +369,15 @@ def close_split(
     areas: Annotated[Bytes, 4],
     largest: Annotated[Integers, 2],
     passable: Annotated[Booleans, 2],
+    corners: bool,
     split: Annotated[Booleans, 2],
 ) -> None:
     """Mark the tiles to close so that the largest areas of any two passable tiles that touch are joined.
 
     Of two tiles side by side whose largest areas do not touch, the one with the smaller area is closed (of equal ones
     the southern or eastern). So it is with two tiles that touch at a corner, unless an area of one of the two tiles
-    beside them joins both. All arrays are (rows, cols, ..); ``split`` comes filled with False.
+    beside them joins both. Areas touch by ``corners`` too, if pixels hang together by them. All arrays are
+    (rows, cols, ..); ``split`` comes filled with False.
     """
     rows, cols = passable.shape
     for r in range(rows):
@@ -359,13 +391,15 @@ def close_split(
                     continue
                 here, there = areas[r, c], areas[row, col]
                 if k == 0:
-                    joined = _meet_across(here, 1, there, 1)
+                    joined = _meet_across(here, 1, there, 1, corners)
                 elif k == 1:
-                    joined = _meet_down(here, 1, there, 1)
+                    joined = _meet_down(here, 1, there, 1, corners)
                 else:
                     is_east = k == 2
-                    joined = _joined_over(here, areas[row, c], there, is_east) or _joined_under(
-                        here, areas[r, col], there, is_east
+                    joined = (
+                        (corners and _meet_at_corner(here, there, is_east))
+                        or _joined_over(here, areas[row, c], there, is_east, corners)
+                        or _joined_under(here, areas[r, col], there, is_east, corners)
                     )
                 if not joined:
                     if largest[r, c] < largest[row, col]:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, VehicleBody
+from bumpymap.core import Barred, VehicleBody, corners_join
 from bumpymap.rating._passable_kernels import (
     InnerTiles,
     Mosaic,
@@ -87,7 +87,7 @@ def find_passable(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
     radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
-    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius)
+    mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, _by_corners(body, tile_size / pixels))
     rows, cols = objects.shape
     find_ways(mosaic, found, grow_scratch(rows, cols, pixels, radius))
     return np.select(
@@ -114,16 +114,17 @@ def free_areas(
     Returns
     -------
     uint8 (tiles - 2, tiles - 2, pixels, pixels)
-        Areas of pixels that hang together by their sides, numbered in each tile from 1, the largest; 0 where the middle
-        of the vehicle cannot be.
+        Areas of pixels that hang together by their sides, and by their corners where `bumpymap.core.corners_join`
+        holds, numbered in each tile from 1, the largest; 0 where the middle of the vehicle cannot be.
     """
     count = len(barred) + 2
     pixels = len(objects) // count
     radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
     scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
-    grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius), scratch)
+    corners = _by_corners(body, tile_size / pixels)
+    grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
     tiles = scratch.mask.reshape(count, pixels, count, pixels).swapaxes(1, 2)[1:-1, 1:-1]
-    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None])
+    return _numbered((tiles == 0) & ~np.isin(barred, _GROUND)[..., None, None], corners)
 
 
 def close_split_tiles(
@@ -157,19 +158,26 @@ def close_split_tiles(
     pixels = areas.shape[2]
     largest = (areas == 1).sum(axis=(2, 3), dtype=np.int32)
     split = np.zeros(barred.shape, np.bool_)
-    close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, split)
+    corners = _by_corners(body, tile_size / pixels)
+    close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
     radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
     near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
-    return final, _numbered((inner > 0) & ~near) if (near & (inner > 0)).any() else inner
+    return final, _numbered((inner > 0) & ~near, corners) if (near & (inner > 0)).any() else inner
 
 
-def _numbered(free: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def _by_corners(body: VehicleBody, pixel: float) -> bool:
+    """Say whether free pixels hang together by their corners too; ``pixel``: their side, m."""
+    return corners_join(body.width_m, 0.5 * body.width_m + MARGIN_M, pixel)
+
+
+def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:
     """Give the areas of free pixels of tiles numbers, (n, m, pixels, pixels)."""
     areas = np.empty(free.shape, np.uint8)
     number_areas(
         np.ascontiguousarray(free).view(np.uint8),
+        corners,
         areas,
         np.empty(free.shape[2] ** 2, np.int32),
         np.empty(255, np.int32),

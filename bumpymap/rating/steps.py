@@ -284,7 +284,9 @@ class TileSteps:
         return np.fmax(self.rim, self.edge_step)
 
 
-def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -> TileSteps:
+def find_steps(
+    heights: NDArray[np.floating], pixels: int, wheel: float = 3.0, standing: NDArray[np.bool_] | None = None
+) -> TileSteps:  # fmt: skip
     """Find the steps of n x m tiles, such as the 16 x 16 of a block.
 
     Parameters
@@ -296,6 +298,9 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
         Pixels along the side of a tile, at least 10.
     wheel : float
         Diameter of a wheel, px: it rolls over ditches narrower than 1.4 times that, which are no steps.
+    standing : bool array, optional
+        Of the shape of ``heights``: pixels of what stands on the ground, and is an obstacle. What they alone may make a
+        step, within the pixels that are looked at for one, is none.
 
     Returns
     -------
@@ -320,6 +325,10 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
         for part, right, down in ((z, east, south.T), (turned, south, east.T))
     )
     across, along = _raw(upright, side), _raw(lying, side)  # walls that run north to south come first
+    if standing is not None and standing.any():
+        near = _near(standing)
+        for raw, hidden in ((across, near), (along, near.T)):
+            raw.least[hidden] = raw.crest[hidden] = np.nan
     noise = _PIXEL_LIMIT / _MEDIAN_DIFFERENCE * 0.5 * (noise_east + noise_south.T)
     limit = np.fmax(_QUANTILE_LIMIT * _usual(across, along), noise)
     west_east = _peaks(upright, across, limit)
@@ -329,6 +338,15 @@ def find_steps(heights: NDArray[np.floating], pixels: int, wheel: float = 3.0) -
     north, south = (side.T for side in _borders(north_south))
     border = np.stack([north, east, south, west], axis=-1)
     return TileSteps(*(part.astype(np.float32) for part in (border, inner, rim)))
+
+
+def _near(marks: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the pixels that marked ones may make look like a step: those of which the runs on both sides hold one."""
+    out = marks
+    for _ in range(2):  # along rows, then along columns
+        wide = np.pad(out, ((REACH, REACH), (0, 0)))
+        out = np.logical_or.reduce([wide[k : k + len(out)] for k in range(2 * REACH + 1)]).T
+    return out
 
 
 def _with_margin(heights: NDArray[np.floating]) -> Floats:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField
+from bumpymap.core import OBSTACLE, OPEN_THROUGH, Barred, TileField, corners_join
 from bumpymap.layers import MapReader, tiles_in, tiles_within
 from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, find_way
@@ -156,6 +156,11 @@ class CostGround:
     def reach_m(self) -> float:
         """Distance that the middle of the vehicle keeps from obstacles, m: half its width and 0.1 m."""
         return 0.5 * self.site.vehicle.width_m + _BESIDE_M
+
+    @property
+    def joins_corners(self) -> bool:
+        """Whether it can go from one free pixel to another that touches it at a corner alone."""
+        return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
 
     @property
     def margin(self) -> float:

@@ -224,7 +224,8 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
     apart[:, :-1, :, :-1] = np.isfinite(ground.on_pixels(window)).reshape(rows, pixels, cols, pixels)
     found = np.empty((rows * (pixels + 1), cols * (pixels + 1)), np.int32)
-    count = int(ndimage.label(apart.reshape(found.shape), output=found))
+    together = ndimage.generate_binary_structure(2, 2 if ground.joins_corners else 1)
+    count = int(ndimage.label(apart.reshape(found.shape), together, output=found))
     node = np.ascontiguousarray(found.reshape(apart.shape)[:, :-1, :, :-1]) - np.int32(1)
     size = np.maximum(np.bincount(node.ravel() + 1, minlength=count + 1)[1:], 1)
     at = [
@@ -235,8 +236,9 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
         )
     ]
     tile = np.floor(at[0]).astype(np.int64) * cols + np.floor(at[1]).astype(np.int64)
-    across = _contacts(node[:, :, :-1, -1], node[:, :, 1:, 0], count)
-    along = _contacts(node[:-1, -1], node[1:, 0], count)
+    west, east = (part.reshape(rows * pixels, -1) for part in (node[:, :, :-1, -1], node[:, :, 1:, 0]))
+    north, south = (part.reshape(rows - 1, -1).T for part in (node[:-1, -1], node[1:, 0]))
+    across, along = (_contacts(*sides, count, corners=ground.joins_corners) for sides in ((west, east), (north, south)))
     two = across @ along + along @ across
     joined = sparse.coo_array(across + along + two + across @ two + along @ two)
     a, b = joined.coords
@@ -247,10 +249,19 @@ def _graph(ground: CostGround, window: TileWindow) -> AreaGraph:
     return AreaGraph(node, tile, middle, sparse.csr_array((np.maximum(weight, _TINY), (a, b)), joined.shape))
 
 
-def _contacts(first: NDArray[np.int32], other: NDArray[np.int32], count: int) -> sparse.csr_array:
-    """Return which nodes touch across the borders of tiles, (n, n), from the nodes of the pixels on both sides."""
-    both = (first >= 0) & (other >= 0)
-    pairs = np.unique(first[both].astype(np.int64) * count + other[both])
+def _contacts(
+    first: NDArray[np.int32], other: NDArray[np.int32], count: int, *, corners: bool
+) -> sparse.csr_array:  # fmt: skip
+    """Return which nodes touch across the borders of tiles, (n, n); with ``corners``, where pixels touch at them alone.
+
+    ``first`` and ``other`` are the nodes of the pixels on both sides, (pixels along the borders, borders).
+    """
+    one, beyond = first >= 0, other >= 0
+    found = [(one & beyond, first, other)]
+    if corners:
+        found.append((one[:-1] & beyond[1:] & ~one[1:] & ~beyond[:-1], first[:-1], other[1:]))
+        found.append((one[1:] & beyond[:-1] & ~one[:-1] & ~beyond[1:], first[1:], other[:-1]))
+    pairs = np.unique(np.concatenate([here[at].astype(np.int64) * count + there[at] for at, here, there in found]))
     a, b = np.divmod(pairs, max(count, 1))
     ones = np.ones(2 * len(pairs), np.float32)
     return sparse.csr_array((ones, (np.concatenate([a, b]), np.concatenate([b, a]))), (count, count))
@@ -320,10 +331,57 @@ def _on_pixels(
         pixels = ground.site.grid.pixels
         cost[~np.repeat(np.repeat(kept, pixels, 0), pixels, 1)] = np.inf
         line = ground.way_on_pixels(cost, np.array(ends), part)
+        if line is None and ground.joins_corners:
+            line = _over_corners(ground, cost, np.array(ends), part)
         if line is None:
             return None
         parts.append(line[1:])
     return np.concatenate(parts)
+
+
+def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, window: TileWindow) -> Floats | None:
+    """Return a line between two points, (2, 2), over corners at which alone free pixels touch; None if there is none.
+
+    ``cost`` is that of the pixels of a window. The cheapest path over pixels tells which corners; between these, from
+    the middles of the pixels beside them, lines are searched like any other.
+    """
+    places = np.floor(ground.in_window(ends, window)).astype(np.int64)
+    is_free = np.isfinite(cost)
+    if (places < 0).any() or (places >= cost.shape).any() or not is_free[tuple(places.T)].all():
+        return None
+    number = np.full(cost.shape, -1, np.int64)
+    number[is_free] = np.arange(is_free.sum())
+    moves = []
+    for here, there, length in (
+        (np.s_[:, :-1], np.s_[:, 1:], 1.0),
+        (np.s_[:-1], np.s_[1:], 1.0),
+        (np.s_[:-1, :-1], np.s_[1:, 1:], math.sqrt(2.0)),
+        (np.s_[:-1, 1:], np.s_[1:, :-1], math.sqrt(2.0)),
+    ):
+        both = is_free[here] & is_free[there]
+        spent = 0.5 * length * (cost[here][both] + cost[there][both])
+        moves.append((number[here][both], number[there][both], spent.astype(np.float64)))
+    first, last, weight = (np.concatenate(each) for each in zip(*moves, strict=True))
+    graph = sparse.csr_array((weight, (first, last)), (int(is_free.sum()),) * 2)
+    start, goal = number[tuple(places.T)]
+    spent, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    if not np.isfinite(spent[goal]):
+        return None
+    path = [int(goal)]
+    while path[-1] != start:
+        path.append(int(before[path[-1]]))
+    pixels = np.argwhere(is_free)[path[::-1]]
+    piece = ndimage.label(is_free)[0][tuple(pixels.T)]
+    cuts = np.flatnonzero(np.diff(piece))
+    corners = on_grid((pixels + 0.5) / ground.site.grid.pixels, ground.site.grid, window)
+    stops = [ends[0], *(corners[at] for cut in cuts for at in (cut, cut + 1)), ends[1]]
+    line = [ends[:1]]
+    for number_of, part in enumerate(pairwise(stops)):
+        found = np.array(part) if number_of % 2 else ground.way_on_pixels(cost, np.array(part), window)
+        if found is None:
+            return None
+        line.append(found[1:])
+    return np.concatenate(line)
 
 
 def _middles(line: Floats, points: list[Floats]) -> list[Floats]:

@@ -140,7 +140,8 @@ def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapR
     grid = Grid(config.tile_size, config.pixels)
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
-    work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground)
+    in_relief = rating.measure_all if config.compat == "none" else None  # the paper knows no obstacles
+    work = BlockWork(grid, rated_columns(grid.pixels, len(speeds)), rating, config.ground, in_relief)
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,

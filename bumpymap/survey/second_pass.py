@@ -382,7 +382,7 @@ class NeighbourRating:
 
     def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""
-        relief = window.present & np.isnan(window["obstacle"])
+        relief = _is_relief(window)
         if not relief.any():
             return objects
         settled = settle_relief(objects, window.mosaic("heights"), self.calibration.body, self.grid.pixel_size)
@@ -390,7 +390,9 @@ class NeighbourRating:
 
     def _steps(self, window: NeighbourWindow) -> TileSteps:
         if self.grid.pixels >= _LEAST_PIXELS:
-            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels)
+            # Only what the first pass found: it is the same for all blocks that look at a border.
+            standing = self._pixels(_is_relief(window)) & (window.mosaic("objects") == OBSTACLE)
+            return find_steps(window.mosaic("heights"), self.grid.pixels, self.calibration.wheel_pixels, standing)
         rows, cols = window.inner("class_id").shape
         shapes = ((rows, cols, len(SIDES)), (rows, cols), (rows, cols))
         return TileSteps(*(np.full(shape, np.nan, np.float32) for shape in shapes))
@@ -482,6 +484,11 @@ def finish_tiles(
     rated = add_neighbours(table, rating, folder, threads, progress)
     sweep = VehicleSweep(rating.grid, rating.calibration, rating.compat)
     return add_neighbours(rated, sweep, folder, threads, SilentProgress(), "swept")
+
+
+def _is_relief(window: NeighbourWindow) -> NDArray[np.bool_]:
+    """Return the tiles whose points all count as ground, so that obstacles are part of their relief."""
+    return window.present & np.isnan(window["obstacle"])
 
 
 def _first(window: NeighbourWindow) -> BlockRating:

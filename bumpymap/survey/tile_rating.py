@@ -20,8 +20,9 @@ from bumpymap.core import (
     TextureMap,
 )
 from bumpymap.patches import (
+    find_in_relief,
     find_objects,
-    find_steep,
+    leave_out_standing,
     mark_ground,
     measure,
     measure_thin,
@@ -113,8 +114,17 @@ class TileRating:
         ride = RideModel(models.calibration, config.speeds or ()) if _by_ride(config) else None
         return cls(config.features, csf, config.compat, models, ride, georeference)
 
-    def __call__(self, points: TilePoints, ground_only: bool) -> dict[str, NDArray[Any]]:
-        """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`."""
+    def measure_all(self, points: TilePoints) -> PatchStack:
+        """Measure tiles from all of their points."""
+        return measure(points, self.features, ground_only=False)
+
+    def __call__(
+        self, points: TilePoints, ground_only: bool, block: PatchStack | None = None
+    ) -> dict[str, NDArray[Any]]:
+        """Find the ground and what stands on it, measure, classify and rate; return the columns of `tile_columns`.
+
+        ``block`` are all tiles of their block, of `measure_all`, if these are only some of them.
+        """
         if self.csf is not None:
             ground, of_file = (
                 mark_ground(points, self.csf),
@@ -122,31 +132,43 @@ class TileRating:
             )
             points = replace(points, flag=np.where(ground, POINT_GROUND, of_file).astype(np.uint8))
         patches = measure(points, self.features, ground_only=ground_only)
+        objects, bare, on_ground = None, patches, ground_only
+        if ground_only:
+            objects = self._objects(points, patches)
+        elif self.compat == "none":  # the paper knows none
+            objects, near = find_in_relief(patches, self.models.calibration.body, block)
+            points, bare = leave_out_standing(points, patches, objects, near, self.features)
+            on_ground = True
         network = self.models.texture
-        textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(patches, network)
+        textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(bare, network)
         calibration = self.models.calibration
         if self.ride is not None:
-            rated = self.ride.rate(patches, textures, self.georeference)
+            rated = self.ride.rate(bare, textures, self.georeference)
         else:
             rating = rate_as_paper if self.compat == "paper" else rate
-            rated = rating(patches, textures, calibration, self.georeference)
-        objects = self._objects(points, patches, ground_only)
-        return replace(rated, objects=objects, thin=self._thin(points, patches, ground_only)).columns()
+            rated = rating(bare, textures, calibration, self.georeference)
+        # How thin a tile is, and whether it has holes, its survey tells, and not what stands on it.
+        thin = self._thin(points, patches, on_ground, bare.count)
+        measured = replace(patches, relief=bare.relief, slope=bare.slope, reason=bare.reason)
+        return replace(rated, patches=measured, objects=objects, thin=thin).columns()
 
-    def _objects(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> ObjectStack | None:
-        """Find what stands on the ground; the cloth takes low things for ground. The paper knows none."""
+    def _objects(self, points: TilePoints, patches: PatchStack) -> ObjectStack:
+        """Find what stands on the ground; the cloth takes low things for ground."""
         body = self.models.calibration.body
-        if not ground_only:
-            return find_steep(patches, body) if self.compat == "none" else None
         apart = (points, patches) if self.csf is None else take_off_standing(points, patches, body)
         return find_objects(*apart, body)
 
-    def _thin(self, points: TilePoints, patches: PatchStack, ground_only: bool) -> NDArray[np.float32] | None:
-        """Return what the second pass needs to rate thin tiles; None if they are not rated."""
+    def _thin(
+        self, points: TilePoints, patches: PatchStack, ground_only: bool, count: NDArray[np.int64]
+    ) -> NDArray[np.float32] | None:
+        """Return what the second pass needs to rate thin tiles; None if they are not rated.
+
+        ``count`` (n,) are their points on the ground.
+        """
         if self.ride is None or self.models.calibration.thin is None:
             return None
         pairs, relief_map = measure_thin(points, patches, self.features, ground_only=ground_only)
-        return thin_columns(pairs, relief_map, patches.count, self.ride.operator)
+        return thin_columns(pairs, relief_map, count, self.ride.operator)
 
 
 def _by_ride(config: MapConfig) -> bool:

@@ -5,7 +5,7 @@
 Starts and goals are drawn from all pixels on which the middle of the vehicle can be, at least 20 m apart. A way touches
 if it comes nearer to an obstacle pixel than half the vehicle's width, between it and the pixel's middle; obstacles are
 those of obstacle.tif, and the distances scipy's. The search steps over the pixels of passage.tif in eight directions,
-and in sixteen, past no closed corner, at the cost of their tiles.
+and in sixteen, at the cost of their tiles; over a corner between closed pixels where the vehicle may do so.
 """
 
 import argparse
@@ -15,12 +15,13 @@ from pathlib import Path
 
 import numpy as np
 import rasterio
-from scipy.ndimage import label
+from scipy.ndimage import generate_binary_structure, label
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 import bumpymap
+from bumpymap.core import corners_join
 
 LEAST_M = 20.0
 OBSTACLE = 1
@@ -28,10 +29,13 @@ EIGHT = ((0, 1), (1, 0), (1, 1), (1, -1))
 SIXTEEN = (*EIGHT, (1, 2), (2, 1), (2, -1), (1, -2))
 
 
-def passed_pixels(down, right):
-    """Return the pixels of a move, (down, right, share of its length); past a corner, those beside it have none."""
+def passed_pixels(down, right, corners):
+    """Return the pixels of a move, (down, right, share of its length); past a corner, those beside it have none.
+
+    With ``corners``, they may be closed.
+    """
     ends = [(0, 0, 0.5), (down, right, 0.5)]
-    if abs(down * right) == 1:
+    if abs(down * right) == 1 and not corners:
         return [*ends, (down, 0, 0.0), (0, right, 0.0)]
     if abs(down * right) == 2:
         between = [(1, 0), (1, right)] if down == 2 else [(0, right // 2), (1, right // 2)]
@@ -42,7 +46,8 @@ def passed_pixels(down, right):
 class PixelSearch:
     """Shortest paths over pixels, (rows, cols) costs of a metre, NaN where closed."""
 
-    def __init__(self, cost, pixel, moves):
+    def __init__(self, cost, pixel, moves, corners):
+        self.corners = corners
         self.number = np.full(cost.shape, -1)
         free = np.isfinite(cost)
         self.number[free] = np.arange(free.sum())
@@ -55,7 +60,7 @@ class PixelSearch:
         rows, cols = cost.shape
         west, east = max(0, -right), cols - max(0, right)
         total = 0.0
-        for row, col, share in passed_pixels(down, right):
+        for row, col, share in passed_pixels(down, right, self.corners):
             total = total + share * cost[row : rows - down + row, west + col : east + col]
         kept = np.isfinite(total)  # no share of a closed pixel is a number
         here, there = self.number[: rows - down, west:east], self.number[down:, west + right : east + right]
@@ -105,8 +110,9 @@ def main():
     cost, obstacles, transform, width = read_map(given.layers)
     tree, pixel, rng = cKDTree(obstacles), abs(transform.a), np.random.default_rng(given.seed)
     places = np.argwhere(np.isfinite(cost))
-    pieces = label(np.isfinite(cost))[0]
-    plain = [PixelSearch(cost, pixel, moves) for moves in (EIGHT, SIXTEEN)]
+    corners = corners_join(width, 0.5 * width + 0.1, pixel)
+    pieces = label(np.isfinite(cost), generate_binary_structure(2, 1 + corners))[0]
+    plain = [PixelSearch(cost, pixel, moves, corners) for moves in (EIGHT, SIXTEEN)]
     touched, missing, extra, ratios, seconds, room = 0, 0, 0, [], 0.0, []
     for number in range(given.pairs):
         while True:

@@ -21,7 +21,7 @@ from bumpymap.core import (
     UNSEEN,
     FeatureSettings,
 )
-from bumpymap.patches import find_objects, find_steep, measure, settle_relief, settle_solids
+from bumpymap.patches import find_in_relief, find_objects, measure, settle_relief, settle_solids
 from bumpymap.rating import settle_objects
 from bumpytiles import Grid, TileBuckets
 
@@ -308,7 +308,9 @@ def _mapped(points, body):
     buckets = TileBuckets(Grid())
     buckets.add(points.x, points.y, points.z, kinds.astype(np.uint8))
     blocks = [(block, measure(block, settings, ground_only=classified)) for block in buckets.blocks()]
-    stacks = [find_objects(block, alone, body) if classified else find_steep(alone, body) for block, alone in blocks]
+    stacks = [
+        find_objects(block, alone, body) if classified else find_in_relief(alone, body)[0] for block, alone in blocks
+    ]
     col, row = (np.concatenate([getattr(block, axis) for block, _ in blocks]) for axis in ("col", "row"))
     west, south = int(col.min()) - 1, int(row.min()) - 1
     side = max(np.ptp(col), np.ptp(row)) + 3

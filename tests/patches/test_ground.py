@@ -14,6 +14,7 @@ from bumpymap.cli import main
 from bumpymap.core.config import CsfSettings, MapConfig
 from bumpymap.core.errors import UsageError
 from bumpymap.core.settings import read_settings_file
+from bumpymap.core.types import OBSTACLE, Barred
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.patches import close_filter, mark_ground, require_filter
 from bumpymap.patches.ground import cloth
@@ -82,6 +83,13 @@ def ratings(folder):
         return class_id, raster.read(raster.descriptions.index("c_r") + 1)
 
 
+def standing(folder):
+    """Where obstacles are, by tile and pixel."""
+    with rasterio.open(folder / "obstacle.tif") as raster:
+        pixels = raster.read(1) == OBSTACLE
+    return pixels.reshape(len(pixels) // 15, 15, -1, 15).swapaxes(1, 2)
+
+
 @needs_filter
 def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     points, is_ground = wood
@@ -91,11 +99,15 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     (class_id, c_r), (wanted, wanted_c_r) = ratings(mapped / "csf"), ratings(mapped / "alone")
     assert class_id.shape == (16, 32)
     np.testing.assert_array_equal(class_id, wanted)
-    np.testing.assert_allclose(c_r, wanted_c_r, rtol=1e-6)
+    # Without other points, a narrow hump of the ground may be a thing that the ride is rated without.
+    bare = ~standing(mapped / "alone").any(axis=(2, 3))
+    assert bare.mean() > 0.9
+    np.testing.assert_allclose(c_r[bare], wanted_c_r[bare], rtol=1e-3)  # the noise of thin tiles is that of all
     assert set(np.unique(wanted)) >= {0, 2}  # nothing would be held were it all of one class
-    # Crowns count as ground where nobody takes them away.
-    everything = ratings(mapped / "everything")[0]
-    assert (everything[:, 4:8] == 3).all()
+    # Crowns are part of the relief where nobody takes them away: what stands out of it bars the way.
+    with rasterio.open(mapped / "everything" / "barred.tif") as raster:
+        assert (raster.read(1)[:, 4:8] != Barred.NO).all()
+    assert standing(mapped / "everything")[:, 4:8].mean() > 0.5
     assert (wanted[:, 4:8] == 0).all()
 
 
@@ -190,8 +202,8 @@ def test_a_boulder_goes_as_a_tree_does_and_is_an_obstacle(tmp_path):
         result = run("map", survey, "--ground", ground, "--out", tmp_path / ground)
         assert result.exit_code == 0
         class_id[ground] = ratings(tmp_path / ground)[0][8, 7]
-    assert class_id["all"] == 3
-    assert class_id["csf"] <= 1
+        assert standing(tmp_path / ground)[8, 7].mean() == pytest.approx(np.pi * 0.5**2 / 9, rel=0.3)
+    assert max(class_id.values()) <= 1  # the ride is that of the ground beside it
     with rasterio.open(tmp_path / "csf" / "roughness.tif") as raster:
         obstacle, height = (raster.read(raster.descriptions.index(name) + 1)[8, 7] for name in names)
     assert obstacle == pytest.approx(np.pi * 0.5**2 / 9, rel=0.2)  # its top too, which is higher than the vehicle

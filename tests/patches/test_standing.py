@@ -9,7 +9,7 @@ from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import OBSTACLE, SEEN, VehicleBody
 from bumpymap.patches.features import measure
 from bumpymap.patches.objects import find_objects
-from bumpymap.patches.standing import find_standing, take_off_standing
+from bumpymap.patches.standing import find_in_relief, find_standing, leave_out_standing, take_off_standing
 from bumpytiles import Grid, TileBuckets
 
 BODY = VehicleBody(clearance_m=0.25, height_m=1.4, width_m=1.4, brush_stem_m=0.25)
@@ -78,3 +78,67 @@ def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_t
     bare = replace(points, upward=0.2 * points.easting)
     apart, _ = take_off_standing(bare, measure(bare, settings, ground_only=True), BODY)
     assert np.all(apart.flag == 1)
+
+
+def block_of(ground, density=60, seed=3):
+    """Points of a block of 16 x 16 tiles, without classes, and the block measured."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.uniform(0, 48, (2, int(density * 48**2)))
+    buckets = TileBuckets(Grid())
+    buckets.add(x, y, ground(x, y) + 0.01 * rng.normal(size=len(x)), np.zeros(len(x), bool))
+    (points,) = buckets.blocks()
+    return points, measure(points, FeatureSettings(), ground_only=False)
+
+
+def gentle(x, y):
+    return 0.1 * x + 0.03 * np.sin(2 * y)
+
+
+def wall_at(x, y):
+    """A wall across the tiles of a row, over and beside their corners."""
+    return np.abs(y - 12.0 - 0.25 * x) < 0.15
+
+
+def bare_tiles(ground, density):
+    points, patches = block_of(ground, density)
+    objects, near = find_in_relief(patches, BODY)
+    return objects.objects == OBSTACLE, patches, *leave_out_standing(points, patches, objects, near, FeatureSettings())
+
+
+@pytest.mark.parametrize("density", [20, 60])
+def test_without_the_wall_on_it_a_tile_is_as_rough_as_its_ground(density):
+    things, walled, apart, bare = bare_tiles(lambda x, y: gentle(x, y) + 2.0 * wall_at(x, y), density)
+    ground = block_of(gentle, density)[1]
+    tiles = things.any(axis=(1, 2))
+    assert 16 <= tiles.sum() <= 48
+    known = tiles & np.isfinite(bare.relief)
+    assert known.sum() >= 16
+    assert (walled.relief[known] > 1.0).all()
+    np.testing.assert_allclose(bare.relief[known], ground.relief[known], atol=0.3)
+    np.testing.assert_allclose(bare.slope[known], ground.slope[known], atol=2.0)
+    assert (bare.spread_count[things] == 0).all()
+    for name in ("heights", "z_max", "z_variance", "density"):
+        np.testing.assert_array_equal(getattr(bare, name), getattr(walled, name))
+    for name in ("relief_map", "slope", "coverage", "count"):
+        np.testing.assert_array_equal(getattr(bare, name)[~tiles], getattr(walled, name)[~tiles])
+    # Thin tiles are rated from their points: those of the wall are none of the ground.
+    of_wall = wall_at(apart.easting, apart.northing) & (apart.upward > gentle(apart.easting, apart.northing) + 1.0)
+    if density == 20:
+        assert (walled.coverage < 0.75).all()
+        assert (apart.flag[of_wall] == 0).mean() > 0.9
+    assert (apart.flag[~of_wall] == 1).mean() > 0.99
+
+
+def test_a_tile_of_which_little_is_left_stays_as_it_is():
+    """Of some tiles of a chequered field, one half stands on the other."""
+    things, patches, _, bare = bare_tiles(lambda x, y: 1.0 * ((x // 2.1 + y // 2.1) % 2 < 1), 60)
+    left = bare.coverage < patches.coverage
+    assert things.any(axis=(1, 2)).sum() > left.sum() > 0
+    np.testing.assert_array_equal(bare.relief_map[~left], patches.relief_map[~left])
+    assert np.isfinite(bare.relief).all()
+
+
+def test_ground_that_the_edge_of_a_block_cuts_is_no_thing_and_stays():
+    things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)  # a terrace of 2 m and more
+    assert not things.any()
+    np.testing.assert_array_equal(bare.relief_map, patches.relief_map)

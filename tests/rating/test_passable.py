@@ -163,7 +163,9 @@ def test_random_obstacles_bar_as_distances_and_regions_tell(width):
     near = ndimage.distance_transform_edt(objects != OBSTACLE) < radius
     for row, col in np.ndindex(4, 4):
         part = np.s_[(row + 1) * PIXELS : (row + 2) * PIXELS, (col + 1) * PIXELS : (col + 2) * PIXELS]
-        regions, number = ndimage.label(open_ground[part])
+        # Over a corner, half the width must be free; a disc as small as a pixel may meet a diagonal line there.
+        corners = radius**2 >= 2.0 and radius**2 - 0.5 >= (2.5 * width) ** 2
+        regions, number = ndimage.label(open_ground[part], ndimage.generate_binary_structure(2, 1 + corners))
         least = 2 if bad[part].any() else 1
         sides = [{0: regions[0], 1: regions[:, -1], 2: regions[-1], 3: regions[:, 0]}[side] for side in range(4)]
         touched = np.array([[n in side for side in sides] for n in range(1, number + 1)], bool).reshape(-1, 4)
@@ -216,13 +218,28 @@ def test_steps_between_passable_tiles_are_ways_on_pixels(seed):
     assert (barred == Barred.SPLIT).any()
     # The pieces in which passable tiles hang together lie each in one piece of free pixels around them.
     pieces, count = ndimage.label(barred == Barred.NO, np.ones((3, 3)))
-    around, _ = ndimage.label(free)
+    around, _ = ndimage.label(free, np.ones((3, 3)))
     for piece in range(1, count + 1):
         largest = []
         for row, col in np.argwhere(pieces == piece):
             tile = around[row * PIXELS : (row + 1) * PIXELS, col * PIXELS : (col + 1) * PIXELS]
             largest.append(np.bincount(tile[tile > 0]).argmax())
         assert len(set(largest)) == 1
+
+
+@pytest.mark.parametrize(("width", "walls", "pieces"), [(1.0, (-5, 5), 1), (0.2, (0,), 2)])
+def test_pixels_that_touch_at_corners_are_joined_but_not_across_a_diagonal_line(width, walls, pieces):
+    """Between two diagonal walls the middle of the vehicle has a diagonal line of pixels; a small one could slip
+    through between the pixels of a diagonal wall."""
+    objects = free(5)
+    row, col = np.indices(objects.shape)
+    objects[np.isin(col - row, walls)] = OBSTACLE
+    areas = free_areas(objects, np.zeros((3, 3), np.uint8), replace(BODY, width_m=width), 3.0)[1, 1]
+    row, col = np.indices(areas.shape)
+    between = np.abs(col - row) < 5
+    assert len(np.unique(areas[between & (areas > 0)])) == pieces
+    if pieces == 1:
+        assert (areas[between] > 0).sum() == PIXELS  # a line, which hangs together by its corners alone
 
 
 def test_areas_are_numbered_by_size_within_each_tile():

@@ -41,6 +41,22 @@ def test_a_wall_well_inside_a_tile_is_left_to_its_rating(offset):
     assert (steps.unseen < 1e-6).all()
 
 
+def test_what_stands_on_the_ground_makes_no_step_and_hides_none_beside_it():
+    """A thin wall in one tile, and a bank 3 m beside it in the next."""
+    heights = mosaic(Wall(0.4, 7.5, 0, 0), 4)
+    standing = np.zeros(heights.shape, bool)
+    standing[:, PIXELS + 5 : PIXELS + 7] = True
+    walled = np.where(standing, heights + 2.0, heights)
+    bare, seen, left = (
+        find_steps(*given) for given in ((heights, PIXELS), (walled, PIXELS), (walled, PIXELS, 3.0, standing))
+    )
+    assert (highest(seen)[:, 0] > 1.5).all()
+    assert (np.nan_to_num(highest(left)) <= highest(bare)).all()
+    assert (np.nan_to_num(highest(left))[:, 0] < 0.01).all()
+    np.testing.assert_array_equal(left.inner[:, 1], bare.inner[:, 1])
+    assert (left.inner[:, 1] > 0.3).all()
+
+
 def test_a_step_down_is_as_high_as_a_step_up():
     wall = Wall(0.4, 6.03, 5.2, 20)
     up, down = (find_steps(sign * mosaic(wall, 4), PIXELS) for sign in (1, -1))

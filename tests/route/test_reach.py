@@ -2,6 +2,7 @@
 
 import math
 import tracemalloc
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -117,6 +118,40 @@ def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
     assert (reach.back[:, 21:] == BETWEEN_OBSTACLES).all()
     with pytest.raises(ValueError, match="leads between obstacles"):
         follow_back(reach.back, 10, 30)
+
+
+def corridor(apart):
+    """10 x 10 tiles, split by a wall with a diagonal corridor, ``apart`` pixels wide along rows; start and goal."""
+    barred = np.zeros((10, 10), np.uint8)
+    barred[:, 4:7] = Barred.SPLIT
+    site, half = TileMap(np.full((10, 10), 0.2), barred), apart // 2
+    along = np.arange(13)
+    north, south = np.stack([60 + along, 75 + half + along], 1), np.stack([60 + half + along, 75 + along], 1)
+    to_north = np.stack(np.broadcast_arrays(np.arange(60), north[0, 1]), 1)
+    to_south = np.stack(np.broadcast_arrays(np.arange(south[-1, 0], 150), south[-1, 1]), 1)
+    pixels = np.concatenate([north, to_north, south, to_south])
+    site.stones = [tuple(map(float, site.at(*((pixel + 0.5) / 15)))) for pixel in pixels]
+    return site, site.at(5.5, 1.5), site.at(5.5, 8.5)
+
+
+def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
+    """Of the pixels of a corridor in which the middle fits, each touches the next at a corner alone."""
+    site, start, goal = corridor(12)
+    ground = CostGround(site, CostSettings(), 10**6)
+    line = Planner(ground).line(start, goal)
+    steps = [np.linspace(a, b, 200) for a, b in pairwise(line)]
+    gap = np.hypot(*(np.concatenate(steps)[:, None] - np.array(site.stones)).transpose(2, 0, 1)).min()
+    assert 0.5 * site.vehicle.width_m < gap < 0.5 * site.vehicle.width_m + 0.2
+    reach = find_reach(ground, start)
+    assert np.isfinite(reach.cost).all()
+    assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
+
+
+def test_a_corridor_that_is_narrower_than_the_vehicle_stays_closed():
+    site, start, goal = corridor(10)
+    ground = CostGround(site, CostSettings(), 10**6)
+    assert Planner(ground).line(start, goal) is None
+    assert np.isnan(find_reach(ground, start).cost[:, 8]).all()
 
 
 def test_a_way_back_leads_nowhere_but_to_the_start():

@@ -112,3 +112,19 @@ def test_a_ditch_bars_tiles_only_if_a_wheel_does_not_roll_over_it(models, tmp_pa
         states.append(found["barred"][inside(found) & (np.abs(middle) < 1.0)])
     share = np.mean(np.concatenate(states) != Barred.NO)
     assert abs(share - barred) <= 0.25
+
+
+@pytest.mark.parametrize("density", [20, 100])
+def test_beside_a_thin_wall_the_ride_is_that_of_the_ground(models, tmp_path, density):
+    """Without classes, a wall is part of the relief; the tile is barred as an obstacle bars it, and not as a cliff."""
+    for number, (rng, wall) in enumerate(walls(5, 6)):
+        x, y, z = survey(rng, wall, 0.0, density, 0.01)
+        on_wall = np.abs(beyond(x, y, wall)) < 0.15
+        found, level = (
+            rated(models, (x, y, height), tmp_path / f"{number}-{name}")
+            for name, height in (("walled", z + 2.0 * on_wall), ("level", z))
+        )
+        asked = inside(found)
+        assert np.isin(found["barred"][asked], (Barred.NO, Barred.OBSTACLE, Barred.SPLIT)).mean() > 0.9
+        assert (found["barred"][asked & crossed(found, wall)] != Barred.NO).any()
+        np.testing.assert_allclose(np.nanmedian(found["c_r"][asked]), np.median(level["c_r"][asked]), atol=0.003)

@@ -335,20 +335,24 @@ class TileBuckets:
         TooManyPointsError
             A single tile is too large.
         """
-        most = self.limits.block_points if self.limits else None
         names = [column.name for column in columns_of(None)]
-        if most is None or self.points(key) <= most:
+        if not self.is_divided(key):
             yield sort_block(self.grid, key, list(self._parts(key, names)))
             return
-        for chosen in self._shares(key, most):
+        for chosen in self._shares(key):
             parts = []
             for part, scaling in self._parts(key, names, _SLICE):
                 wanted = chosen[part["tile"]]
                 parts.append(PointPart({name: array[wanted] for name, array in part.items()}, scaling))
             yield sort_block(self.grid, key, parts)
 
-    def _shares(self, key: BlockKey, most: int) -> Iterator[NDArray[np.bool_]]:
-        """Yield masks (256,) that split the tiles of a block into groups of at most ``most`` points."""
+    def is_divided(self, key: BlockKey) -> bool:
+        """Return whether a block is too large to sort at once."""
+        return self.limits is not None and self.points(key) > self.limits.block_points
+
+    def _shares(self, key: BlockKey) -> Iterator[NDArray[np.bool_]]:
+        """Yield masks (256,) that split the tiles of a block into groups of as many points as can be sorted."""
+        most = self.limits.block_points if self.limits else self.points(key)
         counts = np.zeros(_TILES, np.int64)
         for part, _ in self._parts(key, ("tile",), _SLICE):
             counts += np.bincount(part["tile"], minlength=_TILES)

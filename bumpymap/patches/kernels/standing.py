@@ -10,17 +10,22 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.patches.kernels.heightmap import detrend, set_all, set_map
+from bumpymap.patches.kernels.heightmap import detrend, relief_of, set_all, set_map
 from bumpymap.patches.kernels.measure import PointsByTile, stray_bounds
 from bumpytiles import helper, kernel, order_free
 
 __all__ = [
     "LAGS",
     "PAIR_MEASURES",
+    "BareScratch",
+    "BareSettings",
+    "BareTiles",
     "PairScratch",
     "PairSettings",
     "StandingLimits",
     "StandingScratch",
+    "bare_scratch",
+    "leave_out_things",
     "mark_standing",
     "measure_pairs",
     "pair_scratch",
@@ -103,13 +108,8 @@ def _drop_strays(x: Floats, y: Floats, h: Floats, gap: float, ends: Floats) -> i
 
 
 @helper
-def _seen_share(x: Floats, y: Floats, side: float) -> float:
-    """Share of the nine squares of a third of the side that hold a point; 0 if four that form a square hold none."""
-    seen = 0
-    for i in range(len(x)):
-        c = min(max(int(3.0 * x[i] / side), 0), 2)
-        r = min(max(int(3.0 * y[i] / side), 0), 2)
-        seen |= 1 << (3 * r + c)
+def _share_of_parts(seen: int) -> float:
+    """Share of nine parts of a tile, a bit each, that hold a point; 0 if four that form a square hold none."""
     total = 0
     for k in range(9):
         total += (seen >> k) & 1
@@ -117,6 +117,17 @@ def _seen_share(x: Floats, y: Floats, side: float) -> float:
         if seen & (27 << corner) == 0:
             return 0.0
     return total / 9.0
+
+
+@helper
+def _seen_share(x: Floats, y: Floats, side: float) -> float:
+    """Share of the nine squares of a third of the side that hold a point; 0 if four that form a square hold none."""
+    seen = 0
+    for i in range(len(x)):
+        c = min(max(int(3.0 * x[i] / side), 0), 2)
+        r = min(max(int(3.0 * y[i] / side), 0), 2)
+        seen |= 1 << (3 * r + c)
+    return _share_of_parts(seen)
 
 
 @helper
@@ -338,3 +349,145 @@ def mark_standing(
             for k in range(_follow_thing(start, cols + 2, sides, limits.share, raised, thing)):
                 r, c = thing[k] // (cols + 2) - 1, thing[k] % (cols + 2) - 1
                 marks[r, c] = above[r, c] >= limits.least
+
+
+class BareSettings(NamedTuple):
+    """When a tile can be rated without what stands on it."""
+
+    pixel: float
+    """Side of a pixel, m."""
+    depth: int
+    """Deepest hole that is filled, px."""
+    min_coverage: float
+    """Least share of the pixels with a point of the ground."""
+    min_points: int
+    """Least number of such points."""
+    thin_points: int
+    """The same for a tile that is rated from its points."""
+    thin_seen: float
+    """Least share of its nine parts that hold one."""
+
+
+class BareTiles(NamedTuple):
+    """Tiles, changed to what is left of them without what stands on them; those that cannot be rated so stay."""
+
+    things: Annotated[NDArray[np.bool_], 3]
+    """(n, pixels, pixels) pixels of what stands on the ground."""
+    heights: Annotated[Singles, 3]
+    """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
+    count: Annotated[NDArray[np.int32], 3]
+    """The same shape: points of each pixel; 0 in things afterwards."""
+    variance: Annotated[Singles, 3]
+    """The same shape: variance of their heights, m^2; NaN in things afterwards."""
+    relief: Annotated[Singles, 3]
+    """The same shape: relief map, m; NaN in tiles that cannot be rated from their heightmap."""
+    scalars: Annotated[NDArray[np.float64], 2]
+    """(n, 4) filled for tiles that are bare: points, coverage, relief [m], slope [degrees]."""
+    is_bare: Annotated[NDArray[np.bool_], 1]
+    """(n,) filled: whether the tile can be rated so."""
+
+
+class BareScratch(NamedTuple):
+    """Scratch, see `bare_scratch`."""
+
+    level: Annotated[NDArray[np.float64], 2]
+    """(pixels, pixels) heights, m."""
+    relief: Annotated[Singles, 2]
+    """The same shape: relief, m."""
+    holes: Annotated[NDArray[np.int32], 1]
+    """(pixels^2,)."""
+    values: Annotated[NDArray[np.float64], 1]
+    """(pixels^2,)."""
+
+
+def bare_scratch(pixels: int) -> BareScratch:
+    """Make scratch for tiles of so many pixels along a side."""
+    flat = pixels * pixels
+    return BareScratch(
+        np.empty((pixels, pixels)), np.empty((pixels, pixels), np.float32), np.empty(flat, np.int32), np.empty(flat)
+    )
+
+
+@helper
+def _slope_of(heights: NDArray[np.float64], pixel: float) -> float:
+    """Angle of the least-squares plane through the known heights, degrees; NaN where they span none."""
+    size = heights.shape[0]
+    n = base = sx = sy = sz = xx = xy = yy = xz = yz = 0.0
+    for r in range(size):
+        for c in range(size):
+            h = heights[r, c]
+            if math.isnan(h):
+                continue
+            base = h if n == 0.0 else base
+            x, y, z = c * pixel, r * pixel, h - base
+            n, sx, sy, sz = n + 1.0, sx + x, sy + y, sz + z
+            xx, xy, yy, xz, yz = xx + x * x, xy + x * y, yy + y * y, xz + x * z, yz + y * z
+    if n < 3.0:
+        return np.nan
+    mx, my = sx / n, sy / n
+    xx, xy, yy, xz, yz = xx - sx * mx, xy - sx * my, yy - sy * my, xz - sz * mx, yz - sz * my
+    det = xx * yy - xy * xy
+    if det <= 1e-9 * xx * yy:
+        return np.nan
+    east, south = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
+    return math.degrees(math.acos(1.0 / math.sqrt(1.0 + east * east + south * south)))
+
+
+@helper
+def _count_left(t: int, tiles: BareTiles, scalars: NDArray[np.float64]) -> float:
+    """Fill points and coverage of what is left of a tile; returns the share of its nine parts that hold a point.
+
+    It is 0 if four parts that form a square hold none.
+    """
+    size = tiles.things.shape[1]
+    points = known = seen = 0
+    for r in range(size):
+        for c in range(size):
+            if tiles.count[t, r, c] > 0 and not tiles.things[t, r, c]:
+                points += tiles.count[t, r, c]
+                known += 1
+                seen |= 1 << (3 * (3 * r // size) + 3 * c // size)
+    scalars[0], scalars[1] = points, known / (size * size)
+    return _share_of_parts(seen)
+
+
+@helper
+def _keep_left(t: int, tiles: BareTiles, settings: BareSettings, scratch: BareScratch) -> bool:
+    """Take things out of the relief of a tile; returns False, and changes nothing, where too little is left."""
+    size, scalars = tiles.things.shape[1], tiles.scalars[t]
+    seen = _count_left(t, tiles, scalars)
+    if math.isnan(tiles.relief[t, 0, 0]):
+        return scalars[0] >= settings.thin_points and seen >= settings.thin_seen
+    if scalars[0] < settings.min_points or scalars[1] < settings.min_coverage:
+        return False
+    for r in range(size):
+        for c in range(size):
+            is_left = tiles.count[t, r, c] > 0 and not tiles.things[t, r, c]
+            scratch.level[r, c] = tiles.relief[t, r, c] if is_left else np.nan
+    scalars[2] = relief_of(scratch.level, settings.depth, False, scratch.holes, scratch.values, scratch.relief)
+    if math.isnan(scalars[2]):
+        return False
+    for r in range(size):
+        for c in range(size):
+            tiles.relief[t, r, c] = scratch.relief[r, c]
+    return True
+
+
+@kernel
+def leave_out_things(tiles: BareTiles, settings: BareSettings, scratch: BareScratch) -> None:
+    """Take what stands on tiles out of them."""
+    size = tiles.things.shape[1]
+    for t in range(len(tiles.is_bare)):
+        found = False
+        for r in range(size):
+            for c in range(size):
+                found |= tiles.things[t, r, c]
+        tiles.is_bare[t] = found and _keep_left(t, tiles, settings, scratch)
+        if tiles.is_bare[t]:
+            for r in range(size):
+                for c in range(size):
+                    if tiles.things[t, r, c]:
+                        tiles.count[t, r, c] = 0
+                        tiles.variance[t, r, c] = np.nan
+                    scratch.level[r, c] = tiles.heights[t, r, c] if tiles.count[t, r, c] > 0 else np.nan
+            tiles.scalars[t, 3] = _slope_of(scratch.level, settings.pixel)

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Ground, OutputError, UsageError, write_remedy
+from bumpymap.core import Ground, OutputError, PatchStack, UsageError, write_remedy
+from bumpymap.patches import join_stacks
 from bumpymap.readers import LineSums
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpytiles import (
@@ -113,9 +114,13 @@ class BlockWork:
     grid: Grid
     columns: tuple[Column, ...]
     """Of a finished tile."""
-    rate: Callable[[TilePoints, bool], TileColumns]
-    """Takes the points of some tiles, and whether only ground is measured; returns the columns of these tiles."""
+    rate: Callable[..., TileColumns]
+    """Takes the points of some tiles, and whether only ground is measured; returns the columns of these tiles.
+
+    If ``measure_all`` is given, it takes a third argument for tiles that are only some of their block."""
     ground: Ground
+    measure_all: Callable[[TilePoints], PatchStack] | None = None
+    """Measures tiles from all of their points; `rate` is given those of the whole block where it is divided."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -138,14 +143,24 @@ class BlockWork:
         def finish(group: Sequence[BlockKey]) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
             if len(group) > 1:
                 return self._rate_together(buckets, group, kinds)
-            shares = [self._rate(points, kinds) for points in self._points(buckets, group[0])]
+            block = self._block(buckets, group[0], kinds)
+            shares = [self._rate(points, kinds, block) for points in self._points(buckets, group[0])]
             return [(group[0], {kind: _joined([share[kind] for share in shares]) for kind in kinds})]
 
         for finished in run_blocks(finish, self._groups(buckets, keys), threads):
             yield from finished
 
-    def _rate(self, points: TilePoints, kinds: Sequence[str]) -> dict[str, TileColumns]:
-        return {kind: self.rate(points, kind == _GROUND) for kind in kinds}
+    def _rate(
+        self, points: TilePoints, kinds: Sequence[str], block: PatchStack | None = None
+    ) -> dict[str, TileColumns]:  # fmt: skip
+        more = () if block is None else (block,)
+        return {kind: self.rate(points, kind == _GROUND, *more) for kind in kinds}
+
+    def _block(self, buckets: TileBuckets, key: BlockKey, kinds: Sequence[str]) -> PatchStack | None:
+        """Measure a block that is too large to be rated in one piece: a tile is rated with what stands around it."""
+        if self.measure_all is None or _ALL not in kinds or not buckets.is_divided(key):
+            return None
+        return join_stacks([self.measure_all(points) for points in buckets.block(key)])
 
     def _groups(self, buckets: TileBuckets, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
         """Yield the blocks, those with few points in groups: the fixed time of a block then counts once for many.
@@ -168,7 +183,7 @@ class BlockWork:
     def _rate_together(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str]
     ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
-        """Rate small blocks in one call; a tile's results do not depend on the tiles beside it."""
+        """Rate small blocks in one call; a tile's results do not depend on other blocks."""
         parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
         ends = np.cumsum([len(part.col) for part in parts])[:-1]
         rated = self._rate(join_tiles(parts), kinds)
