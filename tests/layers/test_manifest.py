@@ -63,6 +63,20 @@ def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path):
         describe_input(record | {"mtime_ns": "1"})
 
 
+def test_a_file_that_grows_while_its_checksum_is_made_is_refused(tmp_path, monkeypatch):
+    survey, made = tmp_path / "survey.laz", hashlib.file_digest
+    survey.write_bytes(b"points")
+
+    def grow(file, method):
+        with survey.open("ab") as more:
+            more.write(b"more")
+        return made(file, method)
+
+    monkeypatch.setattr(hashlib, "file_digest", grow)
+    with pytest.raises(BadInputError, match="changed while"):
+        describe_file(survey)
+
+
 def test_counts_by_class_and_reason(make_map):
     cost_map = make_map(range(6), [0] * 6, [0, 0, 3, NO_CLASS, NO_CLASS, NO_CLASS], [0, 0, 0, 2, 5, 5])
     counts = complete(cost_map)["counts"]

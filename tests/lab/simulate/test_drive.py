@@ -54,6 +54,9 @@ def test_c_r_is_the_pitch_per_metre():
     assert drive.c_r == pytest.approx(0.25, rel=1e-9)
     assert drive.path_m == pytest.approx(2.0, rel=1e-9)
     assert drive.progress_m == pytest.approx(2.0, rel=1e-9)
+    _, aslant = run(pitch_rate=lambda _t: -0.25, beside=0.5)  # of the metres of its path, not of its line
+    assert aslant.path_m > 1.001 * aslant.progress_m
+    assert aslant.c_r * aslant.path_m == pytest.approx(0.25 * 2.0, rel=1e-9)
 
 
 def test_pitch_before_the_measurement_does_not_count():

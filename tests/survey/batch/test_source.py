@@ -61,6 +61,7 @@ def test_a_list(flights, tmp_path):
         ("a.csv", "survey,local,crs\na.laz,yes,EPSG:1\n", UsageError, "contradict each other"),
         ("a.csv", "survey,crs\n,EPSG:1\n", UsageError, "line 2: the survey is empty"),
         ("a.csv", "survey\na.laz,b\n", UsageError, "it has 2 cells"),
+        ("a.csv", "survey,name\na.laz,.b\n", UsageError, "the name is '.b'"),
         ("a.csv", "survey,name\na.laz,x\nb.laz,X\n", UsageError, "the name x is given twice"),
     ],
 )

@@ -175,11 +175,6 @@ def test_smooth_ground_that_is_not_passable_is_dark(tmp_path, most):
     assert dark[:, half:].all()
 
 
-def test_small_shares_are_not_rounded_to_nothing():
-    page = index_page([done("a", share_passable=0.0007, share_unknown=0.99)], {}, [], "night")
-    assert "under 1% passable, 99.0% unknown" in page
-
-
 @pytest.mark.parametrize("most", [100_000, 2_000, 700])
 def test_colours_of_rare_ground_are_not_mixed(tmp_path, most):
     """A little grey among light blue stays grey, however few colours a picture has."""

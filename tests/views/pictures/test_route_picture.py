@@ -176,10 +176,6 @@ def test_what_is_unknown_is_drawn_without_complaint(ground, unknown, recwarn):
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
 
 
-def test_a_way_of_length_0_has_a_picture(ground):
-    assert paint_route([make_route(corners=CORNERS[:1])], ground).width == 1600
-
-
 def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(ground, tmp_path):
     for name in ("a.png", "b.png"):
         write_route_picture([make_route()], ground, tmp_path / name)
@@ -249,15 +245,3 @@ def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
     assert "0.0005" not in words
     assert "goal" not in words  # its mark lies under that of the start
     assert "start and goal" in words
-
-
-def test_ways_of_two_vehicles_say_whose_ground_it_is(ground, monkeypatch):
-    route = make_route()
-    rover = replace(route, name="route, rover", vehicle=RouteVehicle("rover", 0.7, 0.5))
-    words = words_of([route, rover], ground, monkeypatch)
-    assert "route, rover" in words
-    assert f"route, {route.vehicle.name}" in words
-    assert "rover, rover" not in " ".join(words)
-    assert f"ride cost for {route.vehicle.name} [rad/m]" in words
-    alone = words_of([route], ground, monkeypatch)
-    assert "ride cost of the ground [rad/m]" in alone

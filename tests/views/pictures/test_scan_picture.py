@@ -129,21 +129,6 @@ def test_the_legend_has_a_swatch_of_every_style_and_says_when_there_is_nothing(s
     assert ink[1] > 0
 
 
-def test_every_style_has_its_name_and_its_count_beside_its_swatch(scan, classed, nothing):
-    """Other counts are other text; the same names are the same."""
-    full, empty = (paint(*known)[:, SIDE:] for known in ((scan, with_wall(scan, classed)[0]), nothing))
-    names = set()
-    for colour in SCAN_COLOURS:
-        rows, columns = np.nonzero((full == colour).all(axis=2))
-        top, right = np.bincount(rows).argmax(), columns.max() + 1  # the first of the swatch's longest rows
-        name, count = slice(top - 2, top + 17), slice(top + 20, top + 42)
-        assert (full[name, right:] == 235).all(axis=2).any()
-        np.testing.assert_array_equal(full[name, right:], empty[name, right:])
-        assert (full[count, right:] != empty[count, right:]).any()
-        names.add(full[name, right:].tobytes())
-    assert len(names) == len(SCAN_COLOURS)
-
-
 def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it(classed):
     stack = classed.sectors
     obstacle = np.arange(len(stack.zone)) % 3 == 0
