@@ -192,11 +192,11 @@ def leave_out_standing(
     is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
     bare = replace(
         patches,
-        count=np.where(is_bare, tiles.count.sum(axis=(1, 2)), patches.count),
+        count=np.where(is_bare, tiles.held.sum(axis=(1, 2)), patches.count),
         coverage=np.where(is_bare, coverage, patches.coverage),
         relief=np.where(is_bare & has_relief, relief, patches.relief),
         slope=np.where(is_bare & np.isfinite(slope), slope, patches.slope),
-        spread_count=tiles.count,
+        spread_count=tiles.held,
         spread_variance=tiles.variance,
         relief_map=tiles.relief,
     )
