@@ -146,7 +146,7 @@ def leave_out_standing(
     Parameters
     ----------
     points : TilePoints
-        All points of n tiles of one block; all count as ground.
+        All points of n tiles; all count as ground.
     patches : PatchStack
         The same tiles, measured.
     objects : ObjectStack
@@ -192,11 +192,11 @@ def leave_out_standing(
     is_bare, has_relief = tiles.is_bare, np.isfinite(tiles.relief[:, 0, 0])
     bare = replace(
         patches,
-        count=np.where(is_bare, tiles.count.sum(axis=(1, 2)), patches.count),
+        count=np.where(is_bare, tiles.held.sum(axis=(1, 2)), patches.count),
         coverage=np.where(is_bare, coverage, patches.coverage),
         relief=np.where(is_bare & has_relief, relief, patches.relief),
         slope=np.where(is_bare & np.isfinite(slope), slope, patches.slope),
-        spread_count=tiles.count,
+        spread_count=tiles.held,
         spread_variance=tiles.variance,
         relief_map=tiles.relief,
     )
@@ -216,6 +216,8 @@ def _without_strays(
         part = slice(points.starts[t], points.starts[t + 1])
         row, col = _pixels_of(points, np.arange(part.start, part.stop), np.full(part.stop - part.start, t))
         height, known = patches.heights[t], np.isfinite(patches.heights[t]) & ~near[t]
+        if known.sum() < THIN_POINTS:
+            continue
         terms = np.stack([*np.nonzero(known), np.ones(known.sum())], axis=1)
         plane = np.linalg.lstsq(terms, height[known].astype(np.float64), rcond=None)[0]
         ground = height[known] - terms @ plane
@@ -282,7 +284,7 @@ def settle_relief(
     Parameters
     ----------
     states : uint8 (rows, cols)
-        Of `find_steep`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
+        Of `find_in_relief`, tiles side by side, north row first; ``UNSEEN`` where a tile is missing.
     heights : float32 (rows, cols)
         Mean height of the points in each pixel, m; NaN where there are none.
     body : VehicleBody

@@ -361,7 +361,8 @@ def _joined_under(upper: Bytes, side: Bytes, lower: Bytes, is_east: bool, corner
 def _meet_at_corner(upper: Bytes, lower: Bytes, is_east: bool) -> bool:
     """Return whether the first areas of two tiles that lie diagonally touch where the tiles do."""
     last = upper.shape[0] - 1
-    return upper[last, last if is_east else 0] == 1 and lower[0, 0 if is_east else last] == 1
+    touch: bool = upper[last, last if is_east else 0] == 1 and lower[0, 0 if is_east else last] == 1
+    return touch
 
 
 @kernel

@@ -488,7 +488,7 @@ def finish_tiles(
 
 def _is_relief(window: NeighbourWindow) -> NDArray[np.bool_]:
     """Return the tiles whose points all count as ground, so that obstacles are part of their relief."""
-    return window.present & np.isnan(window["obstacle"])
+    return np.asarray(window.present & np.isnan(window["obstacle"]))
 
 
 def _first(window: NeighbourWindow) -> BlockRating:

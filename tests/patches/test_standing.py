@@ -142,3 +142,21 @@ def test_ground_that_the_edge_of_a_block_cuts_is_no_thing_and_stays():
     things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)  # a terrace of 2 m and more
     assert not things.any()
     np.testing.assert_array_equal(bare.relief_map, patches.relief_map)
+
+
+@pytest.mark.parametrize(("height", "reason"), [(2.0, 0), (-2.0, 5)])
+def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_below_the_ground_are(height, reason):
+    """Strays of the tile east of a wall's end, where they lie beside it."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0, 6, (2, 20 * 36))
+    on_wall = (np.abs(y - 4.5) < 0.15) & (x < 3.0)
+    corner = np.array([[3.02, 4.45], [3.05, 4.5], [3.08, 4.55]])
+    z = np.concatenate([0.01 * rng.normal(size=len(x)) + 2.0 * on_wall, np.full(3, height)])
+    buckets = TileBuckets(Grid())
+    buckets.add(np.append(x, corner[:, 0]), np.append(y, corner[:, 1]), z, np.zeros(len(z), bool))
+    (points,) = buckets.blocks()
+    patches = measure(points, FeatureSettings(), ground_only=False)
+    tile = (patches.col == 1) & (patches.row == 1)
+    assert patches.reason[tile] == 5
+    _, bare = leave_out_standing(points, patches, *find_in_relief(patches, BODY), FeatureSettings())
+    assert bare.reason[tile] == reason

@@ -375,7 +375,7 @@ class BareTiles(NamedTuple):
     """(n, pixels, pixels) pixels of what stands on the ground."""
     heights: Annotated[Singles, 3]
     """The same shape: mean height of the points in each pixel, m; NaN where there are none."""
-    count: Annotated[NDArray[np.int32], 3]
+    held: Annotated[NDArray[np.int32], 3]
     """The same shape: points of each pixel; 0 in things afterwards."""
     variance: Annotated[Singles, 3]
     """The same shape: variance of their heights, m^2; NaN in things afterwards."""
@@ -443,8 +443,8 @@ def _count_left(t: int, tiles: BareTiles, scalars: NDArray[np.float64]) -> float
     points = known = seen = 0
     for r in range(size):
         for c in range(size):
-            if tiles.count[t, r, c] > 0 and not tiles.things[t, r, c]:
-                points += tiles.count[t, r, c]
+            if tiles.held[t, r, c] > 0 and not tiles.things[t, r, c]:
+                points += tiles.held[t, r, c]
                 known += 1
                 seen |= 1 << (3 * (3 * r // size) + 3 * c // size)
     scalars[0], scalars[1] = points, known / (size * size)
@@ -462,7 +462,7 @@ def _keep_left(t: int, tiles: BareTiles, settings: BareSettings, scratch: BareSc
         return False
     for r in range(size):
         for c in range(size):
-            is_left = tiles.count[t, r, c] > 0 and not tiles.things[t, r, c]
+            is_left = tiles.held[t, r, c] > 0 and not tiles.things[t, r, c]
             scratch.level[r, c] = tiles.relief[t, r, c] if is_left else np.nan
     scalars[2] = relief_of(scratch.level, settings.depth, False, scratch.holes, scratch.values, scratch.relief)
     if math.isnan(scalars[2]):
@@ -487,7 +487,7 @@ def leave_out_things(tiles: BareTiles, settings: BareSettings, scratch: BareScra
             for r in range(size):
                 for c in range(size):
                     if tiles.things[t, r, c]:
-                        tiles.count[t, r, c] = 0
+                        tiles.held[t, r, c] = 0
                         tiles.variance[t, r, c] = np.nan
-                    scratch.level[r, c] = tiles.heights[t, r, c] if tiles.count[t, r, c] > 0 else np.nan
+                    scratch.level[r, c] = tiles.heights[t, r, c] if tiles.held[t, r, c] > 0 else np.nan
             tiles.scalars[t, 3] = _slope_of(scratch.level, settings.pixel)
