@@ -313,7 +313,8 @@ def find_standing(
 
     The surface beneath them is what a disc of ``width`` can touch from below (a morphological opening). A group of
     pixels that are more than half the height of the lowest obstacle above it is a thing if at least 30 % of them lie
-    within 0.3 m of a place that is 80 % of that height lower.
+    within 0.3 m of a place that is 80 % of that height lower. Where fewer than eight pixels so close are known, the
+    nearest eight count, up to four pixels away, if they are lower in proportion to their distance.
 
     Parameters
     ----------

@@ -60,6 +60,32 @@ def test_missing_heights_are_neither_things_nor_foot():
     assert not np.any(found(np.full_like(heights, np.nan)))
 
 
+def thinned(heights, density, seed):
+    """Leave the pixels that a survey of so many points per m2 fills."""
+    empty = np.random.default_rng(seed).random(heights.shape) < np.exp(-density * 0.2**2)
+    return np.where(empty, np.nan, heights)
+
+
+@pytest.mark.parametrize("density", [20, 10, 6])
+def test_few_points_see_the_same_things_as_many(density):
+    # The pixels beside a side that are known lie farther away.
+    for heights in (boulder(6.0, 6.0, 0.6, 0.45), np.where(np.maximum(abs(X - 6), abs(Y - 6)) < 0.5, 0.7, 0.0)):
+        seen = [thinned(heights, density, seed) for seed in range(20)]
+        high = sum(np.sum(one > 0.25) for one in seen)
+        marks = [found(one) for one in seen]
+        assert sum(np.sum(mark & (one > 0.25)) for mark, one in zip(marks, seen, strict=True)) > 0.85 * high
+        assert not any(np.any(mark & (heights == 0)) for mark in marks)
+
+
+@pytest.mark.parametrize("density", [20, 10, 6])
+def test_relief_does_not_stand_in_a_thin_survey(density):
+    bank = np.where(X > 6.0, 0.5, 0.0)
+    ditch = np.where(np.abs(X - 6.0) < 0.7, -0.5, 0.0)
+    swell = 0.3 * np.exp(-((X - 6) ** 2 + (Y - 6) ** 2) / 2 / 0.6**2)
+    for relief in (bank, ditch, swell, 1.0 * X):
+        assert not any(np.any(found(thinned(relief, density, seed))) for seed in range(20))
+
+
 def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():
     rng = np.random.default_rng(2)
     x, y = rng.uniform(0, 6, (2, 3600))

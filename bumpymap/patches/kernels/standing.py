@@ -5,6 +5,7 @@ their distance is the structure function of the ground, plus twice the noise var
 """
 
 import math
+from functools import cache
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -191,6 +192,12 @@ def measure_pairs(
 
 Singles = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
+Integers = NDArray[np.int32]
+
+_FOOT_PIXELS = 8
+"""Known pixels around one among which the foot of its side is looked for, at least: in thin surveys they lie apart."""
+_FARTHEST_FOOT = 4
+"""Farthest of them, px."""
 
 
 class StandingLimits(NamedTuple):
@@ -199,7 +206,7 @@ class StandingLimits(NamedTuple):
     width: float
     """Radius of the disc that touches the surface beneath things, px."""
     foot: float
-    """Farthest from a side to its foot, px."""
+    """Farthest from a side to its foot, px; more where too few pixels so close are known."""
     raised: float
     """Pixels so high above that surface are those of things, m."""
     drop: float
@@ -230,8 +237,10 @@ class StandingScratch(NamedTuple):
     """((rows + 2) * (cols + 2),) pixels that are high enough, with one more on all sides that are not."""
     sides: Annotated[Bytes, 1]
     """The same shape: those above a place far lower."""
-    thing: Annotated[NDArray[np.int32], 1]
+    thing: Annotated[Integers, 1]
     """(rows * cols,) pixels of one thing."""
+    offsets: Annotated[Integers, 2]
+    """(n, 3) of the pixels around one, the nearest first: rows, columns, their squared distance; not changed."""
 
 
 def standing_scratch(rows: int, cols: int, radius: float) -> StandingScratch:
@@ -248,7 +257,17 @@ def standing_scratch(rows: int, cols: int, radius: float) -> StandingScratch:
         raised=np.empty(padded, np.uint8),
         sides=np.empty(padded, np.uint8),
         thing=np.empty(rows * cols, np.int32),
+        offsets=_offsets(),
     )
+
+
+@cache
+def _offsets() -> Integers:
+    down, right = np.mgrid[-_FARTHEST_FOOT : _FARTHEST_FOOT + 1, -_FARTHEST_FOOT : _FARTHEST_FOOT + 1].reshape(2, -1)
+    square = down * down + right * right
+    order = np.lexsort((right, down, square))
+    order = order[(square[order] > 0) & (square[order] <= _FARTHEST_FOOT * _FARTHEST_FOOT)]
+    return np.stack([down, right, square], axis=1)[order].astype(np.int32)
 
 
 @order_free
@@ -302,7 +321,27 @@ def _fill_above(heights: Singles, radius: float, scratch: StandingScratch) -> No
 
 
 @helper
-def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Bytes, thing: NDArray[np.int32]) -> int:
+def _is_side(r: int, c: int, limits: StandingLimits, scratch: StandingScratch) -> bool:
+    """Return whether a pixel lies far above one within ``foot``, or as steeply above one of the nearest known ones."""
+    above, offsets = scratch.above, scratch.offsets
+    known, last = 0, 0
+    for k in range(len(offsets)):
+        square = offsets[k, 2]
+        if square > limits.foot * limits.foot and square > last and known >= _FOOT_PIXELS:
+            return False
+        last = square
+        row, col = r + offsets[k, 0], c + offsets[k, 1]
+        if not (0 <= row < above.shape[0] and 0 <= col < above.shape[1]):
+            known += 1  # nothing farther inside stands for what is cut off
+        elif above[row, col] < np.inf:
+            known += 1
+            if above[r, c] - above[row, col] > limits.drop * max(1.0, math.sqrt(square) / limits.foot):
+                return True
+    return False
+
+
+@helper
+def _follow_thing(start: int, wide: int, sides: Bytes, share: float, raised: Bytes, thing: Integers) -> int:
     """List the raised pixels that hang together with one by sides and corners; returns how many stand, else 0.
 
     They are no longer marked as raised. Rows of pixels are ``wide``, with one on both ends that is never raised.
@@ -334,7 +373,6 @@ def mark_standing(
     rows, cols = heights.shape
     above, raised, sides, thing = scratch.above, scratch.raised, scratch.sides, scratch.thing
     _fill_above(heights, limits.width, scratch)
-    _lowest_on_disc(above, limits.foot, scratch, scratch.low)
     for k in range(len(raised)):
         raised[k] = 0
     for r in range(rows):
@@ -342,7 +380,7 @@ def mark_standing(
         for c in range(cols):
             high = limits.raised < above[r, c] < np.inf
             raised[first + c] = high
-            sides[first + c] = high and above[r, c] - scratch.low[r, c] > limits.drop
+            sides[first + c] = high and _is_side(r, c, limits, scratch)
             marks[r, c] = False
     for start in range(len(raised)):
         if raised[start] > 0:
