@@ -7,7 +7,7 @@ is also in the way of a vehicle whose belly is lower.
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +41,14 @@ from bumpymap.patches.kernels.standing import (
 )
 from bumpytiles import BLOCK_TILES, TilePoints
 
-__all__ = ["find_in_relief", "find_standing", "leave_out_standing", "settle_relief", "take_off_standing"]
+__all__ = [
+    "ReliefObjects",
+    "find_in_relief",
+    "find_standing",
+    "leave_out_standing",
+    "settle_relief",
+    "take_off_standing",
+]
 
 _WIDTH = 1.8
 """Width of what the ground filter may have left, m; wider things are above its threshold."""
@@ -60,6 +67,17 @@ _STEEP = 0.3
 
 Mosaic = NDArray[np.float32]
 Marks = NDArray[np.bool_]
+
+
+class ReliefObjects(NamedTuple):
+    """What stands on tiles where all points count as ground."""
+
+    stack: ObjectStack
+    """One row a tile."""
+    near: Marks
+    """(n, pixels, pixels) pixels with a narrow, steep thing, or beside one."""
+    has_room: Marks
+    """(n,) whether the middle of the vehicle fits somewhere between such things."""
 
 
 def take_off_standing(
@@ -90,9 +108,7 @@ def take_off_standing(
     return _points_apart(points, standing), replace(patches, heights=heights)
 
 
-def find_in_relief(
-    patches: PatchStack, body: VehicleBody, block: PatchStack | None = None
-) -> tuple[ObjectStack, Marks]:  # fmt: skip
+def find_in_relief(patches: PatchStack, body: VehicleBody, block: PatchStack | None = None) -> ReliefObjects:
     """Find what stands on the ground of tiles where all points count as ground.
 
     Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
@@ -110,19 +126,13 @@ def find_in_relief(
         Outline of the vehicle.
     block : PatchStack, optional
         All tiles of their block, if ``patches`` are not.
-
-    Returns
-    -------
-    ObjectStack
-        One row a tile.
-    bool (n, pixels, pixels)
-        Pixels with such a thing, or beside one.
     """
     stack = ObjectStack.empty(*patches.heights.shape[:2])
     stack.objects[patches.spread_count == 0] = EMPTY
     stack.objects[patches.spread_variance > (_SPREAD * body.lowest_obstacle_m) ** 2] = STEEP
     whole = patches if block is None else block
     things, near = (np.zeros(whole.heights.shape, np.bool_) for _ in range(2))
+    has_room = np.ones(len(things), np.bool_)
     ring = math.ceil(0.5 * _WIDEST / whole.grid.tile_size)
     for tiles, at in _blocks(whole, ring):
         mosaic = _mosaic(whole.heights[tiles], at, ring)
@@ -130,18 +140,22 @@ def find_in_relief(
         if found.any():
             things[tiles] = _of_tiles(found, at, whole.grid.pixels)
             near[tiles] = _of_tiles(_with_neighbours(found), at, whole.grid.pixels)
+            closed = _within(found, 0.5 * body.width_m / whole.grid.pixel_size)
+            has_room[tiles] = ~_of_tiles(closed, at, whole.grid.pixels).all(axis=(1, 2))
     if block is not None:
-        things, near = (marks[_rows_in(block, patches)] for marks in (things, near))
+        things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
     stack.objects[things] = OBSTACLE
-    return stack, near
+    return ReliefObjects(stack, near, has_room)
 
 
 def leave_out_standing(
-    points: TilePoints, patches: PatchStack, objects: ObjectStack, near: Marks, settings: FeatureSettings
+    points: TilePoints, patches: PatchStack, objects: ReliefObjects, settings: FeatureSettings
 ) -> tuple[TilePoints, PatchStack]:
     """Leave what stands on tiles out of them, so that the ride is that of their ground.
 
-    A tile of which too little is left to be rated stays as it is. So does a tile on which nothing stands.
+    A tile of which too little is left to be rated stays as it is, and so does one in which the vehicle fits nowhere
+    between things: that is rough ground. Strays beside a thing are no noise, but the few points of it that a tile has
+    at its edge.
 
     Parameters
     ----------
@@ -149,10 +163,8 @@ def leave_out_standing(
         All points of n tiles; all count as ground.
     patches : PatchStack
         The same tiles, measured.
-    objects : ObjectStack
-        Of `find_in_relief`, as ``near``.
-    near : bool (n, pixels, pixels)
-        Strays there are no noise: they are the few points that a tile has of a thing at its edge.
+    objects : ReliefObjects
+        Of `find_in_relief`.
     settings : FeatureSettings
         Thresholds.
 
@@ -165,8 +177,8 @@ def leave_out_standing(
         point, variance, residual, range, density).
     """
     points = replace(points, flag=np.full(len(points.flag), POINT_GROUND, np.uint8))
-    points, patches = _without_strays(points, patches, near, settings)
-    things = objects.objects == OBSTACLE
+    points, patches = _without_strays(points, patches, objects.near, settings)
+    things = (objects.stack.objects == OBSTACLE) & objects.has_room[:, None, None]
     if not things.any():
         return points, patches
     least = BareSettings(
@@ -353,6 +365,18 @@ def _with_neighbours(marks: Marks) -> Marks:
     rows = out.copy()
     out[:, 1:] |= rows[:, :-1]
     out[:, :-1] |= rows[:, 1:]
+    return out
+
+
+def _within(marks: Marks, radius: float) -> Marks:
+    """Mark all pixels nearer than a radius [px] to marked ones."""
+    reach = math.ceil(radius)
+    rows, cols = marks.shape
+    wide, out = np.pad(marks, reach), np.zeros_like(marks)
+    for down in range(-reach, reach + 1):
+        for right in range(-reach, reach + 1):
+            if down * down + right * right < radius * radius:
+                out |= wide[reach + down : reach + down + rows, reach + right : reach + right + cols]
     return out
 
 

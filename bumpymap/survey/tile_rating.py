@@ -136,8 +136,9 @@ class TileRating:
         if ground_only:
             objects = self._objects(points, patches)
         elif self.compat == "none":  # the paper knows none
-            objects, near = find_in_relief(patches, self.models.calibration.body, block)
-            points, bare = leave_out_standing(points, patches, objects, near, self.features)
+            found = find_in_relief(patches, self.models.calibration.body, block)
+            points, bare = leave_out_standing(points, patches, found, self.features)
+            objects = found.stack
             on_ground = True
         network = self.models.texture
         textures = TextureMap.unknown(len(patches.reason)) if network is None else classify(bare, network)

@@ -127,8 +127,8 @@ def wall_at(x, y):
 
 def bare_tiles(ground, density):
     points, patches = block_of(ground, density)
-    objects, near = find_in_relief(patches, BODY)
-    return objects.objects == OBSTACLE, patches, *leave_out_standing(points, patches, objects, near, FeatureSettings())
+    found = find_in_relief(patches, BODY)
+    return found.stack.objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, FeatureSettings())
 
 
 @pytest.mark.parametrize("density", [20, 60])
@@ -164,6 +164,13 @@ def test_a_tile_of_which_little_is_left_stays_as_it_is():
     assert np.isfinite(bare.relief).all()
 
 
+def test_rubble_between_which_the_vehicle_fits_nowhere_stays_rough():
+    things, patches, _, bare = bare_tiles(lambda x, y: 0.25 * np.sin(9 * x) * np.sin(8 * y), 60)
+    assert things.mean() > 0.1
+    stays = (bare.relief_map == patches.relief_map).all(axis=(1, 2))
+    assert stays.mean() > 0.98  # in the outermost tiles, fewer things are seen
+
+
 def test_ground_that_the_edge_of_a_block_cuts_is_no_thing_and_stays():
     things, patches, _, bare = bare_tiles(lambda x, y: gentle(x, y) + 1.0 * (x > 46.0), 60)  # a terrace of 2 m and more
     assert not things.any()
@@ -184,5 +191,5 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
     patches = measure(points, FeatureSettings(), ground_only=False)
     tile = (patches.col == 1) & (patches.row == 1)
     assert patches.reason[tile] == 5
-    _, bare = leave_out_standing(points, patches, *find_in_relief(patches, BODY), FeatureSettings())
+    _, bare = leave_out_standing(points, patches, find_in_relief(patches, BODY), FeatureSettings())
     assert bare.reason[tile] == reason
