@@ -28,7 +28,7 @@ def recipe_fixture():
 
 @pytest.fixture(name="containerfile", scope="module")
 def containerfile_fixture():
-    return (ROOT / "docker" / "Containerfile").read_text(encoding="utf-8")
+    return (ROOT / "Containerfile").read_text(encoding="utf-8")
 
 
 def test_the_conda_package_needs_what_the_wheel_needs(project, recipe):

@@ -179,10 +179,11 @@ def jobs_option(command: _Command) -> _Command:
     return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
 
 
-def config_options(*owners: type, clashes: Sequence[Clash] = ()) -> Callable[[_Command], _Command]:
+def config_options(*owners: type, clashes: Sequence[Clash] = (), apart: bool = False) -> Callable[[_Command], _Command]:
     """Add ``--config`` and ``--set``, which set any field of the settings classes ``owners``.
 
-    The command gets ``stored``: name -> value, with those of ``--set`` in the place of those of the file.
+    The command gets ``stored``: name -> value, with those of ``--set`` in the place of those of the file; or, if they
+    are kept ``apart``, those of the file, and as ``assigned`` those of ``--set``.
     """
 
     def add(command: Callable[..., Any]) -> Any:
@@ -190,6 +191,8 @@ def config_options(*owners: type, clashes: Sequence[Clash] = ()) -> Callable[[_C
         def run(*values: Any, config_file: Path | None, assigned: tuple[str, ...], **options: Any) -> Any:
             stored = read_settings_file(config_file, *owners) if config_file else {}
             own = assigned_settings(assigned, stored, "--set", *owners)
+            if apart:
+                return command(*values, stored=stored, assigned=own, **options)
             return command(*values, stored=merge_settings(stored, own, clashes), **options)
 
         text = "Any setting of `bumpymap settings`, such as pixels=21"

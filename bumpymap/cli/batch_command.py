@@ -5,10 +5,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, GroupedCommand, config_options, given_options, output_options, settings_options
+from bumpymap.cli._options import (
+    PATH,
+    GroupedCommand,
+    config_options,
+    given_options,
+    merge_settings,
+    output_options,
+    settings_options,
+)
 from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import as_options, interrupt_note, option_name, print_json, print_line
-from bumpymap.core import CLASHES, MapConfig, count_text, refuse_clashes
+from bumpymap.cli._text import as_options, interrupt_note, print_json, print_line
+from bumpymap.core import CLASHES, MapConfig, count_text
 from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
@@ -34,7 +42,7 @@ _MOST_LISTED = 20
     memory="Memory, shared by --jobs",
     overwrite="Replace layers of other inputs or settings",
 )
-@config_options(MapConfig, clashes=CLASHES)
+@config_options(MapConfig, clashes=CLASHES, apart=True)
 @output_options()
 @click.pass_context
 def command(
@@ -44,6 +52,7 @@ def command(
     out: Path | str,
     *,
     stored: dict[str, Any],
+    assigned: dict[str, Any],
     quiet: bool,
     log_json: bool,
     **given: Any,
@@ -51,7 +60,7 @@ def command(
     """Map the surveys of SOURCE, each to a folder of its own. The same command continues an interrupted batch.
 
     SOURCE is a folder, a .txt file with a path in each line, or a .csv file with the column "survey"; its other columns
-    are settings of map, which override --config and are overridden by options.
+    are settings of map, which override --config and are overridden by options and --set.
 
     \b
     bumpymap batch surveys --out maps
@@ -59,9 +68,8 @@ def command(
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.survey import run_batch
 
-    settings = given_options(given)
+    settings = merge_settings(assigned, given_options(given), CLASHES)
     own = {name: settings.pop(name) for name in ("survey_per", "jobs") if name in settings}
-    refuse_clashes(settings, CLASHES, option_name)
     config = BatchConfig(source, out, settings, stored, **own)
     with interrupt_note(_CONTINUE), show_progress(quiet=quiet, as_json=log_json) as progress:
         result = run_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)

@@ -93,7 +93,7 @@ MEANT = {
     ("scan", "pictures", 0): lambda got: got[0].pictures,
     ("diff", "offset", 0): lambda got: got[0].offset,
     ("map", "max_unknown", 0): lambda got: got[0].max_unknown,
-    ("batch", "max_unknown", 0): lambda got: got[0].given.get("max_unknown", got[0].defaults["max_unknown"]),
+    ("batch", "max_unknown", 0): lambda got: got[0].given["max_unknown"],
     ("diff", "offset", -1): lambda got: got[0].offset,
     ("route", "snap", 0): lambda got: got[0].snap,
 }

@@ -102,7 +102,7 @@ def test_the_map_under_trees_is_that_of_the_ground_alone(wood, mapped):
     # Without other points, a narrow hump of the ground may be a thing that the ride is rated without.
     bare = ~standing(mapped / "alone").any(axis=(2, 3))
     assert bare.mean() > 0.9
-    np.testing.assert_allclose(c_r[bare], wanted_c_r[bare], rtol=1e-3)  # the noise of thin tiles is that of all
+    np.testing.assert_allclose(c_r[bare], wanted_c_r[bare], rtol=5e-3)  # the noise of thin tiles is that of all
     assert set(np.unique(wanted)) >= {0, 2}  # nothing would be held were it all of one class
     # Crowns are part of the relief where nobody takes them away: what stands out of it bars the way.
     with rasterio.open(mapped / "everything" / "barred.tif") as raster:

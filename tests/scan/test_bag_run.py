@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("rosbags")
 
 from bags import cloud, lidar_rows, odometry, transforms, write_bag
-from bumpymap.layers.scan.grid_bag import sector_occupancy
 
 from bumpymap.cli import main
 from bumpymap.core import OutputError, Robot, UsageError
-from bumpymap.layers import GroundGrid
 from bumpymap.scan import ScanConfig, classify_filter, polar_sectors, scan_frames
+from bumpymap.views import GroundGrid
+from bumpymap.views.export.grid_bag import sector_occupancy
 
 pytestmark = pytest.mark.slow
 

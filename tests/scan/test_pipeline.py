@@ -320,7 +320,7 @@ def inodes(folder):
 def test_a_run_that_is_complete_is_done_already(drive, mapped, done_frames):
     out, first, config = mapped
     before = inodes(out)
-    for extra in ({}, {"resume": True}, {"skip_bad": True}):
+    for extra in ({}, {"skip_bad": True}):
         again = scan_frames(replace(config, **extra))
         assert again.already_done
         assert (again.files, again.method, again.skipped) == (first.files, first.method, first.skipped)
@@ -356,7 +356,9 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_failure_of_the_map_leaves_the_frames_and_resume_makes_it(drive, mapped, tmp_path, monkeypatch, done_frames):
+def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
+    drive, mapped, tmp_path, monkeypatch, done_frames
+):
     out = tmp_path / "out"
     config = replace(mapped[2], out=out)
 
@@ -403,7 +405,7 @@ def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(drive, map
     with locked(out):
         (out / ".bumpymap-layers-0").mkdir()
         before = inodes(out)
-        for extra in ({}, {"resume": True}, {"overwrite": True}):
+        for extra in ({}, {"overwrite": True}):
             with pytest.raises(OutputError, match=f"another run is writing to .*: pid {os.getpid()} on "):
                 scan_frames(replace(config, **extra))
         assert inodes(out) == before

@@ -143,7 +143,7 @@ def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tm
     [
         (("--speed", "9"), "holds from 0.4 to 2.5 m/s"),
         (("--set", "speeds=1,1"), "1 to 16 different speeds"),
-        (("--set", "speeds=1,,2"), "it must be a list of numbers"),
+        (("--set", "speeds=1,,2"), "value 2 of speeds is ''; it must be a number"),
         (("--set", "speeds=1", "--set", "rating=table"), "--set rating='table' knows no speed"),
         (("--speed", "1", "--set", "compat=paper"), "--set compat='paper' knows no speed"),
     ],

@@ -155,4 +155,4 @@ def test_a_calibration_without_a_ride_model_names_the_way_out(subject, tmp_path)
     (tmp_path / "bare.json").write_text(bare.to_json())
     result = cli("site.laz", "--calibration", tmp_path / "bare.json", "--out", tmp_path / "o")
     assert result.exit_code == 2
-    assert "--rating table" in result.output
+    assert "--set rating='table'" in result.output

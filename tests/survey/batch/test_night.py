@@ -216,8 +216,8 @@ def test_a_crs_for_all_is_that_of_surveys_without_one_and_warnings_are_everywher
     again = batch(tmp_path / "in", "--out", tmp_path / "o", "--crs", "EPSG:32615")
     assert "2 already done, 1 with warnings" in again.stdout
 
-    for name, expected in (("crs", 2), ("force-crs", 0)):
-        words = ["map", str(tmp_path / "in" / "own.laz"), "--out", str(tmp_path / name), f"--{name}", "EPSG:32615"]
+    for name, given, expected in (("crs", "--crs=EPSG:32615", 2), ("forced", "--set=force_crs=EPSG:32615", 0)):
+        words = ["map", str(tmp_path / "in" / "own.laz"), "--out", str(tmp_path / name), given]
         result = CliRunner().invoke(main, words)
         assert result.exit_code == expected
         assert "--set force_crs" in result.stderr
@@ -403,7 +403,8 @@ def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"resume": True}, "survey_per, jobs, tile_size"),
+        ({"resumes": True}, "survey_per, jobs, tile_size"),
+        ({"resume": True}, "the same run continues an interrupted one"),
         ({"jobs": 0}, "`jobs` is 0"),
         ({"jobs": 2, "scheduler": "tcp://a:1"}, "Give `jobs=1`, or no `scheduler`"),
         ({"ground": "grass"}, "ground"),

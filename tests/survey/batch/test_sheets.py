@@ -60,4 +60,4 @@ def test_sheets_are_not_uploaded(tmp_path):
     refused = batch(tmp_path / "flights", "--out", "memory://night", "--set", "sheets=1")
     assert refused.exit_code == 2, refused.output
     assert "layers in sheets cannot be uploaded" in refused.output
-    assert "or no --sheets" in refused.output
+    assert "or no --set sheets" in refused.output

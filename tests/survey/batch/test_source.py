@@ -165,7 +165,7 @@ def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path
     assert (made.calibration, made.vehicle) == ("c.json", "warthog")  # and so does the table
 
 
-@pytest.mark.parametrize("line", ['out = "o"', 'surveys = ["a.laz"]', "resume = true"])
+@pytest.mark.parametrize("line", ['out = "o"', 'surveys = ["a.laz"]'])
 def test_a_file_cannot_set_what_a_batch_decides(tmp_path, line):
     (tmp_path / "a.toml").write_text(line)
     with pytest.raises(UsageError, match=f"no setting {line.split()[0]}"):
