@@ -435,8 +435,8 @@ def deadly(monkeypatch, mark, *, always=False):
     """Runs whose work kills the process that does it."""
     from deadly_helpers import Deadly
 
-    def block_work(grid, columns, work, ground):
-        return BlockWork(grid, columns, Deadly(work, str(mark), always), ground)
+    def block_work(grid, columns, work, ground, in_relief):
+        return BlockWork(grid, columns, Deadly(work, str(mark), always), ground, in_relief)
 
     with monkeypatch.context() as patch:
         patch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
