@@ -1,7 +1,7 @@
 """Options of commands, made from the declaration of their settings, and which were given on the command line."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from functools import wraps
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args, get_origin
@@ -15,6 +15,7 @@ from bumpymap.core import (
     Declared,
     UsageError,
     assigned_settings,
+    default_of,
     override_settings,
     path_fault,
     read_settings_file,
@@ -302,13 +303,8 @@ def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 def changed_settings(stored: Mapping[str, Any], *owners: type) -> dict[str, Any]:
     """Return the settings that differ from their defaults: a settings file may state those too."""
-    defaults = {field.name: field for owner in reversed(owners) for field in fields(owner)}
-    return {name: value for name, value in stored.items() if value not in _defaults(defaults[name])}
-
-
-def _defaults(field: Any) -> list[Any]:
-    made = [] if field.default_factory is MISSING else [field.default_factory()]
-    return [field.default, *made]
+    defaults = {field.name: default_of(field) for owner in reversed(owners) for field in fields(owner)}
+    return {name: value for name, value in stored.items() if value != defaults[name]}
 
 
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:

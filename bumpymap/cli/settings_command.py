@@ -26,6 +26,7 @@ def _owners() -> dict[str, tuple[type, ...]]:
     return {
         "map": (MapConfig,),
         "batch": (MapConfig,),
+        "info": (MapConfig,),
         "scan": (ScanConfig,),
         "route": (RouteConfig,),
         "check": (CheckConfig,),
@@ -37,7 +38,7 @@ def _owners() -> dict[str, tuple[type, ...]]:
     }
 
 
-_COMMANDS = ("map", "batch", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
+_COMMANDS = ("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
 
 
 @click.command("settings")

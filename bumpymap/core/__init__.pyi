@@ -192,6 +192,7 @@ from .settings import (
     assigned_settings as assigned_settings,
     brief_repr as brief_repr,
     check_settings as check_settings,
+    default_of as default_of,
     field_rule as field_rule,
     parse_record as parse_record,
     parse_share as parse_share,

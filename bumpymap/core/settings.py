@@ -35,6 +35,7 @@ __all__ = [
     "assigned_settings",
     "brief_repr",
     "check_settings",
+    "default_of",
     "field_rule",
     "names_a_file",
     "parse_record",
@@ -275,7 +276,7 @@ def settings_template(owners: Sequence[type]) -> str:
             default = f" [default: {setting.default}]" * bool(setting.default)
             allowed = _allowed(each.type, each.name)
             lines += ["", *_comment(f"{note} {allowed[0].upper()}{allowed[1:]}{default}.".strip())]
-            lines.append(f"#{each.name} ={_toml(None if default else _default_of(each))}")
+            lines.append(f"#{each.name} ={_toml(None if default else default_of(each))}")
     return "\n".join(lines[1:]) + "\n"
 
 
@@ -308,7 +309,8 @@ def _comment(text: str) -> list[str]:
     return [f"# {line}" for line in wrap(text.replace("``", ""), 100)]
 
 
-def _default_of(field: "Field[Any]") -> Any:
+def default_of(field: "Field[Any]") -> Any:
+    """Return the default of a field, made anew where it has a factory; ``MISSING`` where there is none."""
     return field.default if field.default_factory is MISSING else field.default_factory()
 
 
@@ -420,15 +422,12 @@ def assigned_settings(
     for name, field in known.items():
         if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
             record[name] = [record[name]]
-    for name, field in known.items():
-        if name in record and get_origin(_plain_type(field.type)) is tuple and not isinstance(record[name], list):
-            record[name] = [record[name]]
-    tables = {name: _plain_type(known[name].type) for name, value in record.items() if name in known and value != {}}
     parser, arguments = _Parser(Path()), {}
-    for name, kind in tables.items():
+    for name in [name for name in known if name in record]:
+        kind = _plain_type(known[name].type)
         if isinstance(record[name], dict) and is_dataclass(kind):
             own = parser.table(record.pop(name), (kind,), name, complete=False)  # type: ignore[arg-type]
-            base = before.get(name) or _default_of(known[name])
+            base = before.get(name) or default_of(known[name])
             arguments[name] = base if parser.faults else replace(base, **own)
     arguments |= parser.table(record, owners, "", complete=False)
     refuse_faults(parser.faults, origin, UsageError)

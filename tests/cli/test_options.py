@@ -349,3 +349,12 @@ def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
 @pytest.mark.parametrize("name", LONG)
 def test_a_help_page_fits_a_screen(name):
     assert len(run(name, "--help").output.splitlines()) <= 40
+
+
+@pytest.mark.parametrize("name", LONG)
+def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(name):
+    moved = [option for option in options(name) if getattr(option, "key", "")]
+    if moved:
+        done = run(name, moved[0].opts[0], *([] if moved[0].is_flag else ["1"]), *WORDS[name])
+        assert f"bumpymap settings {name} prints one" in done.stderr
+        assert moved[0].key.split(".")[-1] in run("settings", name).stdout
