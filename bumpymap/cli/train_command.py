@@ -69,8 +69,8 @@ def command(
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    stored = changed_settings(stored, *([] if scans is None else [ScanTrainSettings]), TrainSettings, ScanTrainSettings)
-    options = {**stored, **given_options(given)}
+    owners = (TrainSettings, ScanTrainSettings) if scans is None else (ScanTrainSettings, TrainSettings)
+    options = {**changed_settings(stored, *owners), **given_options(given)}
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":

@@ -38,7 +38,6 @@ __all__ = [
     "lock_for",
     "locked",
     "read_record",
-    "refuse_other",
     "what_to_keep",
     "work_folder",
     "writing_to",
@@ -322,13 +321,14 @@ class RunFolder:
             before = read_record(path / _RUN_SPEC)
             if shape_fault(before, _SPEC_SHAPE):
                 before = None  # damaged, as one that cannot be parsed: what is there cannot be trusted
-            if before is not None:
-                try:
-                    refuse_other(before, run_spec, out)
-                except UsageError:
-                    if not overwrite:
-                        raise
-                    before = None
+            if before is not None and (found := differences(before, json.loads(json.dumps(dict(run_spec))))):
+                if not overwrite:
+                    raise UsageError(
+                        f"{out} holds an interrupted run that was started with other inputs or settings:",
+                        *(f"  {difference}" for difference in found),
+                        "Use the same to continue it, choose another `out`, or pass `overwrite=True` to discard it",
+                    )
+                before = None
             record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))
             clean_folder(path, everything=before is None, keep=keep)
             if before is None:
@@ -343,17 +343,6 @@ class RunFolder:
                 _remove(path)
             raise
         _remove(path)
-
-
-def refuse_other(before: Mapping[str, Any], now: Mapping[str, Any], out: Path) -> None:
-    """Raise UsageError if an interrupted run had other inputs or settings than the run that would continue it."""
-    found = differences(before, json.loads(json.dumps(dict(now))))
-    if found:
-        raise UsageError(
-            f"{out} holds an interrupted run that was started with other inputs or settings:",
-            *(f"  {difference}" for difference in found),
-            "Use the same to continue it, choose another `out`, or pass `overwrite=True` to discard it",
-        )
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
