@@ -16,6 +16,7 @@ from bumpymap.core import (
     DENSE_COVERAGE,
     EMPTY,
     FREE,
+    LONE,
     OBSTACLE,
     POINT_GROUND,
     POINT_OTHER,
@@ -30,6 +31,7 @@ from bumpymap.core import (
     VehicleBody,
 )
 from bumpymap.patches.features import measure
+from bumpymap.patches.kernels.solids import THIN
 from bumpymap.patches.kernels.standing import (
     BareSettings,
     BareTiles,
@@ -108,20 +110,26 @@ def take_off_standing(
     return _points_apart(points, standing), replace(patches, heights=heights)
 
 
-def find_in_relief(patches: PatchStack, body: VehicleBody, block: PatchStack | None = None) -> ReliefObjects:
+def find_in_relief(
+    points: TilePoints, patches: PatchStack, body: VehicleBody, block: PatchStack | None = None
+) -> ReliefObjects:
     """Find what stands on the ground of tiles where all points count as ground.
 
     Narrow, steep things in the relief are obstacles. Other pixels whose points lie far above one another hold a part of
-    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. The other
-    pixels with points are ``FREE``; of the tile as a whole nothing is known.
+    a fence, or the side of a wall: `settle_solids` makes two side by side, or a line of them, an obstacle. In tiles of
+    fewer than 10 points/m2 a thing may have so few points that they are strays: at the height of the vehicle they are
+    ``LONE``, which `settle_solids` closes. The other pixels with points are ``FREE``; of the tile as a whole nothing is
+    known.
 
     A tile is looked at with the others of its block of 16 x 16. What is cut off at the edge of that may be ground at
     another level, and is left to `settle_relief`.
 
     Parameters
     ----------
+    points : TilePoints
+        All points of n tiles.
     patches : PatchStack
-        n tiles, measured from all points.
+        The same tiles, measured from all points.
     body : VehicleBody
         Outline of the vehicle.
     block : PatchStack, optional
@@ -145,7 +153,27 @@ def find_in_relief(patches: PatchStack, body: VehicleBody, block: PatchStack | N
     if block is not None:
         things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
     stack.objects[things] = OBSTACLE
+    for t in np.flatnonzero(patches.spread_count.sum(axis=(1, 2)) < patches.count):
+        _mark_strays(t, points, patches, body, stack.objects[t], near[t])
     return ReliefObjects(stack, near, has_room)
+
+
+def _mark_strays(
+    t: int, points: TilePoints, patches: PatchStack, body: VehicleBody, states: NDArray[np.uint8], near: Marks
+) -> None:
+    """Mark the pixels of a thin tile with strays at the height of the vehicle, and those near ones that it closes."""
+    known = np.isfinite(patches.heights[t])
+    if known.sum() < THIN_POINTS:
+        return
+    row, col, ground, above = _above_plane(t, points, patches, known)
+    held, found = np.zeros(states.shape, np.int64), np.zeros(states.shape, np.bool_)
+    np.add.at(held, (row, col), 1)
+    strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m)
+    strays &= (held > patches.spread_count[t])[row, col]
+    found[row[strays], col[strays]] = True
+    if -math.log1p(-min(np.mean(found | (states != EMPTY)), 0.99)) < THIN:
+        states[found] = LONE
+        near |= _with_neighbours(found)
 
 
 def leave_out_standing(
@@ -225,18 +253,13 @@ def _without_strays(
         return points, patches
     flag, kept = points.flag.copy(), []
     for t in asked:
-        part = slice(points.starts[t], points.starts[t + 1])
-        row, col = _pixels_of(points, np.arange(part.start, part.stop), np.full(part.stop - part.start, t))
-        height, known = patches.heights[t], np.isfinite(patches.heights[t]) & ~near[t]
+        known = np.isfinite(patches.heights[t]) & ~near[t]
         if known.sum() < THIN_POINTS:
             continue
-        terms = np.stack([*np.nonzero(known), np.ones(known.sum())], axis=1)
-        plane = np.linalg.lstsq(terms, height[known].astype(np.float64), rcond=None)[0]
-        ground = height[known] - terms @ plane
-        above = points.upward[part] - np.stack([row, col, np.ones(len(row))], axis=1) @ plane
+        row, col, ground, above = _above_plane(t, points, patches, known)
         low, high = ground.min() - 0.5 * settings.stray_gap, ground.max() + 0.5 * settings.stray_gap
         if (above >= low).all() and near[t, row, col][above > high].all():
-            flag[part][above > high] = POINT_OTHER
+            flag[points.starts[t] : points.starts[t + 1]][above > high] = POINT_OTHER
             kept.append(t)
     points = replace(points, flag=flag)
     if not kept:
@@ -246,6 +269,22 @@ def _without_strays(
     for name, values in replaced.items():
         values[kept] = getattr(again, name)
     return points, replace(patches, **replaced)
+
+
+def _above_plane(
+    t: int, points: TilePoints, patches: PatchStack, known: Marks
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Fit a plane through some heights of a tile.
+
+    Returns row and column of the pixel of each of its points, and the heights of those pixels and of the points above
+    the plane, m.
+    """
+    part = np.arange(points.starts[t], points.starts[t + 1])
+    row, col = _pixels_of(points, part, np.full(len(part), t))
+    terms, height = np.stack([*np.nonzero(known), np.ones(known.sum())], axis=1), patches.heights[t][known]
+    plane = np.linalg.lstsq(terms, height.astype(np.float64), rcond=None)[0]
+    above = points.upward[part] - np.stack([row, col, np.ones(len(row))], axis=1) @ plane
+    return row, col, height - terms @ plane, above
 
 
 def _chosen(points: TilePoints, tiles: NDArray[np.int64]) -> TilePoints:

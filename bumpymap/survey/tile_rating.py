@@ -136,7 +136,7 @@ class TileRating:
         if ground_only:
             objects = self._objects(points, patches)
         elif self.compat == "none":  # the paper knows none
-            found = find_in_relief(patches, self.models.calibration.body, block)
+            found = find_in_relief(points, patches, self.models.calibration.body, block)
             points, bare = leave_out_standing(points, patches, found, self.features)
             objects = found.stack
             on_ground = True

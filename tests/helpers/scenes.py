@@ -309,7 +309,8 @@ def _mapped(points, body):
     buckets.add(points.x, points.y, points.z, kinds.astype(np.uint8))
     blocks = [(block, measure(block, settings, ground_only=classified)) for block in buckets.blocks()]
     stacks = [
-        find_objects(block, alone, body) if classified else find_in_relief(alone, body).stack for block, alone in blocks
+        find_objects(block, alone, body) if classified else find_in_relief(block, alone, body).stack
+        for block, alone in blocks
     ]
     col, row = (np.concatenate([getattr(block, axis) for block, _ in blocks]) for axis in ("col", "row"))
     west, south = int(col.min()) - 1, int(row.min()) - 1

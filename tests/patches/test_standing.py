@@ -127,7 +127,7 @@ def wall_at(x, y):
 
 def bare_tiles(ground, density):
     points, patches = block_of(ground, density)
-    found = find_in_relief(patches, BODY)
+    found = find_in_relief(points, patches, BODY)
     return found.stack.objects == OBSTACLE, patches, *leave_out_standing(points, patches, found, FeatureSettings())
 
 
@@ -191,5 +191,5 @@ def test_a_few_points_of_a_wall_that_ends_in_a_tile_are_no_noise_but_points_belo
     patches = measure(points, FeatureSettings(), ground_only=False)
     tile = (patches.col == 1) & (patches.row == 1)
     assert patches.reason[tile] == 5
-    _, bare = leave_out_standing(points, patches, find_in_relief(patches, BODY), FeatureSettings())
+    _, bare = leave_out_standing(points, patches, find_in_relief(points, patches, BODY), FeatureSettings())
     assert bare.reason[tile] == reason

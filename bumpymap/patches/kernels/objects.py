@@ -35,12 +35,15 @@ Bytes = NDArray[np.uint8]
 
 _LEAST_GROUND = 3
 """Pixels with ground that make a surface."""
-_DENSE = 5
-"""So many more points overhead than on the ground are a thing that lets no pulse through."""
+_DENSE, _LOW = 8, 3
+"""So many more points overhead than on the ground are a thing that lets no pulse through; fewer where nothing is higher
+than `_TALL` around: a hedge or a van is so low, the top of a tree is not."""
 _FEW = 4.0
 """With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5."""
-_LEAFY, _LEAVES = 1.0, 12
+_TALL, _LEAVES = 1.0, 12
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, so many points reach no ground by chance."""
+_TOP = 3
+"""Pixels around one overhead in which its top is looked for."""
 _BESIDE = 3
 """Points of the ground count so often in a square, which may hold much of what is beside the thing."""
 _RIDGE = 1.0
@@ -99,10 +102,11 @@ class ObjectScratch(NamedTuple):
     """The same shape: lowest point overhead, m above the ground."""
     body: Annotated[Integers, 2]
     """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, and those of leaves above."""
+    above, those above, those under, those far above, and those of leaves among them."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
+    tall: Annotated[Integers, 2]
     leaves: Annotated[Integers, 2]
     places: Annotated[Integers, 1]
     """(pixels^2,) pixels with ground, row by row, and the height of each above the plane, m."""
@@ -112,7 +116,7 @@ class ObjectScratch(NamedTuple):
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
     floats = [np.empty((pixels, pixels)) for _ in range(3)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(5)]
+    whole = [np.empty((pixels, pixels), np.int32) for _ in range(6)]
     return ObjectScratch(
         surface=floats[0],
         top=floats[1],
@@ -121,7 +125,8 @@ def object_scratch(pixels: int) -> ObjectScratch:
         company=whole[1],
         above=whole[2],
         under=whole[3],
-        leaves=whole[4],
+        tall=whole[4],
+        leaves=whole[5],
         places=np.empty(pixels * pixels, np.int32),
         rests=np.empty(pixels * pixels),
     )
@@ -201,7 +206,9 @@ def _count_points(
             scratch.above[r, c] += 1
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
-            scratch.leaves[r, c] += kind[i] == POINT_PLANT and h > limits.high + _LEAFY
+            is_tall = h > limits.high + _TALL
+            scratch.tall[r, c] += is_tall
+            scratch.leaves[r, c] += is_tall and kind[i] == POINT_PLANT
         elif h >= limits.low:
             scratch.body[r, c] += 1
             scratch.company[r, c] += 1
@@ -216,7 +223,7 @@ def _clear(scratch: ObjectScratch) -> None:
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
             scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
-            scratch.under[r, c] = scratch.leaves[r, c] = 0
+            scratch.under[r, c] = scratch.tall[r, c] = scratch.leaves[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -285,6 +292,7 @@ def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: 
                     state[r, c] = LONE
             elif scratch.above[r, c] > 0 and _box_sum(scratch.above, r, c, reach) >= need:
                 least = _LEAVES if scratch.leaves[r, c] > 0 else _DENSE
+                least = _LOW if _box_sum(scratch.tall, r, c, _TOP) == 0 else least
                 state[r, c] = SOLID if _is_dense(seen, scratch.company, r, c, least) else CANOPY
             if seen[r, c] > 0:
                 state[r, c] += SEEN

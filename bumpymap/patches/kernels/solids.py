@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CANOPY, EMPTY, FREE, LONE, OBSTACLE, SEEN, SOLID, STEEP, UNDECIDED, UNSEEN
 from bumpytiles import helper, kernel
 
-__all__ = ["SolidScratch", "settle_solids", "solid_scratch"]
+__all__ = ["THIN", "SolidScratch", "settle_solids", "solid_scratch"]
 
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.int32]
@@ -27,10 +27,9 @@ _FULL = 17
 """Mark of an obstacle: in the sum of nine marks, the number of obstacles stands in front of that of all parts."""
 _FILL, _RAY, _NEAR = 3, 5, 5
 """A pixel without points takes the state of one at most so far away, px; rays from the ground to what is overhead; and
-the surroundings of a pixel overhead in which such ground is counted. With `_COMPANY` together 15."""
-_COMPANY, _MAJORITY = 2, 5
-"""In a thin survey two points of an obstacle so close together are no bird; and a pixel among so many of eight with an
-obstacle belongs to it."""
+the surroundings of a pixel overhead in which such ground is counted. Together at most 15."""
+_MAJORITY = 5
+"""A pixel among so many of eight with an obstacle belongs to it."""
 _NEARER = 2
 """In a thin survey, ground must be nearer than an obstacle by this factor of the squared distance to make a pixel
 without points free."""
@@ -43,7 +42,7 @@ _HIDDEN = 24.0
 """Points on the surroundings of a pixel overhead, on average, of which one would be ground if it were not hidden."""
 _GROW = 3
 """Canopy within so many pixels of what lets no pulse through belongs to it."""
-_THIN = 0.4
+THIN = 0.4
 """Points on a pixel in a thin survey, at most."""
 _HOLE_POINTS = 8.0
 """A disc with so many points on average is empty by chance once in 3,000 times."""
@@ -131,37 +130,24 @@ def _add_around(north: Bytes, middle: Bytes, south: Bytes, out: Bytes) -> None:
 
 
 @helper
-def _has_company(marks: Bytes, r: int, c: int) -> bool:
-    """Return whether a pixel near one holds a point of an obstacle."""
-    for row in range(r - _COMPANY, r + _COMPANY + 1):
-        for col in range(c - _COMPANY, c + _COMPANY + 1):
-            if (row != r or col != c) and marks[row, col] > 0:
-                return True
-    return False
-
-
-@helper
 def _fill_own(objects: Bytes, scratch: SolidScratch) -> None:
-    """Fill the states of pixels with the points around them."""
+    """Fill the states of pixels with the points around them.
+
+    In a thin survey a single point of an obstacle is one: a crate of 0.7 m has four points at 8 points/m2.
+    """
     marks, around, cols = scratch.marks, scratch.around, objects.shape[1]
     for r in range(objects.shape[0]):
         row = r + _MARGIN
         _add_around(marks[row - 1], marks[row], marks[row + 1], around)
         first = row * marks.shape[1] + _MARGIN
         own, if_thin = scratch.own[first : first + cols], scratch.own_if_thin[first : first + cols]
-        lone = False
         for c in range(cols):
             kind = objects[r, c] % SEEN
             # Tests without a branch, which a processor does for many pixels at once.
             joins = ((kind == FREE) | (kind == EMPTY)) & (around[c] >= _MAJORITY * _FULL)
             joins |= (kind == STEEP) & (around[c] > 1)
-            own[c] = if_thin[c] = OBSTACLE if joins else objects[r, c]
-            lone |= (kind == LONE) | (kind == UNDECIDED)
-        if lone:
-            for c in range(cols):
-                kind = own[c] % SEEN
-                if (kind == LONE) | (kind == UNDECIDED) and _has_company(marks, row, c + _MARGIN):
-                    if_thin[c] = OBSTACLE
+            own[c] = OBSTACLE if joins else objects[r, c]
+            if_thin[c] = OBSTACLE if (kind == LONE) | (kind == UNDECIDED) else own[c]
 
 
 @helper
@@ -179,7 +165,7 @@ def _nearest_state(own: Bytes, at: int, most: int, factor: int, offsets: Rows) -
             return OBSTACLE
         if found == UNSEEN:
             square = offsets[k, 2]
-        if _is_overhead(state) and near and offsets[k, 2] == square:
+        if near and (state == SOLID or (_is_overhead(state) and offsets[k, 2] == square)):
             found = state
         elif found == UNSEEN:
             found = FREE
@@ -195,7 +181,7 @@ def _label(objects: Bytes, pixels: int, hole: float, scratch: SolidScratch) -> b
             top, left = tile_row * pixels, tile_col * pixels
             mean = _points_per_pixel(objects, pixels, top, left)
             limit = min(max(hole * hole, _HOLE_POINTS / (math.pi * max(mean, 1e-9))), 1.0 * _MOST * _MOST)
-            own, factor = (scratch.own_if_thin, _NEARER) if mean < _THIN else (scratch.own, 1)
+            own, factor = (scratch.own_if_thin, _NEARER) if mean < THIN else (scratch.own, 1)
             most = 0
             while most < len(scratch.offsets) and scratch.offsets[most, 2] <= limit:
                 most += 1
