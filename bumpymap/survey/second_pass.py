@@ -58,7 +58,7 @@ from bumpymap.rating import (
 )
 from bumpymap.survey.engine import TileSink
 from bumpymap.survey.tile_rating import RatingModels
-from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, JoinedPack, Pack, TileTable, run_blocks
+from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, Pack, TileTable, run_blocks
 
 __all__ = [
     "KEPT_BYTES",
@@ -140,7 +140,7 @@ def add_neighbours(
     OSError
         The packs cannot be written.
     """
-    keys = sorted(table.pack_of)
+    keys = table.keys
     progress.start("comparing neighbours", len(keys))
     sink = TileSink(folder, kind, rating.columns)
     blocks = _Blocks(table, rating.needs)
@@ -149,7 +149,7 @@ def add_neighbours(
             sink.add(key, columns)
         progress.advance(len(rated))
     sink.flush()
-    return TileTable(table.grid, [JoinedPack(table.pack_of, Pack(path)) for path in sink.new_packs()])
+    return table.with_columns([Pack(path) for path in sink.new_packs()])
 
 
 def _groups(table: TileTable, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
@@ -157,7 +157,7 @@ def _groups(table: TileTable, keys: Sequence[BlockKey]) -> Iterator[list[BlockKe
     group: list[BlockKey] = []
     held = 0
     for key in keys:
-        tiles = table.pack_of[key].rows(key)
+        tiles = table.count(key)
         if group and (held + tiles > _GROUP_TILES):
             yield group
             group, held = [], 0
@@ -183,7 +183,7 @@ class _Blocks:
             if key in self._kept:
                 self._kept.move_to_end(key)
                 return self._kept[key]
-        found = self.table.pack_of[key].read(key, self._names)
+        found = self.table.read_blocks([key], self._names)
         with self._lock:
             if key not in self._kept:
                 self._kept[key] = found
@@ -212,7 +212,7 @@ def _rate_group(
         new = {part.name: rated[part.name][line, column] for part in rating.columns}
         return [(keys[0], new | place)]
     columns = left | place
-    ends = np.cumsum([blocks.table.pack_of[key].rows(key) for key in keys]).tolist()
+    ends = np.cumsum([blocks.table.count(key) for key in keys]).tolist()
     return [
         (key, {name: array[start:stop] for name, array in columns.items()})
         for key, (start, stop) in zip(keys, pairwise([0, *ends]), strict=True)
@@ -233,7 +233,7 @@ def _read_window(blocks: _Blocks, rating: NeighbourRater, key: BlockKey) -> Neig
     columns: dict[str, NDArray[Any]] = {}
     present = np.zeros((side, side), np.bool_)
     around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    for beside in (found for found in around if found in blocks.table.pack_of):
+    for beside in (found for found in around if blocks.table.count(found)):
         part = blocks.read(beside)
         line, column = _cells(key, part, rating.rings)
         inside = np.flatnonzero((line >= 0) & (line < side) & (column >= 0) & (column < side))

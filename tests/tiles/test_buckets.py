@@ -184,7 +184,7 @@ def test_points_far_apart_are_grouped_too():
     grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
     assert grouped.keys == sorted(grouped.keys)
     for place, (row, col) in enumerate(grouped.keys):
-        part = grouped.block(place)
+        part = grouped.block(place, ("easting", "northing"))
         assert np.all(GRID.index(part.columns["easting"]) // 16 == col)
         assert np.all(GRID.index(part.columns["northing"]) // 16 == row)
     assert sorted(grouped.points["upward"].tolist()) == list(range(50))

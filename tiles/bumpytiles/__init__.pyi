@@ -38,10 +38,9 @@ from .native import (
 from .pack import (
     BlockKey as BlockKey,
     Column as Column,
-    JoinedPack as JoinedPack,
     Pack as Pack,
     PackError as PackError,
-    PackWriter as PackWriter,
+    write_pack as write_pack,
 )
 from .run import (
     run_blocks as run_blocks,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
 from bumpytiles.grouping import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
-from bumpytiles.pack import BlockKey, Pack, PackWriter
+from bumpytiles.pack import BlockKey, Column, Pack, write_pack
 from bumpytiles.scaling import Scaling
 
 __all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError", "WaitingChunk", "WaitingPoints"]
@@ -305,7 +305,7 @@ class TileBuckets:
 
     def points(self, key: BlockKey) -> int:
         """Return the number of points of a block, duplicates included."""
-        in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._waiting.parts(key))
+        in_memory = sum(chunk.count(place) for chunk, place in self._waiting.parts(key))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
     def marks(self, key: BlockKey) -> tuple[int, int]:
@@ -373,8 +373,7 @@ class TileBuckets:
     def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointPart]:
         names = tuple(names)
         for chunk, place in self._waiting.parts(key):
-            part = chunk.block(place)
-            yield PointPart({name: part.columns[name] for name in names}, part.scaling)
+            yield chunk.block(place, names)
         for pack in self.packs:
             rows = pack.rows(key)
             for start in range(0, rows, most or max(rows, 1)):
@@ -401,12 +400,13 @@ def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], me
     """Write points of blocks to a pack: on the grid of their file if they are of one, else in metres."""
     scalings = {chunk.scaling for entries in held.values() for chunk, _ in entries}
     scaling = scalings.pop() if len(scalings) == 1 else None
-    columns = columns_of(scaling)
     noted = None if scaling is None else scaling.numbers().tolist()
-    with PackWriter(path, columns, {**meta, "scaling": noted}) as writer:
-        for key, entries in held.items():
-            parts = [chunk.block(place) for chunk, place in entries]
-            parts = parts if scaling is not None else [part.in_metres() for part in parts]
-            rows = sum(len(part.columns["tile"]) for part in parts)
-            writer.add(key, rows, {c.name: [part.columns[c.name] for part in parts] for c in columns})
+    blocks = {key: sum(chunk.count(place) for chunk, place in entries) for key, entries in held.items()}
+
+    def parts_of(column: Column) -> Iterator[NDArray[Any]]:
+        for chunk, place in (entry for entries in held.values() for entry in entries):
+            values = chunk.block(place, (column.name,))
+            yield (values if scaling is not None else values.in_metres()).columns[column.name]
+
+    write_pack(path, columns_of(scaling), blocks, parts_of, {**meta, "scaling": noted})
     return Pack(path)

@@ -20,13 +20,13 @@ from bumpytiles import (
     Grid,
     Pack,
     PackError,
-    PackWriter,
     TileBuckets,
     TilePoints,
     TileTable,
     TooManyPointsError,
     join_tiles,
     run_blocks,
+    write_pack,
 )
 
 __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "TileSink", "engine_errors"]
@@ -34,8 +34,8 @@ __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "TileSink", "engine_erro
 _PACK_TILES = 16_384
 """Tiles in a pack: 22 MB at 15 x 15 pixels. A killed run loses no more than that."""
 
-_GROUP_TILES = 1024
-"""Most tiles that are written at once: 2 MB."""
+_JOINED_BLOCKS = 16
+"""Blocks of which a column is written at once: at most 4 MB."""
 
 
 class TileSink:
@@ -69,31 +69,17 @@ class TileSink:
         if not self._held:
             return
         path = self._folder / f"tiles-{self._kind}-{self._number:06d}.pack"
-        with PackWriter(path, self._columns, {"kind": self._kind, "marks": self._marks}) as writer:
-            for keys in self._groups():
-                parts = [self._held[key] for key in keys]
-                if len(keys) == 1:
-                    writer.add(keys[0], len(parts[0]["col"]), {name: [array] for name, array in parts[0].items()})
-                    continue
-                joined = {
-                    column.name: np.concatenate([part[column.name] for part in parts]) for column in self._columns
-                }
-                writer.add_blocks(keys, [len(part["col"]) for part in parts], joined)
+        blocks = {key: len(columns["col"]) for key, columns in self._held.items()}
+        write_pack(path, self._columns, blocks, self._parts, {"kind": self._kind, "marks": self._marks})
         self._written.append(path)
         self._number += 1
         self._held, self._tiles, self._marks = {}, 0, [0, 0]
 
-    def _groups(self) -> Iterator[list[BlockKey]]:
-        """Yield the held blocks, those with few tiles in groups: the fixed time of a write counts once for many."""
-        group: list[BlockKey] = []
-        tiles = 0
-        for key, columns in self._held.items():
-            if group and tiles + len(columns["col"]) > _GROUP_TILES:
-                yield group
-                group, tiles = [], 0
-            group.append(key)
-            tiles += len(columns["col"])
-        yield group
+    def _parts(self, column: Column) -> Iterator[NDArray[Any]]:
+        """Yield the held rows of a column, a few blocks at a time: the fixed time of a write counts once for them."""
+        held = [columns[column.name] for columns in self._held.values()]
+        for first in range(0, len(held), _JOINED_BLOCKS):
+            yield np.concatenate(held[first : first + _JOINED_BLOCKS])
 
     def new_packs(self) -> list[Path]:
         """Return the packs that were written since the last call."""
