@@ -95,36 +95,13 @@ tiles = st.sets(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=
 def test_a_window_of_a_mosaic_is_a_window_of_all_tiles(chosen, col, row, cols, rows):
     table = TileTable.of(Grid(), columns_of(sorted(chosen)))
     assert table.tiles == len(chosen)
+    assert table.window == TileWindow.around(*np.array(sorted(chosen)).T)
     window = TileWindow(col, row, cols, rows)
     inside = [(c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows]
     expected = sorted(inside, key=lambda tile: (-tile[1], tile[0]))
     found = table.read(["value"], window)
     assert list(zip(found["col"].tolist(), found["row"].tolist(), strict=True)) == expected
     assert found["value"].tolist() == [list(tile) for tile in expected]
-
-
-@given(tiles, st.integers(1, 600))
-def test_strips_hold_each_tile_once(chosen, most):
-    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
-    held = []
-    for strip in table.strips(most):
-        found = table.read([], strip)
-        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
-        blocks = {(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in held[-len(found["col"]) :]}
-        assert len(found["col"]) <= most or len(blocks) == 1
-    assert sorted(held) == sorted(chosen)
-
-
-@given(tiles)
-def test_the_window_of_a_mosaic_is_tight(chosen):
-    col, row = np.array(sorted(chosen)).T
-    assert TileTable.of(Grid(), columns_of(sorted(chosen))).window == TileWindow.around(col, row)
-
-
-def test_packs_join(tmp_path):
-    first = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)])})
-    second = write(tmp_path / "b", {(0, 1): columns_of([(17, 2)])})
-    assert TileTable(Grid(), [first, second]).read([])["col"].tolist() == [1, 17]
 
 
 def test_a_mosaic_without_tiles_is_refused():
@@ -148,8 +125,10 @@ def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, 
     held, corners = [], []
     for strip in table.strips(most, window):
         found = table.read([], strip)
-        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        here = list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        held += here
         corners.append((-strip.row, strip.col))
+        assert len(here) <= most or len({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in here}) == 1
     assert corners == sorted(corners)
     assert sorted(held) == sorted((c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows)
     assert table.holds(window) >= bool(held)

@@ -43,6 +43,7 @@ from .pack import (
     write_pack as write_pack,
 )
 from .run import (
+    grouped_blocks as grouped_blocks,
     run_blocks as run_blocks,
 )
 from .scaling import (
