@@ -134,7 +134,7 @@ def _inspect(
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
-        lines, _ = compare_lines(builder.lines)
+        lines = compare_lines(builder.lines)
         return Report(
             path, grid, reader.info, summary, reader.dropped, reader.classes, options=given, ground=ground, lines=lines
         )
@@ -193,7 +193,7 @@ def _advise_one_map(
         return [text]
     outcome = outcome_of(summary, reports[0].ground)
     advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
-    steps = as_options(describe_lines(compare_lines(whole.lines)[0], "report")) if whole is not None else ""
+    steps = as_options(describe_lines(compare_lines(whole.lines), "report")) if whole is not None else ""
     return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
 
 
