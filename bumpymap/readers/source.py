@@ -77,36 +77,6 @@ PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
 """See `bumpymap.readers.source.pinned_version`."""
 
 
-class HashedFile(io.FileIO):
-    """A file whose bytes are hashed as they are read, see `pinned_version`."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._path = path
-
-    def readinto(self, buffer: Any) -> int | None:
-        """Read bytes into a buffer; return how many."""
-        start = self.tell()
-        got = super().readinto(buffer)
-        # Copied: the caller reads the next bytes into the same buffer.
-        add_to_hash(self._path, start, bytes(memoryview(buffer)[:got]))
-        return got
-
-    def readall(self) -> bytes:
-        """Read the rest of the file."""
-        start = self.tell()
-        data = super().readall()
-        add_to_hash(self._path, start, data)
-        return data
-
-
-def add_to_hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
-    """Add bytes of a file to the hash of `pinned_version`."""
-    pinned = PINNED.get()
-    if pinned is not None and pinned.hashed is not None and pinned.location == path:
-        pinned.hashed(start, data)
-
-
 def file_changed(location: Location, how: str) -> BadInputError:
     """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
     return BadInputError(
@@ -174,9 +144,7 @@ def open_source(location: Location) -> BinaryIO:
             stream = io.BufferedReader(CallbackFile(read_at, size_of(location)), _BLOCK)
         else:
             _refuse_special(location)
-            pinned = PINNED.get()
-            hashed = pinned is not None and pinned.hashed is not None and pinned.location == location
-            stream = io.BufferedReader(HashedFile(location)) if hashed else location.open("rb")
+            stream = location.open("rb")
     return stream
 
 
@@ -228,7 +196,9 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
             filled = _fill(stream, data)
-        add_to_hash(location, start, data[:filled])
+        pinned = PINNED.get()
+        if pinned is not None and pinned.hashed is not None and pinned.location == location:
+            pinned.hashed(start, data[:filled])
         return filled
 
 
