@@ -17,7 +17,6 @@ from bumpymap.layers import (
     describe_file,
     place_entries,
     software_versions,
-    write_driven_tiles,
     write_stretch_table,
     write_stretches,
 )
@@ -68,7 +67,7 @@ def write_check(
         The layers cannot be read, or positions have no longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
-    places = None if ground is None else CheckPlaces.of(result.stretches, result.tiles, ground)
+    places = None if ground is None else CheckPlaces.of(result.stretches, ground)
 
     def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         return {
@@ -87,10 +86,7 @@ def write_check(
     }
     if places is not None:
         writers["check.geojson"] = partial(write_stretches, result, places)
-        writers["check.qml"] = partial(write_check_style, areas=False)
-        if result.tiles is not None and len(result.tiles.col):
-            writers["check_tiles.geojson"] = partial(write_driven_tiles, result.tiles, places)
-            writers["check_tiles.qml"] = partial(write_check_style, areas=True)
+        writers["check.qml"] = write_check_style
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
 
 

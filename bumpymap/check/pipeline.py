@@ -13,7 +13,6 @@ from typing import TypeAlias, TypedDict, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
@@ -21,11 +20,8 @@ from bumpymap.check.output import write_check
 from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
-    DriveSteps,
     MapReading,
     cut_stretches,
-    drive_steps,
-    driven_tiles,
     read_along,
     with_ground,
 )
@@ -48,7 +44,7 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import MapReader, check_check_out, open_map
+from bumpymap.layers import NORMAL_80, MapReader, check_check_out, open_map
 from bumpymap.readers import close_log_reader, drive_files, read_drive
 
 __all__ = [
@@ -66,7 +62,6 @@ Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5
 """With fewer, no rank correlation is given."""
-_END_80 = float(ndtri(0.9))
 
 
 def spearman(first: Floats, second: Floats) -> float:
@@ -94,7 +89,7 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
         nothing = float("nan")
         return MapAgreement(0, 0.0, nothing, nothing, nothing, nothing, nothing)
     ratio = predicted / measured
-    error = _END_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
+    error = NORMAL_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
     below = np.hypot(predicted - stretches.c_r_low[on], error)
     above = np.hypot(stretches.c_r_high[on] - predicted, error)
     inside = (measured >= predicted - below) & (measured <= predicted + above)
@@ -280,7 +275,6 @@ class _Done:
     log: DriveLog
     drive: DriveMeasure
     cut: WayStretch
-    steps: DriveSteps | None = None
     reading: MapReading | None = None
 
 
@@ -316,7 +310,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     done = _usable(((place, partial(_measured, *log, config, site, field)) for place, log in left), skipped)
     for place, why in skipped.items():
         _log.warning("%s is left out: %s", place, why)
-    result = replace(_compared(list(done.values()), site, field), skipped=skipped)
+    result = replace(_compared(list(done.values()), site), skipped=skipped)
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing the check", None)
@@ -373,8 +367,7 @@ def _measured(
     refuse_without_stretches(drive, cut)
     if field is None:
         return _Done(log, drive, cut)
-    steps = drive_steps(drive, cut, field)
-    return _Done(log, drive, cut, steps, read_along(steps, len(cut.start_s), field))
+    return _Done(log, drive, cut, read_along(drive, cut, field))
 
 
 def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
@@ -385,14 +378,14 @@ def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
     return places.place.real[inside], places.place.imag[inside]
 
 
-def _compared(done: list[_Done], site: MapReader | None, field: TileField | None) -> CheckResult:
+def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     """Compare all drives with the map."""
     ground = None if site is None else _ground(site)
     limits = (np.inf,) * 3 if ground is None else ground.class_limits
     stretches = _stretches(done, limits)
     drives = tuple(_checked(one) for one in done)
-    if field is None or ground is None:
-        return CheckResult(None, drives, stretches, None, None, {}, ())
+    if ground is None:
+        return CheckResult(None, drives, stretches, None, {}, ())
     agreement = agreement_of(stretches)
     if not agreement.stretches:
         raise BadInputError(
@@ -402,16 +395,10 @@ def _compared(done: list[_Done], site: MapReader | None, field: TileField | None
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
-    on_tiles = [
-        (one.drive, one.steps, float(np.median(one.drive.track.way_sd(one.cut.start_s, one.cut.end_s) / one.cut.way_m)))
-        for one in done
-        if one.steps is not None
-    ]
     return CheckResult(
         ground=ground,
         drives=drives,
         stretches=stretches,
-        tiles=driven_tiles(on_tiles, field, limits),
         agreement=agreement,
         by_class=by_class,
         warnings=tuple(map_warnings(ground, speeds, agreement)),

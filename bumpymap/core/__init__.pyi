@@ -46,7 +46,6 @@ from .drive_types import (
     CheckResult as CheckResult,
     DriveLog as DriveLog,
     DrivenStretches as DrivenStretches,
-    DrivenTiles as DrivenTiles,
     ImuTrack as ImuTrack,
     MapAgreement as MapAgreement,
     PlaceKind as PlaceKind,

@@ -28,7 +28,7 @@ def on_site(result, site):
     part = np.linspace(0.1, 0.9, len(result.stretches.drive))
     easting = bounds.west + part * (bounds.east - bounds.west)
     northing = bounds.south + part * (bounds.north - bounds.south)
-    return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing), tiles=None), ground
+    return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
 
 
 @pytest.fixture(scope="module")
