@@ -1,4 +1,4 @@
-"""``bumpymap report``: the page of a map again, or of two maps side by side."""
+"""``bumpymap report``: the page of a map again."""
 
 from pathlib import Path
 from typing import Any
@@ -7,13 +7,12 @@ import click
 
 from bumpymap.cli._options import PATH, GroupedCommand, given_options, grouped_option, output_options
 from bumpymap.cli._text import print_json, print_line
-from bumpymap.core import UsageError
 
 __all__ = ["command"]
 
 
 @click.command("report", cls=GroupedCommand)
-@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@click.argument("layers", type=PATH)
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
     "--route",
@@ -27,21 +26,19 @@ __all__ = ["command"]
 )
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
 @output_options("Print nothing.")
-def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
-    """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
+def command(*, layers: Path, quiet: bool, log_json: bool, **given: Any) -> None:
+    """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
 
-    For one folder of `bumpymap diff`, the page of what has changed is made again.
+    For a folder of `bumpymap diff`, the page of what has changed is made again.
 
     \b
     bumpymap report layers --route way
     bumpymap report layers --check checked
-    bumpymap report may_layers june_layers --out may_and_june.html
+    bumpymap report layers --out site.html
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    if not layers:
-        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
-    from bumpymap.views import write_reports
+    from bumpymap.views import write_report
 
-    path = write_reports(layers, **given_options(given))
+    path = write_report(layers, **given_options(given))
     if quiet:
         return
     if log_json:
