@@ -9,14 +9,13 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypedDict, TypeVar, Unpack
+from typing import Any, TypeAlias, TypedDict, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
-from bumpymap.check.output import write_check
 from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
@@ -44,8 +43,25 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import NORMAL_80, MapReader, check_check_out, open_map
+from bumpymap.layers import (
+    CHECK_FILES,
+    CHECK_FORMAT,
+    MANIFEST_NAME,
+    NORMAL_80,
+    CheckGround,
+    CheckPlaces,
+    MapReader,
+    check_check_out,
+    check_entries,
+    describe_file,
+    open_map,
+    place_entries,
+    software_versions,
+    write_stretch_table,
+    write_stretches,
+)
 from bumpymap.readers import close_log_reader, drive_files, read_drive
+from bumpymap.views import write_check_page, write_check_style
 
 __all__ = [
     "agreement_of",
@@ -56,6 +72,7 @@ __all__ = [
     "refuse_without_stretches",
     "run_check",
     "spearman",
+    "write_check",
 ]
 
 Floats = NDArray[np.float64]
@@ -481,3 +498,79 @@ def _checked(one: _Done) -> CheckedDrive:
         notes=(*log.notes, *drive.notes),
         warnings=tuple(drive_warnings(drive, cut, has_positions=has_positions)),
     )
+
+
+def write_check(
+    result: CheckResult,
+    out: Path,
+    *,
+    ground: CheckGround | None = None,
+    manifest: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write what drives show of a map to a folder, which is created if it is missing.
+
+    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not
+    write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
+    the time or on folder names.
+
+    Parameters
+    ----------
+    result : CheckResult
+        With at least one drive.
+    out : Path
+        The folder.
+    ground : CheckGround, optional
+        The map that the drives were checked against, such as `open_map` returns it; None without a map.
+    manifest : mapping, optional
+        The run's own entries for check.json, such as settings.
+    overwrite : bool
+        Allow files of an earlier check to be replaced.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    UsageError, OutputError
+        See `check_check_out`; or a file cannot be written.
+    BadInputError
+        The layers cannot be read, or positions have no longitude and latitude.
+    """
+    check_check_out(out, overwrite=overwrite)
+    places = None if ground is None else CheckPlaces.of(result.stretches, ground)
+
+    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            "format": CHECK_FORMAT,
+            "version": 1,
+            **(manifest or {}),
+            "versions": software_versions(),
+            **_describe_ground(ground, places),
+            "files": files,
+            **check_entries(result),
+        }
+
+    writers: dict[str, Callable[[Path], None]] = {
+        "check.html": partial(write_check_page, result, ground if places is not None else None),
+        "stretches.csv": partial(write_stretch_table, result, places),
+    }
+    if places is not None:
+        writers["check.geojson"] = partial(write_stretches, result, places)
+        writers["check.qml"] = write_check_style
+    return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
+
+
+def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:
+    """Return the layers that drives were checked against: their folders, checksums, place and calibration."""
+    if ground is None:
+        return {}
+    folders = [
+        {"path": str(folder), "run_sha256": describe_file(folder / MANIFEST_NAME)["sha256"]}
+        for folder in ground.folders
+    ]
+    first: Mapping[str, Any] = next(iter(ground.manifests), {})
+    known = {name: first[name] for name in ("vehicle", "calibration") if name in first}
+    return {"layers": folders, **known, **({} if places is None else place_entries(places.placement))}

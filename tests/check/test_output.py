@@ -10,7 +10,7 @@ from check_records import made_up_check
 from hypothesis import given, settings, strategies as st
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.core import BadInputError, CheckedDrive, OutputError, UsageError
 from bumpymap.layers import check_check_out
 from bumpymap.layers.check_record import (

@@ -9,7 +9,7 @@ import pytest
 from check_records import made_up_check
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 

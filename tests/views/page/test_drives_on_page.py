@@ -13,7 +13,7 @@ from page_outline import Outline
 from route_maps import copy_folder
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import open_map
 from bumpymap.layers.check_vectors import MapOffset
