@@ -25,12 +25,8 @@ from bumpymap.rating import KEYS, load_profile, shipped_profiles
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Return a page with its markers replaced."""
-    return re.sub(
-        r"^<!-- (help|settings|bands|columns|profile|vehicles)(?: ([a-z. ]+))? -->$",
-        _filled,
-        markdown,
-        flags=re.MULTILINE,
-    )
+    kinds = "help|settings|bands|columns|profile|vehicles|table"
+    return re.sub(rf"^<!-- ({kinds})(?: ([a-z_./ ]+))? -->$", _filled, markdown, flags=re.MULTILINE)
 
 
 def _filled(marker: re.Match[str]) -> str:
