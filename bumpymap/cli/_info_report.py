@@ -264,7 +264,7 @@ def _advise_one_map(
         return [text]
     outcome = _outcome_of(summary, reports[0].ground)
     advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
-    steps = describe_lines(compare_lines(whole.lines)[0], "report")
+    steps = describe_lines(compare_lines(whole.lines), "report")
     return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
 
 

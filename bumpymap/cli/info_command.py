@@ -92,7 +92,7 @@ def _inspect(
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
-        lines, _ = compare_lines(builder.lines)
+        lines = compare_lines(builder.lines)
         return Report(path, grid, reader.info, summary, reader.dropped, reader.classes, "", given, config.ground, lines)
     except BadInputError as error:
         return Report(path, grid, error=str(error))

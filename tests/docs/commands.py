@@ -21,7 +21,7 @@ from bumpymap.cli import main as bumpymap_main
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+    "bumpymap", "dask", "gdal_translate", "gdaldem", "grass", "make", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -45,7 +45,6 @@ RULES = (
     Rule(r"^gdal", "takes GDAL's own tools"),
     Rule(r"^grass ", "takes GRASS"),
     Rule(r"^(xdg-open|qgis) ", "opens a window"),
-    Rule(r"^(openssl|chmod) ", "takes OpenSSL"),
     Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it"),
     Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite"),
     Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour"),
@@ -60,9 +59,7 @@ RULES = (
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives"),
     Rule(r"^python tests/benchmarks/", "measures for minutes or hours, some beside other programs; tests run parts"),
-    Rule(
-        r"^bumpymap (evaluate|train) ", "hours of drives or of learning; some take data sets: tests/lab runs short ones"
-    ),
+    Rule(r"^bumpymap (evaluate|train) ", "hours of drives or learning; tests/lab runs short ones"),
 )
 
 

@@ -44,7 +44,6 @@ def write_pcd(path, points, data):
 FORMATS = {
     "las": lambda las, _, points: las.write(points=points),
     "laz": lambda las, laz, points: laz.pack(las.write(points=points, version="1.4", fmt=6), 500),
-    "one stream": lambda las, laz, points: laz.pack(las.write(points=points)),
     "copc": lambda las, laz, points: laz.octree(las.write(points=points, version="1.4", fmt=6)),
     "ply": lambda las, _, points: write_ply(las.folder / "a.ply", points, "binary_little_endian"),
     "text ply": lambda las, _, points: write_ply(las.folder / "a.ply", points, "ascii"),
