@@ -29,13 +29,13 @@ from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 if TYPE_CHECKING:
     from bumpymap.lab import Findings, ScanFindings, Subject
 
-_OF_ALL = ("surveys", "scans", "out", "seed", "overwrite", "quiet", "log_json", "config_file", "assigned")
-_OF_SCANS = ("scenes", "labels", "model", "stripes")
+_OF_ALL = ("surveys", "scans", "out", "overwrite", "quiet", "log_json", "config_file", "assigned")
+_OF_SCANS = ("labels", "model", "stripes")
 
 
 @click.command("evaluate", cls=GroupedCommand)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@grouped_option("--scans", is_flag=True, help="Evaluate scans: given frames, or simulated scenes.", group="Input")
+@grouped_option("--scans", is_flag=True, help="Evaluate the classes of scans: SURVEY are frames.", group="Input")
 @grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
 @settings_options(MapConfig, "ground", "crs", "z_unit", "local")
 @grouped_option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.", group="Input")
@@ -55,7 +55,7 @@ _OF_SCANS = ("scenes", "labels", "model", "stripes")
     group="Vehicle",
 )
 @settings_options(EvaluateSettings)
-@settings_options(ScanEvaluateSettings, without=("seed",))
+@settings_options(ScanEvaluateSettings)
 @jobs_option
 @grouped_option("--labels", metavar="NAME|FILE", help="With --scans: label set [by the ids].", group="Input")
 @grouped_option("--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output")
@@ -70,16 +70,15 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, stored: dict[st
     \b
     bumpymap evaluate site.laz --out trust
     bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
-    bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     stored = changed_settings(stored, EvaluateSettings, ScanEvaluateSettings)
-    _refuse_other_options(stored, places=bool(surveys), scans=scans)
+    _refuse_other_options(stored, scans=scans)
+    if not surveys:
+        raise UsageError("evaluate takes surveys, such as site.laz, or with --scans frames, such as the folder drive")
     if scans:
         _evaluate_scans(surveys, out, ScanEvaluateSettings(**_chosen(stored, ScanEvaluateSettings)), given)
         return
-    if not surveys:
-        raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     merge_settings({}, given_options(click.get_current_context().params), OF_CRS)
     settings = EvaluateSettings(**_chosen(stored, EvaluateSettings))
     subjects = _subjects(given, settings)
@@ -106,7 +105,7 @@ def command(*, surveys: tuple[Any, ...], scans: bool, out: Path, stored: dict[st
         _summary(findings, files)
 
 
-def _refuse_other_options(stored: dict[str, Any], *, places: bool, scans: bool) -> None:
+def _refuse_other_options(stored: dict[str, Any], *, scans: bool) -> None:
     """Raise UsageError for settings of the other evaluation, which would have no effect."""
     given = given_options(click.get_current_context().params) | stored
     for name in given:
@@ -116,10 +115,6 @@ def _refuse_other_options(stored: dict[str, Any], *, places: bool, scans: bool) 
             )
         if not scans and name in _OF_SCANS:
             raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
-    if scans and places and "scenes" in given:
-        raise UsageError("`scenes` applies to simulated scenes: leave it or the frames out")
-    if scans and not places and "labels" in given:
-        raise UsageError("--labels applies to frames: give frames, or leave it out")
 
 
 def _progress(given: dict[str, Any]) -> AbstractContextManager[Progress]:
@@ -138,9 +133,7 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, settings: ScanEvaluateSe
         ScanMethods,
         evaluate_scans,
         labels_of,
-        load_open3d,
         read_frames,
-        simulated_scans,
         write_scan_report,
     )
     from bumpymap.readers import find_frames
@@ -148,14 +141,11 @@ def _evaluate_scans(places: tuple[Any, ...], out: Path, settings: ScanEvaluateSe
 
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
     methods = ScanMethods(load_stripes(settings.stripes), network)
-    if not places:
-        load_open3d("evaluate --scans without frames")
-    frames = find_frames([Path(place) for place in places]) if places else []
+    frames = find_frames([Path(place) for place in places])
     labels = labels_of(frames, given["labels"])
     with locked(out), _progress(given) as progress:
         _check_place(out, overwrite=given["overwrite"])
-        scans = read_frames(frames, labels) if frames else simulated_scans(settings)
-        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
+        findings = evaluate_scans(read_frames(frames, labels), len(frames), settings, methods, progress, labels)
         files = write_scan_report(findings, out)
     if _is_text(out, files, given):
         _summarise_scans(findings)

@@ -78,11 +78,10 @@ RULES = (
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),
     Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),
-    Rule(r"^bumpymap evaluate --scans --set scenes", "made-up scenes", "--set scenes=2"),
     Rule(r"^bumpymap evaluate --scans ", "takes some seconds for each frame", ""),
     Rule(r"^bumpymap evaluate ", "an hour of drives", "--set total_patches=10 --set min_starts=2"),
-    Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
-    Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--set scenes=2 --set epochs=1 --overwrite"),
+    Rule(r"^bumpymap train --scans Rellis|model=rellis\.onnx", "takes a data set", None),
+    Rule(r"^python docs/models/", "takes open3d, and simulates scenes for hours", None),
     Rule(r"^bumpymap train ", "half an hour", "--set patches_per_texture=30 --set epochs=1"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives", None),
 )
