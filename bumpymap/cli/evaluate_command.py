@@ -17,7 +17,7 @@ from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 if TYPE_CHECKING:
     from bumpymap.lab import Findings, ScanFindings, Subject
 
-_OF_SCANS = ("scenes", "labels", "model", "stripes")
+_OF_SCANS = ("labels", "model", "stripes")
 _OF_READING = ("ground", "crs", "z_unit", "local")
 _OF_SURVEYS = {field.name for field in fields(EvaluateSettings) if field.name != "seed"}
 _OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
@@ -32,7 +32,7 @@ _OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
     owners=(EvaluateSettings, ScanEvaluateSettings),
 )
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@grouped_option("--scans", is_flag=True, help="Evaluate scans: given frames, or simulated scenes.", group="Input")
+@grouped_option("--scans", is_flag=True, help="Evaluate the classes of scans: SURVEY are frames.", group="Input")
 @grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
 @grouped_option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.", group="Input")
 @grouped_option(
@@ -61,15 +61,14 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
     \b
     bumpymap evaluate site.laz --out trust
     bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
-    bumpymap evaluate --scans --out trust
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _refuse_other_options(run.named(), places=bool(surveys), scans=scans)
+    _refuse_other_options(run.named(), scans=scans)
+    if not surveys:
+        raise UsageError("evaluate takes surveys, such as site.laz, or with --scans frames, such as the folder drive")
     if scans:
         _evaluate_scans(run, surveys, out, given)
         return
-    if not surveys:
-        raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     forced = {} if given["force_crs"] is None else {"force_crs": given["force_crs"]}
     refuse_clashes(run.given | forced, OF_CRS, option_name)
     settings = EvaluateSettings(**_chosen(run, EvaluateSettings))
@@ -97,7 +96,7 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
     run.show(_record(out, files), _lines(findings, files))
 
 
-def _refuse_other_options(given: list[str], *, places: bool, scans: bool) -> None:
+def _refuse_other_options(given: list[str], *, scans: bool) -> None:
     """Raise UsageError for settings of the other evaluation, which would have no effect."""
     for name in given:
         if scans and name in _OF_SURVEYS:
@@ -106,10 +105,6 @@ def _refuse_other_options(given: list[str], *, places: bool, scans: bool) -> Non
             )
         if not scans and name in _OF_SCANS:
             raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
-    if scans and places and "scenes" in given:
-        raise UsageError("`scenes` applies to simulated scenes: leave it or the frames out")
-    if scans and not places and "labels" in given:
-        raise UsageError("--labels applies to frames: give frames, or leave it out")
 
 
 def _record(out: Path, files: list[Path]) -> dict[str, Any]:
@@ -121,9 +116,7 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
         ScanMethods,
         evaluate_scans,
         labels_of,
-        load_open3d,
         read_frames,
-        simulated_scans,
         write_scan_report,
     )
     from bumpymap.readers import find_frames
@@ -132,14 +125,11 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
     methods = ScanMethods(load_stripes(settings.stripes), network)
-    if not places:
-        load_open3d("evaluate --scans without frames")
-    frames = find_frames([Path(place) for place in places]) if places else []
+    frames = find_frames([Path(place) for place in places])
     labels = labels_of(frames, given["labels"])
     with locked(out), run.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
-        scans = read_frames(frames, labels) if frames else simulated_scans(settings)
-        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
+        findings = evaluate_scans(read_frames(frames, labels), len(frames), settings, methods, progress, labels)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
 

@@ -3,17 +3,22 @@
 Takes some minutes and open3d. Scenes are those of seed 5150: twelve of every theme, each seen by another sensor.
 """
 
+import sys
 from pathlib import Path
 
 import numpy as np
 
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
-from bumpymap.lab.train.scan_sectors import crowns_as_bushes, scene_scan
-from bumpymap.lab.worlds.scans.scene import THEMES
+from bumpymap.lab.train.scan_sectors import crowns_as_bushes
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.stripes import fit_stripes, save_stripes
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
+
+from scan_scenes.lidar import scene_scan
+from scan_scenes.scene import THEMES
 
 SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"

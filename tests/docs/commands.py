@@ -50,6 +50,7 @@ RULES = (
     Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour"),
     Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited"),
     Rule(r"^python tests/fuzz/", "an hour"),
+    Rule(r"^python docs/models/", "takes open3d, and simulates scenes for hours"),
     Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`"),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes"),
     Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in"),

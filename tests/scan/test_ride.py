@@ -7,10 +7,10 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scan_scenes.things import make_field
 
 import bumpymap
 from bumpymap.core import NO_CLASS, PolarSettings, Scan, UsageError, sector_bounds
-from bumpymap.lab.worlds.scans.things import make_field
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, polar_sectors, scan_frames
 from bumpymap.scan.methods import SectorRater

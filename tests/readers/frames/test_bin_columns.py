@@ -201,8 +201,8 @@ def test_real_scans_have_four_columns(shared_data, folder):
 @pytest.mark.open3d
 @pytest.mark.parametrize("sensor", ["32_sparse", "64_down", "128_wide"])
 def test_simulated_scenes_are_told(sensor):
-    from bumpymap.lab.worlds.scans.lidar import SENSORS, simulate_scan
-    from bumpymap.lab.worlds.scans.scene import make_scene
+    from scan_scenes.lidar import SENSORS, simulate_scan
+    from scan_scenes.scene import make_scene
 
     used = SENSORS[sensor]
     scan = simulate_scan(make_scene(3, 11), used, 11)
