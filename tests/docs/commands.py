@@ -27,7 +27,7 @@ from bumpymap.cli import main as bumpymap_main
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+    "bumpymap", "dask", "gdal_translate", "gdaldem", "grass", "make", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -54,7 +54,6 @@ RULES = (
     Rule(r"^gdal", "takes GDAL's own tools", ""),
     Rule(r"^grass ", "takes GRASS", ""),
     Rule(r"^(xdg-open|qgis) ", "opens a window", None),
-    Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
     Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
     Rule(r"^python tests/benchmarks/run\.py", "an hour, and PDAL", None),
     Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
