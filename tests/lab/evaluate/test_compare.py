@@ -91,10 +91,3 @@ def test_what_does_not_rise_is_named(verdict_of):
         "variance_mean": False,
         "residual_mean": True,
     }
-
-
-def test_a_class_without_tiles_breaks_no_rise(verdict_of):
-    found = class_table(verdict_of([0.1, 0.2, 0.5], [0, 1, 3]), np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
-    assert found["rows"][2]["tiles"] == 0
-    assert np.isnan(found["rows"][2]["variance_mean"])
-    assert all(found["rises"].values())

@@ -71,11 +71,3 @@ def test_json_holds_every_number_and_none_for_the_unknown(findings, tmp_path):
     own = record["comparison"]["agreement"]["ride"]
     assert own["spearman"] == pytest.approx(findings.comparison.agreement["ride"].spearman, rel=1e-5)
     assert record["comparison"]["agreement"]["ride"]["fitted_error"] is None
-
-
-def test_same_findings_give_the_same_bytes(findings, tmp_path):
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        write_report(findings, tmp_path / name)
-    for path in (tmp_path / "a").iterdir():
-        assert path.read_bytes() == (tmp_path / "b" / path.name).read_bytes()

@@ -1,26 +1,19 @@
 """Simulated drives: motion in DART against closed forms, sensors whose faults have the size they are said to have."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from driven_ways import RecordSettings, ReliefGround, Stop, record_way
 from pyproj import Transformer
-from scipy.signal import welch
 from scipy.spatial.transform import Rotation
 from sensed_drives import (
     GNSS,
     GRAVITY,
     IMUS,
-    ClockFault,
     DriveSensors,
-    GnssGrade,
-    SensorGrade,
     TrueDrive,
     mount_rotation,
-    read_motion,
-    save_motion,
     sense_drive,
     write_drive_files,
 )
@@ -73,20 +66,6 @@ def test_a_recorded_drive_stands_stops_and_shakes_as_the_closed_form_says():
     assert small[:, 0, 2] == pytest.approx(motion.rates[1:, 1] / motion.rate_hz, abs=2e-6)
 
 
-@pytest.mark.parametrize("ahead", [0.0, 0.4])
-def test_a_circle_gives_the_centripetal_acceleration_at_the_sensor(ahead):
-    felt = circle(speed=2.0, turn=0.5).specific_force((ahead, 0.0, 0.0))[1:-1]
-    assert felt[:, 1] == pytest.approx(2.0 * 0.5, rel=1e-5)
-    assert felt[:, 0] == pytest.approx(-ahead * 0.5**2, abs=1e-5)
-
-
-def test_a_motion_is_kept_in_a_file_and_its_ride_is_pitch_over_way(tmp_path):
-    save_motion(circle(speed=2.0, turn=0.5, pitch_rate=-0.3), tmp_path / "drive.npz")
-    way, c_r = read_motion(tmp_path / "drive.npz").ride(np.array([1.0, 2.0]), np.array([2.0, 5.0]))
-    assert way == pytest.approx([2.0, 6.0], rel=1e-5)
-    assert c_r == pytest.approx(0.15, rel=1e-5)
-
-
 def test_perfect_sensors_read_the_motion_and_a_mounting_turns_it():
     drive = circle(speed=1.5, turn=0.3, pitch_rate=0.2)
     found = sensed(drive)
@@ -97,31 +76,6 @@ def test_perfect_sensors_read_the_motion_and_a_mounting_turns_it():
     assert places.x == pytest.approx(np.interp(at, drive.time, drive.place[:, 0]), abs=1e-3)
     turned = sensed(drive, mount_deg=(3.0, -5.0, 4.0)).log.imu
     assert turned.rate @ mount_rotation((3.0, -5.0, 4.0)).T == pytest.approx(imu.rate)
-
-
-@pytest.mark.parametrize("rate_hz", [100.0, 200.0])
-def test_noise_has_its_density_at_any_sampling_rate(rate_hz):
-    noise = SensorGrade(2e-4, 0, 0, 0, 0, 0)
-    rate = sensed(circle(0.0, 0.0, 60.0), imu=replace(IMUS["perfect"], rate=noise, sample_hz=rate_hz)).log.imu.rate
-    _, density = welch(rate, rate_hz, nperseg=256, axis=0)
-    assert np.sqrt(density[5:-5].mean(axis=0)) == pytest.approx(2e-4, rel=0.03)
-
-
-def test_clock_and_latency_are_in_the_offset_that_has_to_be_found():
-    drive = circle(speed=2.0, turn=0.0, seconds=100.0)
-    found = sensed(drive, gnss=GnssGrade(0.0, 0.0, latency_s=0.1), clock=ClockFault(0.4, 50.0))
-    true = (found.log.places.x - 480_000.0) / 2.0
-    drift = found.truth.clock_drift_ppm * 1e-6 * (true - 50.0)
-    shown = found.log.places.time - found.start_s
-    assert found.truth.clock_offset_s == pytest.approx(0.3)
-    assert shown + found.truth.clock_offset_s + drift == pytest.approx(true, abs=1e-5)
-
-
-def test_the_true_floor_is_what_a_standing_vehicle_reads():
-    found = sense_drive(circle(0.0, 0.0, 100.0), DriveSensors(IMUS["good"], None), 5)
-    assert 0.003 < found.truth.floor_radps < 0.02
-    assert found.log.places is None
-    assert math.isnan(found.truth.position_error_m)
 
 
 def test_files_hold_the_log(tmp_path):
