@@ -17,7 +17,7 @@ from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 if TYPE_CHECKING:
     from bumpymap.lab import Findings, ScanFindings, Subject
 
-_OF_SCANS = ("labels", "model", "stripes")
+_OF_SCANS = ("labels", "model")
 _OF_READING = ("ground", "crs", "z_unit", "local")
 _OF_SURVEYS = {field.name for field in fields(EvaluateSettings)}
 _OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
@@ -109,7 +109,7 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
 
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
-    methods = ScanMethods(load_stripes(settings.stripes), network)
+    methods = ScanMethods(load_stripes(), network)
     frames = find_frames([Path(place) for place in places])
     labels = labels_of(frames, given["labels"])
     with locked(out), run.progress() as progress:

@@ -20,10 +20,9 @@ from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, load_stripes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.scan.stripes import fit_frames
 
 pytestmark = pytest.mark.slow
 
@@ -446,26 +445,6 @@ def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"000000_a", "000001_a"}
 
 
-def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
-    pytest.importorskip("sklearn")
-    config = ScanConfig((drive / "frames",), tmp_path / "own.json")
-    model, skipped = fit_frames(config)
-    assert (model.scans, skipped, files(tmp_path)) == (2, {}, ["own.json"])
-    assert load_stripes(tmp_path / "own.json") == model
-    with pytest.raises(OutputError, match="exists already"):
-        fit_frames(config)
-    assert fit_frames(replace(config, overwrite=True))[0] == model
-    out = tmp_path / "out"
-    scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, stripes=tmp_path / "own.json", products=("table",)))
-    table = pq.read_table(out / "sectors.parquet").to_pydict()
-    for stripes, class_id, traversable in zip(table["stripes"], table["class"], table["traversable"], strict=True):
-        assert (stripes is None) == (class_id is None) == (not traversable)
-        if traversable:  # what stands on the ground may raise it
-            assert class_id >= int(np.argmin(np.abs(np.float32(stripes) - np.array(model.centres, np.float32))))
-    with pytest.raises(OutputError, match="no folder"):
-        fit_frames(replace(config, out=tmp_path / "nowhere" / "own.json"))
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -477,8 +456,7 @@ def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
         ({"threads": 0}, "`threads` is 0"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
         ({"method": "filter", "model": "a.onnx"}, "options of one"),
-        ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),
-        ({"stripes": "a.json", "compat": "paper"}, "cannot use those of `stripes`"),
+        ({"model": "a.onnx", "compat": "paper"}, "options of one"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):
