@@ -11,6 +11,7 @@ from sensed_drives import (
     GNSS,
     GRAVITY,
     IMUS,
+    START_S,
     DriveSensors,
     TrueDrive,
     mount_rotation,
@@ -69,24 +70,22 @@ def test_a_recorded_drive_stands_stops_and_shakes_as_the_closed_form_says():
 def test_perfect_sensors_read_the_motion_and_a_mounting_turns_it():
     drive = circle(speed=1.5, turn=0.3, pitch_rate=0.2)
     found = sensed(drive)
-    imu, places = found.log.imu, found.log.places
+    imu, places = found.imu, found.places
     assert imu.rate == pytest.approx(np.tile([0, 0.2, 0.3], (len(imu.time), 1)), abs=1e-9)
     assert imu.acceleration[5:-5] == pytest.approx(np.tile([0, 0.45, GRAVITY], (len(imu.time) - 10, 1)), abs=1e-4)
-    at = places.time - found.start_s
+    at = places.time - START_S
     assert places.x == pytest.approx(np.interp(at, drive.time, drive.place[:, 0]), abs=1e-3)
-    turned = sensed(drive, mount_deg=(3.0, -5.0, 4.0)).log.imu
+    turned = sensed(drive, mount_deg=(3.0, -5.0, 4.0)).imu
     assert turned.rate @ mount_rotation((3.0, -5.0, 4.0)).T == pytest.approx(imu.rate)
 
 
 def test_files_hold_the_log(tmp_path):
-    log = sense_drive(circle(speed=1.0, turn=0.5), replace(PERFECT, wheels_hz=20.0), 1, "lap", "EPSG:32614").log
-    still = sense_drive(circle(0.0, 0.0), PERFECT, 1, crs="EPSG:32614").log.places
+    log = sense_drive(circle(speed=1.0, turn=0.5), PERFECT, 1, "lap", "EPSG:32614")
+    still = sense_drive(circle(0.0, 0.0), PERFECT, 1, crs="EPSG:32614").places
     back = Transformer.from_crs("EPSG:4326", "EPSG:32614", always_xy=True).transform(still.x[0], still.y[0])
     assert back == pytest.approx((480_000.0, 2_136_000.0), abs=1e-3)
-    imu, gnss, wheels = write_drive_files(log, tmp_path)
-    assert [path.name for path in (imu, gnss, wheels)] == ["lap_imu.csv", "lap_gnss.csv", "lap_wheels.csv"]
+    imu, gnss = write_drive_files(log, tmp_path)
+    assert (imu.name, gnss.name) == ("lap_imu.csv", "lap_gnss.csv")
     held = np.loadtxt(imu, delimiter=",", skiprows=1)
     assert held[:, :4] == pytest.approx(np.column_stack([log.imu.time, log.imu.rate]), abs=1e-6)
     assert np.loadtxt(gnss, delimiter=",", skiprows=1)[:, 1] == pytest.approx(log.places.x, abs=1e-9)
-    held = np.loadtxt(wheels, delimiter=",", skiprows=1)
-    assert held[:, 1:] == pytest.approx(np.tile([0.75, 1.25], (len(held), 1)))
