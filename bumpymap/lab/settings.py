@@ -179,7 +179,6 @@ class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
     model: Annotated[Path | None, Setting("With --scans: your own scan network", "FILE", rare=True)] = None
-    stripes: Annotated[Path | None, Setting("With --scans: your own stripe classes", "FILE", rare=True)] = None
 
     def __post_init__(self) -> None:
         check_settings(self)

@@ -16,7 +16,6 @@ def evaluate(tmp_path, *words):
     ("words", "message"),
     [
         (["site.laz", "--set", "model=m.onnx"], "--set model applies to scans: add --scans"),
-        (["site.laz", "--set", "stripes=s.json"], "--set stripes applies to scans: add --scans"),
         (["--scans", "--set", "total_patches=200"], "--set total_patches applies to surveys and vehicles"),
         (["--scans", "--local"], "--local applies to surveys and vehicles"),
         (["--scans", "drive", "--vehicle", "car"], "--vehicle applies to surveys and vehicles"),

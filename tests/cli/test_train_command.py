@@ -102,7 +102,7 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (["--set", "sectors_per_class=9"], 2, "--set sectors_per_class applies to scans: add --scans DIR"),
+        (["--set", "sectors_per_class=9"], 2, "--set sectors_per_class applies to scans"),
         (["--scans", "here", "--set", "network.pixels=16"], 2, "--network applies to the texture network"),
         (["--scans", "here", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
         (

@@ -60,6 +60,7 @@ RULES = (
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives"),
     Rule(r"^python tests/benchmarks/", "measures for minutes or hours, some beside other programs; tests run parts"),
+    Rule(r"^python docs/models/|model=rellis\.onnx", "takes open3d and hours, or a data set"),
     Rule(r"^bumpymap (evaluate|train) ", "hours of drives or learning; tests/lab runs short ones"),
 )
 

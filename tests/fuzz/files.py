@@ -353,7 +353,7 @@ def _scans(folder):
 
     import bumpymap
     from bumpymap.readers import label_set
-    from bumpymap.scan import ScanModel, load_stripes
+    from bumpymap.scan import ScanModel
 
     rng = np.random.default_rng(2)
     radius, azimuth = np.sqrt(rng.uniform(1.0, 200.0, 3000)), rng.uniform(-np.pi, np.pi, 3000)
@@ -389,7 +389,6 @@ def _scans(folder):
 
     home = Path(bumpymap.__file__).parent / "scan" / "data" / "models"
     yield from (_case(path, of(ScanModel.load), label="scan model") for path in sorted(home.glob("*.onnx"))[:1])
-    yield _case(home / "stripes.json", of(load_stripes), label="stripes")
     (folder / "labels.csv").write_text("id,class,name,kind\n1,0,grass,ground\n2,2,tree,obstacle\n")
     (folder / "labels.toml").write_text('[[label]]\nid = 1\nname = "grass"\nclass = 0\n')
     yield from (_case(folder / name, of(label_set), label="labels") for name in ("labels.csv", "labels.toml"))

@@ -7,7 +7,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
 from bumpymap.lab.train.scan_sectors import (
-    SWAPPED_MEASURES,
     Sectors,
     crowns_as_bushes,
     draw_epoch,
@@ -152,12 +151,3 @@ def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
     for one, two in zip(draw_epoch(sectors, 20, np.random.default_rng(1)), (patches, measures, class_id), strict=True):
         assert_array_equal(one, two)
     assert_array_equal(sectors.patches, before)
-
-
-def test_some_measures_are_lent_and_others_never():
-    _, measures, _ = draw_epoch(_made([900, 900, 900]), 900, np.random.default_rng(1))
-    who = measures[:, MEASURES.index("distance")]
-    for column, name in enumerate(MEASURES):
-        foreign = (measures[:, column] != who).mean()
-        assert 0.1 < foreign < 0.2 if name in SWAPPED_MEASURES else foreign == 0
-        assert_array_equal(np.sort(measures[:, column]), np.sort(who))  # lent, not made up
