@@ -308,27 +308,6 @@ def test_accelerations_without_gravity_are_not_used(tmp_path):
     assert any("not used" in note for note in log.notes)
 
 
-def test_what_ros2_topic_echo_writes(tmp_path):
-    rng = np.random.default_rng(1)
-    rates = rng.normal(0, 0.2, (100, 3))
-    nine = ",".join(["0.0"] * 9)
-    imu = [
-        f"1700000000,{n * 10_000_000},imu_link,0,0,0,1,{nine},{r[0]},{r[1]},{r[2]},{nine},0.0,0.0,9.81,{nine}"
-        for n, r in enumerate(rates)
-    ]
-    fix = [
-        f"1700000000,{n * 100_000_000},gps,{-1 if n == 4 else 0},1,19.4,{-99.1 + n * 1e-6},2240.0,{nine},2"
-        for n in range(10)
-    ]
-    for name, lines in (("imu", imu), ("fix", fix)):
-        (tmp_path / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
-    log = read_drive(f"{tmp_path / 'imu.csv'},{tmp_path / 'fix.csv'}")
-    np.testing.assert_array_equal(log.imu.rate, rates)
-    np.testing.assert_allclose(log.imu.time - 1.7e9, np.arange(100) * 0.01, atol=1e-6)
-    assert len(log.places.time) == 9
-    assert any("without a fix" in note for note in log.notes)
-
-
 def test_a_bag_exported_by_rostopic(tmp_path):
     columns = drive()
     names = {
