@@ -26,7 +26,6 @@ from bumpytiles import Bounds
 __all__ = [
     "TRUST",
     "Location",
-    "OpenFile",
     "Version",
     "asks_too_much",
     "box_text",
@@ -180,37 +179,6 @@ def open_source(location: Location) -> BinaryIO:
             if pinned is None or pinned.hashed is None or pinned.location != location:
                 return location.open("rb")
         return io.BufferedReader(RangeFile(location), _BLOCK if is_url(location) else io.DEFAULT_BUFFER_SIZE)
-
-
-class OpenFile:
-    """Access to the bytes of a file: opened by path or URL for each access, or through a stream that is already open.
-
-    Parameters
-    ----------
-    path : Path or str
-    stream : binary file, optional
-        The open file. It can then be read by one reader at a time.
-    """
-
-    def __init__(self, path: Location, stream: BinaryIO | None = None) -> None:
-        self.path, self._stream = path, stream
-
-    def open(self) -> BinaryIO:
-        """Return a new stream at the start of the file, which the caller closes. Raises the errors of `open_source`."""
-        if self._stream is None:
-            return open_source(self.path)
-        stream = os.fdopen(os.dup(self._stream.fileno()), "rb")
-        stream.seek(0)
-        return stream
-
-    def read(self, start: int, size: int) -> NDArray[np.uint8]:
-        """Read ``size`` bytes from offset ``start``; fewer at the end of the file."""
-        if self._stream is None:
-            return read_range(self.path, start, size)
-        data = np.empty(size, np.uint8)
-        with _reading(self.path), self.open() as stream:
-            stream.seek(start)
-            return data[: _fill(stream, data)]
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
