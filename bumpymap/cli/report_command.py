@@ -5,14 +5,13 @@ from typing import Any
 
 import click
 
-from bumpymap.cli._options import PATH, GroupedCommand, given_options, grouped_option, output_options
-from bumpymap.cli._text import print_json, print_line
+from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.core import UsageError
 
 __all__ = ["command"]
 
 
-@click.command("report", cls=GroupedCommand)
+@job("report", quiet="Print nothing.")
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
@@ -26,8 +25,7 @@ __all__ = ["command"]
     "--check", group="Input", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there."
 )
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
-@output_options("Print nothing.")
-def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: Any) -> None:
+def command(run: Run, layers: tuple[Path, ...], **settings: Any) -> None:
     """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
 
     For one folder of `bumpymap diff`, the page of what has changed is made again.
@@ -41,10 +39,5 @@ def command(*, layers: tuple[Path, ...], quiet: bool, log_json: bool, **given: A
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.views import write_reports
 
-    path = write_reports(layers, **given_options(given))
-    if quiet:
-        return
-    if log_json:
-        print_json({"report": str(path), "bytes": path.stat().st_size})
-    else:
-        print_line(f"Open {path} in a browser.")
+    path = write_reports(layers, **settings)
+    run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])

@@ -32,11 +32,11 @@ from .check_record import (
     read_check as read_check,
 )
 from .check_vectors import (
+    NORMAL_80 as NORMAL_80,
     OFF_KINDS as OFF_KINDS,
     CheckGround as CheckGround,
     CheckPlaces as CheckPlaces,
     MapOffset as MapOffset,
-    write_driven_tiles as write_driven_tiles,
     write_stretch_table as write_stretch_table,
     write_stretches as write_stretches,
 )

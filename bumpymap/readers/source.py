@@ -75,13 +75,6 @@ PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
 """See `bumpymap.readers.source.pinned_version`."""
 
 
-def add_to_hash(path: Path, start: int, data: NDArray[np.uint8]) -> None:
-    """Add bytes of a file to the hash of `pinned_version`."""
-    pinned = PINNED.get()
-    if pinned is not None and pinned.hashed is not None and pinned.location == path:
-        pinned.hashed(start, data)
-
-
 def file_changed(location: Location, how: str) -> BadInputError:
     """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
     return BadInputError(
@@ -151,7 +144,6 @@ class RangeFile(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int:
         """Read bytes into a buffer, up to the end of the file; return how many."""
-        # Not into the buffer itself, which is filled again: what was read may be hashed later.
         data = read_range(self._location, self._at, max(min(len(buffer), self._size - self._at), 0))
         np.frombuffer(buffer, np.uint8)[: data.size] = data
         self._at += data.size
@@ -175,10 +167,8 @@ def open_source(location: Location) -> BinaryIO:
     with _reading(location):
         if isinstance(location, Path):
             _refuse_special(location)
-            pinned = PINNED.get()
-            if pinned is None or pinned.hashed is None or pinned.location != location:
-                return location.open("rb")
-        return io.BufferedReader(RangeFile(location), _BLOCK if is_url(location) else io.DEFAULT_BUFFER_SIZE)
+            return location.open("rb")
+        return io.BufferedReader(RangeFile(location), _BLOCK)
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
@@ -198,7 +188,9 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
             filled = _fill(stream, data)
-        add_to_hash(location, start, data[:filled])
+        pinned = PINNED.get()
+        if pinned is not None and pinned.hashed is not None and pinned.location == location:
+            pinned.hashed(start, data[:filled])
         return filled
 
 

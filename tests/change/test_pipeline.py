@@ -11,8 +11,7 @@ from route_maps import RUN, VEHICLE, copy_folder, write_folder
 from survey_pairs import COLS, ROWS, RUT, survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.output import CHANGE_FILES
-from bumpymap.change.pipeline import remarks
+from bumpymap.change.pipeline import CHANGE_FILES, remarks
 from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpytiles import Grid
 

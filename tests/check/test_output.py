@@ -10,7 +10,7 @@ from check_records import made_up_check
 from hypothesis import given, settings, strategies as st
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.core import BadInputError, CheckedDrive, OutputError, UsageError
 from bumpymap.layers import check_check_out
 from bumpymap.layers.check_record import (
@@ -66,7 +66,7 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     assert record["crs"]["code"] == "EPSG:32614"
     assert "bumpymap" in record["versions"]
     listed = [entry["path"] for entry in record["files"]]
-    assert listed == ["check.html", "stretches.csv", "check.geojson", "check_tiles.geojson"]
+    assert listed == ["check.html", "stretches.csv", "check.geojson"]
     for entry in record["files"]:
         content = (out / entry["path"]).read_bytes()
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
@@ -91,13 +91,13 @@ def test_without_a_map_there_is_nothing_for_gis(tmp_path):
     assert sorted(path.name for path in write_check(made_up_check(ground=False), tmp_path)) == WITHOUT_MAP
     assert names(tmp_path) == WITHOUT_MAP
     record = json.loads((tmp_path / "check.json").read_text())
-    assert (record["map"], record["agreement"], record["tiles"], record["by_class"]) == (None, None, None, [])
+    assert (record["map"], record["agreement"], record["by_class"]) == (None, None, [])
 
 
 def test_without_positions_there_is_nothing_for_gis(ground, tmp_path):
     result = made_up_check()
     nowhere = np.full(40, np.nan)
-    result = replace(result, stretches=replace(result.stretches, easting=nowhere, northing=nowhere), tiles=None)
+    result = replace(result, stretches=replace(result.stretches, easting=nowhere, northing=nowhere))
     write_check(result, tmp_path, ground=ground)
     assert names(tmp_path) == WITHOUT_MAP
 
@@ -131,7 +131,7 @@ def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):
         check_check_out(tmp_path / "other", overwrite=True)
 
 
-@pytest.mark.parametrize("options", [{}, {"ground": False}, {"unknown": [0, 3]}, {"drives": 3}, {"tiles": False}])
+@pytest.mark.parametrize("options", [{}, {"ground": False}, {"unknown": [0, 3]}, {"drives": 3}])
 def test_what_was_written_is_read_again(ground, tmp_path, options):
     result = made_up_check(**options)
     write_check(result, tmp_path, ground=ground if result.ground else None, manifest=SETTINGS)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.cli._options import GroupedCommand, config_options, given_options, settings_options
+from bumpymap.cli._options import job, settings_options
 from bumpymap.cli._text import as_options
 from bumpymap.core import Setting, check_settings
 
@@ -235,11 +235,9 @@ class Walk:
 def test_options_follow_from_the_declaration():
     walks = []
 
-    @click.command(cls=GroupedCommand)
-    @settings_options(Walk, tile_size="Size")
-    @config_options(Walk)
-    def walk(stored, **given):
-        walks.append(Walk(**{**stored, **given_options(given)}))
+    @job("walk", settings_options(Walk, tile_size="Size"), owners=(Walk,))
+    def walk(run):
+        walks.append(Walk(**run.settings))
 
     shown = CliRunner().invoke(walk, ["--help"]).output
     assert "--tile-size M" in shown
@@ -266,17 +264,6 @@ def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
     done = run("mpa", "site.laz")
     assert done.exit_code == 2
     assert "Did you mean 'map'?" in done.output
-
-
-@pytest.mark.parametrize("name", COMMANDS)
-def test_values_are_named_in_one_style(name):
-    """Upper case, or the choices."""
-    context = click.Context(command(name), info_name=name)
-    for option in options(name):
-        if option.hidden or option.is_flag or option.name in {"help", "vehicle"}:
-            continue
-        assert re.fullmatch(r"[A-Z_]+(\|FILE)?|KEY=VALUE|simulated\|DIR", option.make_metavar(context)), option.name
-        assert option.help, option.name
 
 
 LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group) and name != "settings"]

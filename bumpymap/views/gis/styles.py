@@ -313,8 +313,8 @@ def write_change_style(path: Path, band: int) -> None:
 _CHANGED = list(enumerate(CHANGE_KINDS))[1:]
 
 
-def write_check_style(path: Path, *, areas: bool) -> None:
-    """Write check.qml, which QGIS takes for check.geojson, or check_tiles.qml for check_tiles.geojson.
+def write_check_style(path: Path) -> None:
+    """Write check.qml, which QGIS takes for check.geojson.
 
     Raises
     ------
@@ -323,11 +323,8 @@ def write_check_style(path: Path, *, areas: bool) -> None:
     """
     root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})
     looks = [(name, name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)]
-    if areas:
-        root.extend(areas_by_kind("off", [(*look, "solid") for look in looks]))
-    else:
-        symbols = [_disc(number, colour, '"explained" = false') for number, (_, _, colour) in enumerate(looks)]
-        root.extend(_by_kind("off", [(value, label) for value, label, _ in looks], symbols, NORMAL))
+    symbols = [_disc(number, colour, '"explained" = false') for number, (_, _, colour) in enumerate(looks)]
+    root.extend(_by_kind("off", [(value, label) for value, label, _ in looks], symbols, NORMAL))
     write_qgis(root, path)
 
 

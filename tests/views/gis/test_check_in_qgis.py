@@ -9,7 +9,7 @@ import pytest
 from check_records import made_up_check
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.colours import OFF_COLOURS
 
@@ -29,14 +29,12 @@ def seen_fixture(tmp_path_factory):
 
 
 @pytest.mark.qgis
-@pytest.mark.parametrize("name", ["check.geojson", "check_tiles.geojson"])
-def test_stretches_and_tiles_are_drawn_by_how_far_the_map_is_off(seen, name):
+def test_stretches_are_drawn_by_how_far_the_map_is_off(seen):
     layers, result = seen
-    layer = layers[name]
+    layer = layers["check.geojson"]
     assert layer["renderer"] == "categorizedSymbol"
     assert [entry[:2] for entry in layer["legend"]] == LEGEND
-    driven = result.stretches if name == "check.geojson" else result.tiles
-    assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(driven).kind.tolist())
+    assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
     assert layer["features"] == 60
     assert layer["colours"] > 6
 
