@@ -1,4 +1,4 @@
-"""Transforms between the coordinate frames of a robot over time, as the messages of a bag give them."""
+"""Poses of a sensor over time: from files of several formats, and from the transforms in the messages of a bag."""
 
 import csv
 import re
