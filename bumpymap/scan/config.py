@@ -61,7 +61,7 @@ class ScanConfig:
         NameOrFile | None,
         Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME|FILE", rare=True),
     ] = None
-    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
+    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV file."""
     method: Annotated[
         ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")
     ] = None
