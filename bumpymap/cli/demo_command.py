@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import PATH, Run, job
+from bumpymap.cli._options import PATH, Run, gone_option, job
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic
 
 __all__ = ["command"]
@@ -15,7 +15,7 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 
 
-@job("demo")
+@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
 @click.option(
     "--out",
     default="demo_out",
@@ -24,20 +24,13 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
     show_default=True,
     help="Folder for the survey and the layers.",
 )
-@click.option(
-    "--survey",
-    type=PATH,
-    metavar="FILE",
-    help="Survey to map [default: a synthetic quarry, copied to DIR].",
-)
-def command(run: Run, out: Path, survey: Path | None) -> None:
+def command(run: Run, out: Path) -> None:
     """Map a synthetic quarry as an example."""
     from bumpymap.cli._summary import map_lines, map_record
     from bumpymap.layers import REPORT_NAME
     from bumpymap.survey import map_surveys
 
-    if survey is None:
-        survey = _copy_sample(out / "survey" / _SAMPLE.name)
+    survey = _copy_sample(out / "survey" / _SAMPLE.name)
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
     with run.progress() as progress:
         result = map_surveys(config, progress)
@@ -51,7 +44,7 @@ def _copy_sample(survey: Path) -> Path:
     package = Path(__file__).resolve().parents[1]
     found = [path for path in (package / _SAMPLE, package.parent / _SAMPLE) if path.is_file()]
     if not found:
-        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again, or give --survey FILE")
+        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again")
     try:
         survey.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:

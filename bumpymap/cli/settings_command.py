@@ -1,42 +1,13 @@
 """``bumpymap settings``: print every setting of a command, with its description and default, as a TOML file."""
 
+from importlib import import_module
+
 import click
 
 from bumpymap.cli._text import print_line
 from bumpymap.core import settings_template
 
 __all__ = ["command"]
-
-
-def _owners() -> dict[str, tuple[type, ...]]:
-    from bumpymap.change import DiffConfig
-    from bumpymap.check import CheckConfig
-    from bumpymap.core import MapConfig
-    from bumpymap.lab import (
-        CalibrationSettings,
-        EvaluateSettings,
-        ScanEvaluateSettings,
-        ScanTrainSettings,
-        TrainSettings,
-    )
-    from bumpymap.route import RouteConfig
-    from bumpymap.scan import ScanConfig
-    from bumpymap.views import ExportSettings
-
-    return {
-        "map": (MapConfig,),
-        "batch": (MapConfig,),
-        "info": (MapConfig,),
-        "scan": (ScanConfig,),
-        "route": (RouteConfig,),
-        "check": (CheckConfig,),
-        "diff": (DiffConfig,),
-        "export": (ExportSettings,),
-        "calibrate": (CalibrationSettings,),
-        "evaluate": (EvaluateSettings, ScanEvaluateSettings),
-        "train": (TrainSettings, ScanTrainSettings),
-    }
-
 
 _COMMANDS = ("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
 
@@ -59,5 +30,6 @@ def command(command_name: str) -> None:
     )
     print_line("# the file with --config. Options override it; paths are relative to this file.")
     print_line()
-    for line in settings_template(_owners()[command_name]).splitlines():
+    owners = import_module(f"bumpymap.cli.{command_name}_command").command.owners
+    for line in settings_template(owners).splitlines():
         print_line(line)

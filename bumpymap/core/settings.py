@@ -56,15 +56,10 @@ __all__ = [
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
 """Parts of a dotted key; no setting has more than two."""
-_STRINGS_AND_COMMENTS = re.compile(
-    r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*+(?:"{3,5})?'
-    r"|'''(?:[^']|'{1,2}(?!'))*+(?:'{3,5})?"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
-    r"|'[^'\n]*+'?"
-    r"|#[^\n]*+",
-    re.DOTALL,
+_LONG_KEY = re.compile(
+    r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS  # noqa: UP031
 )
-"""Strings and comments. An unterminated one matches as far as it can, in linear time; the parser then rejects it."""
+"""A key with more parts; in a text or a comment, so many words with dots between them would do too."""
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8
@@ -130,16 +125,11 @@ def _text(path: Path) -> str:
 
 
 def _checked(text: str) -> str:
-    """Reject keys with so many parts that parsing would take minutes; dots in strings and comments do not count."""
-    for number, line in enumerate(_STRINGS_AND_COMMENTS.sub(_line_breaks, text).split("\n"), 1):
-        most = max(part.count(".") for part in re.split("[=,]", line)) + 1
-        if most > _MOST_PARTS:
-            raise ValueError(f"the key in line {number} has {most} parts; at most {_MOST_PARTS} are read")
+    """Reject keys with so many parts that parsing would take minutes."""
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"the key in line {line} has more than {_MOST_PARTS} parts")
     return text
-
-
-def _line_breaks(found: re.Match[str]) -> str:
-    return "\n" * found[0].count("\n")
 
 
 UNFILLED = "?"

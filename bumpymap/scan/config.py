@@ -68,7 +68,7 @@ class ScanConfig:
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE", rare=True)] = None
     """A scan network, instead of the included one."""
-    stripes: Annotated[Path | None, Setting("Your own stripe classes, from --fit (filter)", "FILE", rare=True)] = None
+    stripes: Annotated[Path | None, Setting("Your own stripe classes (filter)", "FILE", rare=True)] = None
     """Stripe classes of the filter method, instead of the included ones."""
     compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="", rare=True)] = "none"
     """``paper``: fit the stripe classes in every scan, as the paper does."""

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -33,22 +32,13 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     BadInputError,
     ClassedSectors,
-    OutputError,
     PolarSettings,
-    Progress,
     SectorStack,
-    SilentProgress,
     UsageError,
-    atomic,
     parse_json,
     read_regular,
 )
-from bumpymap.layers import name_frames, sample_evenly
-from bumpymap.readers import BagTopics, find_sources
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
-from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frames import FrameReader, naming_frame
-from bumpymap.scan.polar import polar_sectors
 
 __all__ = [
     "OPEN_SHARE",
@@ -57,7 +47,6 @@ __all__ = [
     "classify_filter",
     "count_stripes",
     "fit_centres",
-    "fit_frames",
     "fit_stripes",
     "gabor_bank",
     "load_stripes",
@@ -116,7 +105,7 @@ class StripeModel:
         if settings.pixels != self.pixels:
             raise UsageError(
                 f"the stripe classes were fitted on heightmaps of {self.pixels} pixels, and pixels is "
-                f"{settings.pixels}. Fit them again with: bumpymap scan --fit"
+                f"{settings.pixels}. Fit them again: docs/models/stripes.py of the sources shows how"
             )
 
 
@@ -297,7 +286,7 @@ def _text(path: Path) -> str:
 
 
 def _parse(text: str, name: str) -> StripeModel:
-    advice = "make such a file with: bumpymap scan --fit"
+    advice = "`save_stripes` of bumpymap.scan.stripes makes such a file"
     try:
         record: dict[str, Any] = parse_json(text)
         kind = record.pop("format")
@@ -311,57 +300,3 @@ def _parse(text: str, name: str) -> StripeModel:
     if not smooth > middle > rough:
         raise BadInputError(f"{name} has class centres of {smooth}, {middle} and {rough} stripes; they must decrease")
     return model
-
-
-_MOST_FITTED = 500
-"""Most frames that a fit uses: neighbours in a drive see the same ground, and all heightmaps are held in memory."""
-
-
-def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[StripeModel, dict[str, str]]:
-    """Fit the stripe classes of the filter method to the frames, and write them to the file ``config.out``.
-
-    Returns
-    -------
-    StripeModel
-    dict
-        Frames that could not be read, with the error message (``skip_bad``).
-
-    Raises
-    ------
-    BumpymapError
-        Bad inputs or settings, or a full disk; no file is left half-written.
-    """
-    progress = progress or SilentProgress()
-    _check(config)
-    frames = sample_evenly(name_frames(find_sources(config.frames, BagTopics(config.topic, poses=False))), _MOST_FITTED)
-    reader = FrameReader(config)
-    stacks: list[SectorStack] = []
-    progress.start("measuring frames", len(frames))
-    for frame in frames:
-        with reader.skipping(frame):
-            scan = reader.read(frame)
-            with naming_frame(frame):
-                stack = polar_sectors(scan, config.polar)
-            stacks.append(_small(stack))
-        progress.advance(1)
-    reader.require_any(len(stacks))
-    model = fit_stripes(stacks)
-    with atomic(config.out) as temporary:
-        save_stripes(model, temporary)
-    return model, reader.skipped
-
-
-def _small(stack: SectorStack) -> SectorStack:
-    """Return the sectors without what a fit does not need: what is as large as the scan, and what stands on them."""
-    points = {name: getattr(stack, name)[:0].copy() for name in ("point_sector", "point_ground", "point_height")}
-    return replace(stack, things=stack.things[:, :0].copy(), **points)
-
-
-def _check(config: ScanConfig) -> None:
-    """Refuse a fit that could not be made or written, before the frames are read."""
-    if find_spec("sklearn") is None:
-        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'")
-    if config.out.exists() and not config.overwrite:
-        raise OutputError(f"{config.out} exists already. Choose another `fit`, or pass `overwrite=True` to replace it")
-    if not config.out.parent.is_dir():
-        raise OutputError(f"cannot write {config.out}: there is no folder {config.out.parent}. Choose another `fit`")

@@ -57,7 +57,6 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))
     monkeypatch.setattr("bumpymap.check.run_check", ends("check"))
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
-    monkeypatch.setattr("bumpymap.scan.fit_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
     monkeypatch.setattr(evaluate_command, "_subjects", ends("evaluate"))

@@ -21,7 +21,7 @@ COMMANDS = {
     "map": ["map", "surveys/a.laz", "--out", "new"],
     "map with a filter in a child": ["map", "surveys/a.laz", "--out", "new", "--ground", "csf"],
     "batch": ["batch", "surveys", "--out", "new", "--jobs", "2"],
-    "demo": ["demo", "--survey", "surveys/a.laz", "--out", "new"],
+    "demo": ["demo", "--out", "new"],
     "info": ["info", "surveys/a.laz"],
     "route": [
         "route",

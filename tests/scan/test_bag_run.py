@@ -289,13 +289,10 @@ def test_where_the_grids_cannot_be_written(bag, tmp_path):
         (["--topic", "/none"], 3, "--topic NAME"),
         (["--odometry", "/none"], 3, "--odometry NAME"),
         (["--odometry", "/odom", "--poses", "poses.txt"], 2, "--poses and --odometry"),
-        (["--fit", "own.json", "--out"], 2, "leave out --out"),
     ],
 )
 def test_the_command_line(bag, tmp_path, words, code, said):
     place = ["--out", str(tmp_path / "out"), "--bag", str(tmp_path / "g.mcap")]
-    if "--fit" in words:
-        words = ["--fit", str(tmp_path / "own.json")]
     done = CliRunner().invoke(main, ["scan", str(bag), *place, "--method", "filter", "--set", "products=table", *words])
     assert done.exit_code == code, done.output
     assert said in done.output

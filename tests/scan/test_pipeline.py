@@ -23,10 +23,9 @@ from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, load_stripes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.scan.stripes import fit_frames
 
 pytestmark = pytest.mark.slow
 
@@ -512,36 +511,6 @@ def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
     scan_frames(ScanConfig(tuple(paths), tmp_path / "out", products=("cloud", "table"), method="filter"))
     assert files(tmp_path / "out") == ["frames/000000_a.ply", "frames/000001_a.ply", "scan.json", "sectors.parquet"]
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"000000_a", "000001_a"}
-
-
-def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
-    pytest.importorskip("sklearn")
-    config = ScanConfig((drive / "frames",), tmp_path / "own.json")
-    model, skipped = fit_frames(config)
-    assert (model.scans, skipped, files(tmp_path)) == (2, {}, ["own.json"])
-    assert load_stripes(tmp_path / "own.json") == model
-    with pytest.raises(OutputError, match="exists already"):
-        fit_frames(config)
-    assert fit_frames(replace(config, overwrite=True))[0] == model
-    out = tmp_path / "out"
-    scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, stripes=tmp_path / "own.json", products=("table",)))
-    table = pq.read_table(out / "sectors.parquet").to_pydict()
-    for stripes, class_id, traversable in zip(table["stripes"], table["class"], table["traversable"], strict=True):
-        assert (stripes is None) == (class_id is None) == (not traversable)
-        if traversable:  # what stands on the ground may raise it
-            assert class_id >= int(np.argmin(np.abs(np.float32(stripes) - np.array(model.centres, np.float32))))
-    with pytest.raises(OutputError, match="no folder"):
-        fit_frames(replace(config, out=tmp_path / "nowhere" / "own.json"))
-
-
-def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
-    pytest.importorskip("sklearn")
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(-12, 12, (2, 9000))
-    write_bin(tmp_path / "a.bin", np.column_stack([x, y, np.full(9000, -1.0)]))
-    with pytest.raises(BadInputError, match="fewer than 3 different stripe counts"):
-        fit_frames(ScanConfig((tmp_path / "a.bin",), tmp_path / "own.json"))
-    assert not (tmp_path / "own.json").exists()
 
 
 @pytest.mark.parametrize(

@@ -338,13 +338,13 @@ def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
 def demo(tmp_path_factory):
     """What the demo makes of the sample survey."""
     out = tmp_path_factory.mktemp("demo")
-    result = run("demo", "--survey", QUARRY, "--out", out)
+    result = run("demo", "--out", out)
     assert result.exit_code == 0, result.output
     return out
 
 
 def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
-    result = run("demo", "--survey", QUARRY, "--out", demo)
+    result = run("demo", "--out", demo)
     assert result.exit_code == 0, result.output
     assert str(demo / "layers" / "map.qgs") in result.output
     assert str(demo / "layers" / "report.html") in result.output
