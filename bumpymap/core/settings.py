@@ -57,7 +57,7 @@ _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
 """Parts of a dotted key; no setting has more than two."""
 _LONG_KEY = re.compile(
-    r"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS  # noqa: UP031
+    r"""(?<![\w\\-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS  # noqa: UP031
 )
 """A key with more parts; in a text or a comment, so many words with dots between them would do too."""
 _MESSAGE_CHARACTERS = 300
