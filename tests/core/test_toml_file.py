@@ -28,7 +28,7 @@ def read(tmp_path, content):
         (b"x = 1\n" * 50_000, r"it has more than 256 kB"),
         (b"x = " + b"[" * 5000, r"nested too deep"),
         (b"x = " + b"{a=" * 5000, r"nested too deep"),
-        (b"\\\"" * 100_000, r"Invalid"),
+        (b'\\"' * 100_000, r"Invalid"),
         (b"x = 1\0", r"invalid|Invalid|Expected"),
         (b"x = '\xff'", r"not UTF-8 text at byte 5; save it as UTF-8"),
         ("x = 1".encode("utf-16"), r"not UTF-8 text at byte 0"),
