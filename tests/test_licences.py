@@ -1,5 +1,6 @@
 """What an install brings is under licences that go with Apache-2.0, and the page lists it."""
 
+import csv
 import importlib.util
 from pathlib import Path
 
@@ -14,12 +15,9 @@ _SPEC.loader.exec_module(licences)
 
 
 def listed():
-    """Rows of the table on the page: families of licences by package."""
-    text = licences.PAGE.read_text(encoding="utf-8")
-    table = text.split(licences.START)[1].split(licences.END)[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.strip().splitlines()]
-    assert rows[0] == ["package", "licence", "comes with"]
-    return {row[0]: set(row[1].split(", ")) for row in rows[2:]}
+    """Families of licences in the table of the page, by package."""
+    with licences.TABLE.open(encoding="utf-8", newline="") as file:
+        return {row["package"]: set(row["licence"].split(", ")) for row in csv.DictReader(file)}
 
 
 @pytest.mark.parametrize("extra", ["default", *licences.extras()])
