@@ -603,7 +603,8 @@ class _Parser:
         items = get_args(kind)
         if is_dataclass(kind) and isinstance(value, dict):
             return self._built(value, kind, name)
-        if get_origin(kind) is tuple and _fits(value, items):
+        fits = isinstance(value, list | tuple) and get_origin(kind) is tuple
+        if fits and (items[-1] is Ellipsis or len(items) == len(value)):
             return tuple(
                 self._value(item, items[0], f"value {number} of {name}") for number, item in enumerate(value, 1)
             )
@@ -672,10 +673,6 @@ def _is_optional(kind: Any) -> bool:
     return get_origin(base) in (Union, UnionType) and NoneType in get_args(base)
 
 
-def _fits(value: Any, items: tuple[Any, ...]) -> bool:
-    return isinstance(value, list | tuple) and (items[-1] is Ellipsis or len(items) == len(value))
-
-
 def _is_required(field: "Field[Any]") -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
@@ -685,17 +682,17 @@ def _fields_of(owners: tuple[type, ...]) -> "dict[str, Field[Any]]":
     return {field.name: field for owner in reversed(owners) for field in fields(owner)}
 
 
-def _names(owner: Any) -> str:
-    return ", ".join(field.name for field in fields(owner))
-
-
 def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
     setting = _setting_of(kind)
     kind = _plain_type(kind)
-    return f"a table, [{name}], with {_names(kind)}" if is_dataclass(kind) else _allowed_of(kind, setting)
+    return (
+        f"a table, [{name}], with {', '.join(_fields_of((kind,)))}"
+        if is_dataclass(kind)
+        else _allowed_of(kind, setting)
+    )
 
 
 def _allowed_of(kind: Any, setting: Setting | None) -> str:

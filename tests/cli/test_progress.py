@@ -94,25 +94,7 @@ def test_events_hold_the_same(capsys):
     ]
 
 
-class Waits:
-    """Stands in for an event of threads: so many waits are over at once, then it has ended."""
-
-    def __init__(self, turns):
-        self.turns, self.run_spec = turns, []
-
-    def __call__(self):
-        return self
-
-    def wait(self, seconds):
-        self.run_spec.append(seconds)
-        return len(self.run_spec) > self.turns
-
-    def set(self):
-        pass
-
-
-def test_quiet_says_nothing(capsys, monkeypatch):
-    monkeypatch.setattr(_progress, "Event", Waits(3))
+def test_quiet_says_nothing(capsys):
     for as_json in (False, True):
         with _progress.show_progress(quiet=True, as_json=as_json) as progress:
             progress.start("reading", 10)
