@@ -689,7 +689,7 @@ def _allowed(kind: Any, name: str) -> str:
     setting = _setting_of(kind)
     kind = _plain_type(kind)
     return (
-        f"a table, [{name}], with {', '.join(_fields_of((kind,)))}"
+        f"a table, [{name}], with {', '.join(each.name for each in fields(kind))}"
         if is_dataclass(kind)
         else _allowed_of(kind, setting)
     )
