@@ -286,7 +286,7 @@ def _text(path: Path) -> str:
 
 
 def _parse(text: str, name: str) -> StripeModel:
-    advice = "`save_stripes` of bumpymap.scan.stripes makes such a file"
+    advice = "docs/models/stripes.py of the sources shows how to make such a file"
     try:
         record: dict[str, Any] = parse_json(text)
         kind = record.pop("format")
