@@ -37,7 +37,7 @@ $(VENV)/.installed-dev: $(VENV)/.installed
 	@touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/bumpymap demo --survey sample_data/quarry.laz --out $(DEMO_OUT)
+	$(BIN)/bumpymap demo --out $(DEMO_OUT)
 
 # Kernels that were changed compile first: what a command says while it compiles is not what tests expect of it.
 test: $(VENV)/.installed-dev

@@ -19,7 +19,6 @@ import xarray as xr
 import bumpymap
 from bumpymap.core import Scan
 from bumpymap.core.types import BANDS
-from bumpymap.readers import read_scan
 from bumpymap.scan import polar_sectors
 
 pytestmark = pytest.mark.slow
@@ -89,14 +88,6 @@ def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
     back = xr.open_dataset(tmp_path / "layers.nc", engine="scipy", decode_coords="all", mask_and_scale=False)
     assert back.rio.crs == "EPSG:32632"
     np.testing.assert_array_equal(back["c_r"].values, layers.dataset()["c_r"].values)
-
-
-def test_heights_are_those_of_the_file(layers):
-    heights = layers.heights()
-    with rasterio.open(layers.folder / "heightmap.tif") as file:
-        np.testing.assert_array_equal(heights.values, file.read(1))
-        assert heights.rio.transform() == file.transform
-    assert heights.attrs["units"] == "m"
 
 
 def test_objects_are_those_of_the_file(layers):
@@ -352,23 +343,6 @@ def test_returns_that_are_no_points_keep_their_rows():
     assert (result.point_sector[~kept] == -1).all()
 
 
-def test_an_array_and_its_file_give_the_same(tmp_path):
-    points = ring_of_ground()
-    file = tmp_path / "000000.bin"
-    np.column_stack([points, np.ones(len(points))]).astype(np.float32).tofile(file)
-    from_file, from_array = bumpymap.classify_scan(str(file)), bumpymap.classify_scan(points.astype(np.float64))
-    np.testing.assert_array_equal(from_file.sector_class, from_array.sector_class)
-    np.testing.assert_array_equal(from_file.points, read_scan(file).points)
-
-
-def test_the_robot_is_left_out(tmp_path):
-    points = ring_of_ground()
-    result = bumpymap.classify_scan(points, robot={"box_m": [-20, 20, -20, 0]})
-    hidden = (np.abs(points[:, 0]) <= 20) & (points[:, 1] <= 0) & (points[:, 1] >= -20)
-    assert hidden.any()
-    assert (result.point_class[hidden] == 255).all()
-
-
 def test_a_classifier_gives_what_a_fresh_one_gives_and_leaves_earlier_results_alone():
     classifier = bumpymap.ScanClassifier()
     scans = [ring_of_ground(seed, points) for seed, points in ((1, 60_000), (2, 20_000), (3, 90_000), (4, 40_000))]
@@ -393,11 +367,6 @@ def test_a_classifier_gives_what_a_fresh_one_gives_and_leaves_earlier_results_al
 def test_points_that_are_none_are_refused(points, words):
     with pytest.raises(bumpymap.UsageError, match=words):
         bumpymap.classify_scan(points)
-
-
-def test_an_empty_scan_has_no_sectors():
-    result = bumpymap.classify_scan(np.empty((0, 3)))
-    assert len(result.point_class) == len(result.sector_class) == 0
 
 
 # --- vehicles and calibrations ---

@@ -316,7 +316,7 @@ def test_no_message_that_a_python_caller_can_see_names_an_option_and_every_setti
         *(MapConfig, BatchConfig, RouteConfig, CostSettings, ScanConfig, PolarSettings, Robot),
         *(ExportSettings, DiffConfig, CheckConfig),
     )
-    known = {"fit", "check"}.union(*(owner.__dataclass_fields__ for owner in owners))
+    known = {"check"}.union(*(owner.__dataclass_fields__ for owner in owners))
     texts = list(said())
     assert [place for place, text in texts if re.search(r"--[a-z]", A_COMMAND.split(text)[0])] == []
     assert [place for place, text in texts if not set(re.findall(r"`([a-z_]+)(?:=[^`]*)?`", text)) <= known] == []

@@ -44,6 +44,7 @@ __all__ = [
     "PATH",
     "RESUME",
     "Run",
+    "gone_option",
     "grouped_option",
     "job",
     "settings_options",
@@ -109,6 +110,9 @@ def grouped_option(*names: str, group: str, **more: Any) -> Callable[[_Command],
 
 class GroupedCommand(click.Command):
     """A command whose help page shows its options in groups, each in its order."""
+
+    owners: tuple[type, ...] = ()
+    """Classes of its settings."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; messages name its settings as it takes them."""
@@ -267,6 +271,7 @@ def job(
             function(Run(ctx, known, clashes, quiet, log_json, stored, assigned, given), **values)
 
         command = click.command(name, cls=GroupedCommand)(run)
+        command.owners = known
         declared = [settings_options(part) if isinstance(part, type) else part for part in parts]
         last = [*(_CONFIG if known else []), GroupedOption(["--quiet"], is_flag=True, help=quiet), *_JSON]
         command.params = [*chain.from_iterable(declared), *command.params, *last]

@@ -327,8 +327,11 @@ def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
     settings = run.settings
     if settings.get("columns") is not None:
         settings["columns"] = parse_columns(settings["columns"])
-    overwrite = "overwrite" in run.given
-    moved = _refit(settings.get("layers"), refit, calibration, overwrite=overwrite)
+    if calibration is not None and refit is None:
+        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
+    moved = None  # found before drives are measured
+    if refit is not None:
+        moved = prepare_refit(settings.get("layers"), calibration, refit, overwrite="overwrite" in run.given)
     config = CheckConfig(**settings)
     with run.progress() as progress:
         result, files = run_check(config, progress)
@@ -341,15 +344,6 @@ def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
         raise refused
     if result.skipped:
         run.end_partly_done()
-
-
-def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, overwrite: bool) -> "Refit | None":
-    """Find the calibration to move, before drives are measured; None if none is to be moved."""
-    if out is not None:
-        return prepare_refit(layers, calibration, out, overwrite=overwrite)
-    if calibration is not None:
-        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
-    return None
 
 
 def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate | None, BumpymapError | None]":

@@ -87,6 +87,7 @@ from .files import (
     without_keys as without_keys,
     write_csv as write_csv,
     write_together as write_together,
+    writing_to as writing_to,
 )
 from .interrupts import (
     Progress as Progress,
@@ -151,7 +152,6 @@ from .run_folder import (
     locked as locked,
     read_record as read_record,
     what_to_keep as what_to_keep,
-    writing_to as writing_to,
 )
 from .run_spec import (
     CHECKSUM_METHOD as CHECKSUM_METHOD,

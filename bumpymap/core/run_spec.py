@@ -318,15 +318,11 @@ def _inputs(
             found.append(f"{path} was an input, but is not given now")
         elif path not in before:
             found.append(f"{path} is given now, but was not an input")
-        elif not _is_same(path, before[path], now[path], same):
+        elif before[path] is None or now[path] is None or same is None:
+            found += [f"{path} has changed since"] * (before[path] != now[path])
+        elif not same(path, before[path], now[path]):
             found.append(f"{path} has changed since")
     return found
-
-
-def _is_same(path: str, old: Any, new: Any, same: Callable[..., bool] | None) -> bool:
-    if old is None or new is None or same is None:
-        return bool(old == new)
-    return same(path, old, new)
 
 
 def _plain(value: Any) -> Any:

@@ -51,7 +51,7 @@ def reached(monkeypatch, tmp_path):
     import bumpymap.survey.pipeline
     from bumpymap.cli import calibrate_command, evaluate_command, train_command
 
-    monkeypatch.setattr(bumpymap.survey.pipeline, "_check_out", ends("map"))
+    monkeypatch.setattr(bumpymap.survey.pipeline, "_prepare", ends("map"))
     monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
     monkeypatch.setattr("bumpymap.route.plan_routes", ends("route"))
     monkeypatch.setattr("bumpymap.change.find_changes", ends("diff"))

@@ -14,7 +14,6 @@ from small_surveys import write_survey
 from bumpymap.cli import _progress, main
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.interrupts import SilentProgress
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -95,63 +94,13 @@ def test_events_hold_the_same(capsys):
     ]
 
 
-class Waits:
-    """Stands in for an event of threads: so many waits are over at once, then it has ended."""
-
-    def __init__(self, turns):
-        self.turns, self.run_spec = turns, []
-
-    def __call__(self):
-        return self
-
-    def wait(self, seconds):
-        self.run_spec.append(seconds)
-        return len(self.run_spec) > self.turns
-
-    def set(self):
-        pass
-
-
-def test_quiet_says_nothing(capsys, monkeypatch):
-    monkeypatch.setattr(_progress, "Event", Waits(3))
+def test_quiet_says_nothing(capsys):
     for as_json in (False, True):
         with _progress.show_progress(quiet=True, as_json=as_json) as progress:
             progress.start("reading", 10)
             progress.advance(1)
             progress.note("text", "epoch")
     assert capsys.readouterr() == ("", "")
-
-
-class Counting(SilentProgress):
-    """Notes every stage with its total and its steps."""
-
-    def __init__(self):
-        self.stages = []
-
-    def start(self, stage, total):
-        self.stages.append([stage, total, 0])
-
-    def advance(self, steps):
-        self.stages[-1][2] += steps
-
-
-def test_a_map_counts_what_it_says(tmp_path):
-    from bumpymap.core.config import MapConfig
-    from bumpymap.survey.pipeline import map_surveys
-
-    progress = Counting()
-    map_surveys(MapConfig((write_survey(tmp_path / "a.laz", side=60.0),), tmp_path / "o"), progress)
-    assert [stage for stage, _, _ in progress.stages] == [
-        "reading points",
-        "measuring blocks of tiles",
-        "comparing neighbours",
-        "writing layers",
-    ]
-    for stage, total, steps in progress.stages:
-        assert total is not None
-        assert steps == total, stage
-    assert progress.stages[0][1] == 20_000
-    assert progress.stages[1][1] < 10  # of some 400 tiles
 
 
 def run(*words):

@@ -110,16 +110,6 @@ def test_names_of_files_are_shown(command, wicked, tmp_path):
         assert "\\x1b]\\nError: d" in result.stdout
 
 
-def test_what_click_refuses_is_shown():
-    result = run("map", "a.laz", "--out", "o", "--ground", WICKED)
-    assert result.exit_code == 2
-    assert nothing_acts(result.stderr)
-    assert len(result.stderr.splitlines()) == 4
-    result = run(WICKED)
-    assert result.exit_code == 2
-    assert nothing_acts(result.stderr)
-
-
 def test_lines_of_a_message_stay_lines(tmp_path):
     for name in ("a.laz", "b\nError: forged.laz"):
         (tmp_path / name).write_bytes(b"LASFnothing")
@@ -151,22 +141,6 @@ def test_a_full_output_is_one_message(words):
     assert len(done.stderr.splitlines()) == 1
     assert done.stderr.startswith("Error: ")
     assert "No space left on device" in done.stderr
-
-
-@pytest.mark.later
-@needs_full
-def test_a_full_output_does_not_cost_the_layers(tmp_path):
-    with Path("/dev/full").open("w") as full:
-        done = piped(["map", QUARRY, "--out", tmp_path / "o"], stdout=full, stderr=full)
-        assert done.returncode == 3
-        assert (tmp_path / "o" / "run.json").exists()
-        done = piped(["map", QUARRY, "--out", tmp_path / "p"], stdout=subprocess.PIPE, stderr=full)
-        assert done.returncode == 0
-        assert "Layers in" in done.stdout
-        assert piped(["info", tmp_path / "none.laz"], stdout=full, stderr=full).returncode == 3
-        assert piped(["info", "--none"], stderr=full).returncode == 2
-        events = piped(["map", QUARRY, "--out", tmp_path / "q", "--json"], stdout=subprocess.PIPE, stderr=full)
-        assert events.returncode == 0
 
 
 @pytest.mark.later

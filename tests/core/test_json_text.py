@@ -64,17 +64,6 @@ def test_what_is_deep_is_refused(depth, opening):
         parse_json(nested(depth, opening))
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_deep_calibration_is_one_message(tmp_path, depth):
-    path = tmp_path / "c.json"
-    head = '{"format": "bumpymap-calibration", "version": 2, "vehicle": '
-    path.write_text(head + nested(depth) + "}")
-    result = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path / "o"), "--calibration", str(path)])
-    assert result.exit_code == 3, result.exception
-    assert result.stderr.startswith(f"Error: {path} is not a bumpymap calibration")
-    assert len(result.stderr.splitlines()) == 1
-
-
 NAMES = ["a\0b", "n" * 300, "é" * 128]
 
 

@@ -119,10 +119,3 @@ def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch)
         pass
     with locked(out):
         pass
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("x")
-    for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"), locked(place):
-            pass

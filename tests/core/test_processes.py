@@ -1,6 +1,5 @@
 """Child processes: whatever becomes of one is one clear error, and no start has effects beside it."""
 
-import errno
 import os
 import signal
 import subprocess
@@ -9,8 +8,6 @@ import textwrap
 
 import pytest
 
-from bumpymap.core import processes
-from bumpymap.core.errors import UsageError
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, allocate_shared
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
@@ -87,15 +84,6 @@ def test_memory_is_seen_by_both(tmp_path):
         assert memory.data.size == size
         assert (memory.data == value).all()
     child.close()
-
-
-def test_a_process_that_cannot_be_started_is_told(monkeypatch):
-    def refuse(*_, **__):
-        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
-
-    monkeypatch.setattr(processes.subprocess, "Popen", refuse)
-    with pytest.raises(UsageError, match=r"cannot start a process to test \(Resource temporarily unavailable\)"):
-        Child("to test", "os", [])
 
 
 def test_a_fork_leaves_the_children_to_the_old_process(child):

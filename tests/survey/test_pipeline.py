@@ -338,15 +338,18 @@ def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
 def demo(tmp_path_factory):
     """What the demo makes of the sample survey."""
     out = tmp_path_factory.mktemp("demo")
-    result = run("demo", "--survey", QUARRY, "--out", out)
+    result = run("demo", "--out", out)
     assert result.exit_code == 0, result.output
     return out
 
 
 def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
-    result = run("demo", "--survey", QUARRY, "--out", demo)
+    result = run("demo", "--out", demo)
     assert result.exit_code == 0, result.output
     assert str(demo / "layers" / "map.qgs") in result.output
+    assert (demo / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
+    refused = run("demo", "--out", QUARRY)
+    assert (refused.exit_code, "cannot write the survey" in refused.output) == (3, True)
     assert str(demo / "layers" / "report.html") in result.output
     with rasterio.open(demo / "layers" / "class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
@@ -355,17 +358,6 @@ def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
 
 
 @pytest.mark.later
-def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
-    assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
-    assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
-    counts = json.loads((tmp_path / "demo" / "layers" / "run.json").read_text())["counts"]
-    assert counts["points"] == 1_228_501 + 4  # ground, and the strays among it
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    refused = run("demo", "--out", tmp_path / "file")
-    assert refused.exit_code == 3
-    assert "cannot write the survey" in refused.output
-
-
 def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
     with rasterio.open(demo / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
