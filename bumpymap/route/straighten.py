@@ -9,10 +9,11 @@ to closed tiles; then the straight part that leads away from such an end, and it
 tiles than the end does. A margin of 0 counts as 1e-6 tiles, so that no line slips between two closed tiles that touch
 at a corner.
 
-A way is pulled tight in turns until nothing is gained: corners are left out wherever the straight line costs no more
-(the cheapest choice among several in a row); new corners are set beside each that is left and in the middle of long
-straight parts; all corners are moved by ever smaller steps. Every cost is the exact integral. The result is never
-dearer, and never nearer to closed tiles than allowed.
+A way is pulled tight in a few turns, as long as something is gained: corners are left out wherever the straight line
+costs no more (the cheapest choice among several in a row); new corners are set beside each that is left and in the
+middle of long straight parts; all corners are moved by ever smaller steps, in later turns by smaller ones. Then corners
+that save little are left out, and the few that are left are moved to where they cost least. Every cost is the exact
+integral. The result is never dearer, and never nearer to closed tiles than allowed.
 """
 
 import math
@@ -259,7 +260,8 @@ _ON_BORDER, _OFF_BORDER = 1e-7, 1e-6
 """Corners this near to a border are moved so far from it, tiles."""
 _SKIPPED = 12
 """Corners in a row that one look may leave out; the next look begins with those that are left."""
-_ROUNDS = 6
+_LEAST_STEPS = (3e-2, 1e-2, 3e-3, 3e-4)
+"""How fine corners are moved in each round of pulling, tiles: those of a later round are others, in other places."""
 _SWEEPS = 60
 _GAIN = 1e-6
 """Pulling ends with a round that gains less, as a share of the cost."""
@@ -269,6 +271,7 @@ LEAST_SAVING = 1e-3
 """What a corner of a thinned line saves at least by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
+"""How fine those are moved that stay, tiles."""
 _SPARE = 5e-10
 """Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
@@ -304,8 +307,9 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
     tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
     best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
-    for _ in range(_ROUNDS):
-        tried = _leave_out(tightening, _move(tightening, _with_new_corners(best)))
+    for least_step in _LEAST_STEPS:
+        moved = _move(tightening._replace(least_step=least_step), _with_new_corners(best))
+        tried = _leave_out(tightening, moved)
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -318,14 +322,16 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) ->
 def thin_out(
     cost: NDArray[np.floating], line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
 ) -> Floats:
-    """Leave out corners of a tight line that hardly save anything: of an arc round a corner a few are left.
+    """Leave out corners of a tight line that hardly save anything, and move the others: of an arc a few are left.
 
     ``cost``, ``line``: as `pull_tight`; the line keeps more than the margin, or the arcs stay as they are; ``margin``:
     tiles, at least 0 and below 0.5; ``least_saving``: what a corner saves at least, tiles.
     """
     kept = as_margin(margin) + _SPARE
-    thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
-    return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
+    thinning = Tightening(as_cost(cost), kept, _LEAST_MOVE * line_cost(cost, line), least_saving, _LEAST_STEP)
+    thin = _leave_out(thinning, np.ascontiguousarray(line, np.float64))
+    moved = _leave_out(thinning, _move(thinning, thin))
+    return moved if line_cost(cost, moved) < line_cost(cost, thin) else thin
 
 
 def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
