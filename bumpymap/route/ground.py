@@ -101,7 +101,7 @@ _TIGHT_M = 0.46
 """Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
 _TOUCHING = 100.0
 """Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
-_CORNERS, _CORNER_TILES = 64, 8
+_CORNERS, _CORNER_TILES = 64, 24
 """Consecutive corners that are looked at together: at most so many, as far from the first."""
 _STRETCH_TILES = 48
 """Longest stretch of a line that is looked at together, tiles."""
@@ -264,16 +264,22 @@ class CostGround:
         line[0], line[-1] = ends
         return line
 
-    def is_clear(self, line: Floats, *, with_room: bool = False) -> bool:
-        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m], or has room to spare."""
+    def is_clear(self, line: Floats) -> bool:
+        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m]."""
         for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
             window = window_around(self.site, part, 1)
-            cost = self.on_pixels(window)
-            if with_room:
-                cost[_steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels] = np.inf
-            if not is_clear(cost, self.in_window(part, window), PIXEL_MARGIN):
+            if not self.is_clear_in(window, self.on_pixels(window), part):
                 return False
         return True
+
+    def is_clear_in(
+        self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False
+    ) -> bool:
+        """Say the same of a line in a window with the ``cost`` of its pixels; with room, whether some is to spare."""
+        if with_room:
+            is_near = _steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels
+            cost = np.where(is_near, np.float32(np.inf), cost)
+        return is_clear(cost, self.in_window(line, window), PIXEL_MARGIN)
 
     def clear_at(self, points: Floats) -> NDArray[np.bool_]:
         """Say at which points, (n, 2) along a line, the vehicle fits."""
