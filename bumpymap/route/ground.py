@@ -105,6 +105,8 @@ _CORNERS, _CORNER_TILES = 64, 24
 """Consecutive corners that are looked at together: at most so many, as far from the first."""
 _STRETCH_TILES = 48
 """Longest stretch of a line that is looked at together, tiles."""
+_MOST_POINTS = 8192
+"""Points of a line that a stretch of it has at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -368,19 +370,13 @@ def stretches(line: Floats, longest: float) -> Iterator[Floats]:
         points[-1][-1] = stop
         done = at + 1
     whole = np.concatenate([*points, line[done + 1 :]])
-    places, first, spanned = whole.tolist(), 0, whole[:2].tolist()
-    for last in range(1, len(places)):
-        spanned = [*_span(spanned), *places[last + 1 : last + 2]]
-        (west, south), (east, north) = _span(spanned)
-        if last + 1 == len(places) or max(east - west, north - south) > longest:
-            yield whole[first : last + 1]
-            first, spanned = last, places[last : last + 2]
-
-
-def _span(places: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Return the corners of the smallest rectangle around some places."""
-    x, y = zip(*places, strict=True)
-    return [min(x), min(y)], [max(x), max(y)]
+    first = 0
+    while first + 1 < len(whole):
+        ahead = whole[first : first + _MOST_POINTS]
+        span = (np.maximum.accumulate(ahead) - np.minimum.accumulate(ahead)).max(axis=1)
+        last = first + max(int(np.searchsorted(span, longest, side="right")) - 1, 1)
+        yield whole[first : last + 1]
+        first = last
 
 
 def points_along(line: Floats, distance: Floats) -> Floats:

@@ -20,7 +20,6 @@ That takes half as long, and such a way costs less by some 1e-4, for the few cor
 """
 
 import math
-from itertools import product
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -96,20 +95,10 @@ def _ends(a: int, b: int, count: int) -> int:
     return (A_END if a == 0 else 0) | (B_END if b == count - 1 else 0)
 
 
-@kernel
-def leave_out(
-    tightening: Tightening,
-    points: Annotated[Floats, 2],
-    most: int,
-    best: Annotated[Floats, 1],
-    before: Annotated[Integers, 1],
-) -> None:
-    """Find the cheapest line through some of the corners in order, at most ``most`` - 1 left out between two of them.
-
-    Of lines that cost nearly the same, the one with fewer corners wins: corners on straight lines go.
-    ``best`` (n,): filled: cost up to each; ``before`` (n,): filled: the corner before each if the line went through it.
-    """
-    cost, n = tightening.cost, points.shape[0]
+@helper
+def _choose(tightening: Tightening, points: Floats, n: int, most: int, best: Floats, before: Integers) -> None:
+    """Fill the cost up to each of n corners, and the one before it, of the cheapest line through some of them."""
+    cost = tightening.cost
     best[0], before[0] = 0.0, 0
     for j in range(1, n):
         r1, c1 = points[j, 0], points[j, 1]
@@ -122,6 +111,58 @@ def leave_out(
             total = segment_cost(cost, r0, c0, r1, c1, best[j] + allowed - best[i])
             if total < math.inf and segment_clear(cost, r0, c0, r1, c1, tightening.margin, _ends(i, j, n)):
                 best[j], before[j] = best[i] + total, i
+
+
+@kernel
+def leave_out(
+    tightening: Tightening,
+    points: Annotated[Floats, 2],
+    most: int,
+    best: Annotated[Floats, 1],
+    before: Annotated[Integers, 1],
+) -> None:
+    """Leave out corners, until none can be, so that the line through the others in order is the cheapest.
+
+    At most ``most`` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with fewer
+    corners wins: corners on straight lines go. ``points`` (n, 2): changed: the corners that stay come first; ``best``
+    (n,): scratch; ``before`` (n,): scratch, and in ``before[0]`` the number of corners that stay.
+    """
+    n, count = 0, points.shape[0]
+    while n != count:
+        n, count = count, 1
+        _choose(tightening, points, n, most, best, before)
+        at = n - 1
+        while at > 0:  # turn the links round: from each corner that stays to the next one
+            best[before[at]], at = at, before[at]
+            count += 1
+        for k in range(count):
+            points[k, 0], points[k, 1] = points[at, 0], points[at, 1]
+            at = int(best[at]) if k < count - 1 else 0
+    before[0] = count
+
+
+@kernel
+def leave_borders(
+    cost: Annotated[Costs, 2], points: Annotated[Floats, 2], near: float, shift: float
+) -> None:  # fmt: skip
+    """Move corners that are ``near`` to borders of tiles by ``shift`` from them, to where the line costs least, tiles.
+
+    ``points`` (n, 2): changed.
+    """
+    for i in range(1, points.shape[0] - 1):
+        r0, c0 = points[i, 0], points[i, 1]
+        row, col = math.floor(r0 + 0.5), math.floor(c0 + 0.5)
+        on_row, on_col = abs(r0 - row) < near, abs(c0 - col) < near
+        least = math.inf
+        for k in range(4):
+            if not (on_row or on_col) or (k > 1 and not on_row) or (k % 2 == 1 and not on_col):
+                continue
+            r = row + (shift if k > 1 else -shift) if on_row else r0
+            c = col + (shift if k % 2 == 1 else -shift) if on_col else c0
+            total = _two_segments(cost, points, i, r, c, math.inf)
+            if total < least:
+                least = total
+                points[i, 0], points[i, 1] = r, c
 
 
 @helper
@@ -356,32 +397,16 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
 
     ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
-    moved = line.copy()
-    borders = np.round(line)
-    on_borders = np.abs(line - borders) < _ON_BORDER
-    for i in (np.flatnonzero(on_borders[1:-1].any(axis=1)) + 1).tolist():
-        border, is_on, least = borders[i], on_borders[i], math.inf
-        for shift in product(*((-_OFF_BORDER, _OFF_BORDER) if on else (0.0,) for on in is_on)):
-            tried = moved[i - 1 : i + 2].copy()
-            tried[1] = np.where(is_on, border + shift, tried[1])
-            spent = line_cost(cost, tried)
-            if spent < least:
-                least, moved[i] = spent, tried[1]
+    moved = np.array(line, np.float64, order="C")
+    leave_borders(as_cost(cost), moved, _ON_BORDER, _OFF_BORDER)
     return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
 def _leave_out(tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
-    while True:
-        count = len(line)
-        before = np.empty(count, np.int64)
-        leave_out(tightening, line, _SKIPPED, np.empty(count), before)
-        kept = [count - 1]
-        while kept[-1] > 0:
-            kept.append(int(before[kept[-1]]))
-        if len(kept) == count:
-            return line
-        line = line[kept[::-1]]
+    points, before = line.copy(), np.empty(len(line), np.int64)
+    leave_out(tightening, points, _SKIPPED, np.empty(len(line)), before)
+    return points[: before[0]]
 
 
 def _with_new_corners(line: Floats) -> Floats:
