@@ -91,7 +91,7 @@ Floats = NDArray[np.float64]
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
 LEAST_SAVING_M = 0.003
-"""What a corner of a line on pixels saves at least, m of level ground."""
+"""Least saving of a corner of a line on pixels, m of level ground."""
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 _ROOM_M, _NARROW = 0.6, 0.5
@@ -134,7 +134,7 @@ class CostGround:
 
     site: MapReader
     settings: CostSettings
-    """What makes ground dear."""
+    """Settings of the cost."""
     memory_tiles: int
     """Most tiles of a window that a search may hold."""
     avoid: Any = None
@@ -145,7 +145,7 @@ class CostGround:
     worn: WornTiles | None = None
     """Tiles that are dearer."""
     touching: bool = False
-    """Whether obstacles may be touched, at a hundred times the cost."""
+    """Obstacles may be touched, at a hundred times the cost."""
 
     @property
     def risk_m(self) -> float:
@@ -159,7 +159,7 @@ class CostGround:
 
     @property
     def joins_corners(self) -> bool:
-        """Whether it can go from one free pixel to another that touches it at a corner alone."""
+        """True if it can go from one free pixel to another that touches it at a corner alone."""
         return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
 
     @property
@@ -169,13 +169,13 @@ class CostGround:
 
     @property
     def bands(self) -> tuple[str, ...]:
-        """What of the map the cost depends on, besides what bars tiles."""
+        """Bands of the map on which the cost depends, besides what bars tiles."""
         obstacle = () if self.settings.unknown is None else ("obstacle",)
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
     @property
     def has_areas(self) -> bool:
-        """Whether there are areas to avoid, or to stay in."""
+        """True if there are areas to avoid, or to stay in."""
         return self.avoid is not None or self.only is not None
 
     @property
@@ -323,18 +323,18 @@ class CostGround:
         return beside
 
 
-def _steps_to_closed(cost: NDArray[np.float32], most: int) -> NDArray[np.int32]:
-    """Return how many pixels, along rows, columns and diagonals, each is from the nearest closed one; at most ``most``.
+def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]:
+    """Return how many pixels, along rows, columns and diagonals, each is from the nearest closed one.
 
-    Beyond the window nothing is closed.
+    It is at most ``limit``. Beyond the window nothing is closed.
     """
     near = np.isinf(cost)
-    steps = np.where(near, np.int32(0), np.int32(most))
+    steps = np.where(near, np.int32(0), np.int32(limit))
     if not near.any():
         return steps
-    for step in range(1, most):
+    for step in range(1, limit):
         near = _with_rows_beside(_with_rows_beside(near).T).T
-        steps[near & (steps == most)] = step
+        steps[near & (steps == limit)] = step
     return steps
 
 

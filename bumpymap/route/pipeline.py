@@ -263,10 +263,10 @@ def find_routes(
     """
     if isinstance(via, str) or not isinstance(via, Iterable):
         raise UsageError(f"via is {short_repr(via)}; give a list of points, such as [(512350.5, 5403300.5)]")
-    own = _settings(settings, "find_routes", RouteSettings.__annotations__)
-    own |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
+    checked = _settings(settings, "find_routes", RouteSettings.__annotations__)
+    checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
-    config = RouteConfig(layers=_folders(layers), out=target, **own)
+    config = RouteConfig(layers=_folders(layers), out=target, **checked)
     return list(plan_routes(config).routes)
 
 
@@ -301,9 +301,9 @@ def map_reach(
     """
     from bumpymap.layers import reach_dataset
 
-    own = _settings(settings, "map_reach", ReachSettings.__annotations__)
-    own |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
-    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **own)
+    checked = _settings(settings, "map_reach", ReachSettings.__annotations__)
+    checked |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
+    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **checked)
     return reach_dataset(reach_from(config))
 
 
@@ -341,14 +341,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RouteResult:
-    """What a route run found."""
+    """Result of a route run."""
 
     routes: tuple[PlannedRoute, ...]
     """The best way first."""
     reach: Reach | None
-    """What can be reached, if there was no goal."""
+    """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
-    """What was written."""
+    """The files that were written."""
     notes: tuple[str, ...]
     """Remarks, such as points that were moved."""
 

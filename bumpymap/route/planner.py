@@ -232,11 +232,11 @@ class PlannedWay:
 
     def shared(self, other: "PlannedWay") -> float:
         """Return the share of this way's tiles that the other crosses too, or passes beside."""
-        own = np.unique(self.measured.tiles, axis=0)
+        crossed = np.unique(self.measured.tiles, axis=0)
         beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
         near = (other.measured.tiles[:, None] + beside).reshape(-1, 2)
-        _both, count = np.unique(np.concatenate([own, np.unique(near, axis=0)]), axis=0, return_counts=True)
-        return int((count > 1).sum()) / len(own)
+        _both, count = np.unique(np.concatenate([crossed, np.unique(near, axis=0)]), axis=0, return_counts=True)
+        return int((count > 1).sum()) / len(crossed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -64,7 +64,7 @@ Integers = NDArray[np.int64]
 
 
 class Tightening(NamedTuple):
-    """What a line is pulled over, and how."""
+    """The ground that a line is pulled over, and limits of pulling."""
 
     cost: Annotated[Costs, 2]
     """(rows, cols) cost per tile of length."""
@@ -79,7 +79,7 @@ class Tightening(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """What `move_corners` works on."""
+    """The corners that `move_corners` moves."""
 
     points: Annotated[Floats, 2]
     """(n, 2) field coordinates; changed."""
@@ -91,12 +91,12 @@ class Corners(NamedTuple):
 
 @helper
 def _ends(a: int, b: int, count: int) -> int:
-    """Which of two corners are the start or the goal of a line."""
+    """Return the bits of those of two corners that are the start or the goal of a line."""
     return (A_END if a == 0 else 0) | (B_END if b == count - 1 else 0)
 
 
 @helper
-def _choose(tightening: Tightening, points: Floats, n: int, most: int, best: Floats, before: Integers) -> None:
+def _choose(tightening: Tightening, points: Floats, n: int, skips: int, best: Floats, before: Integers) -> None:
     """Fill the cost up to each of n corners, and the one before it, of the cheapest line through some of them."""
     cost = tightening.cost
     best[0], before[0] = 0.0, 0
@@ -104,7 +104,7 @@ def _choose(tightening: Tightening, points: Floats, n: int, most: int, best: Flo
         r1, c1 = points[j, 0], points[j, 1]
         best[j] = best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
         before[j] = j - 1
-        for i in range(max(0, j - most), j - 1):
+        for i in range(max(0, j - skips), j - 1):
             r0, c0 = points[i, 0], points[i, 1]
             # From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
             allowed = tightening.worth if before[j] == j - 1 else -tightening.worth
@@ -117,20 +117,20 @@ def _choose(tightening: Tightening, points: Floats, n: int, most: int, best: Flo
 def leave_out(
     tightening: Tightening,
     points: Annotated[Floats, 2],
-    most: int,
+    skips: int,
     best: Annotated[Floats, 1],
     before: Annotated[Integers, 1],
 ) -> None:
     """Leave out corners, until none can be, so that the line through the others in order is the cheapest.
 
-    At most ``most`` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with fewer
+    At most ``skips`` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with fewer
     corners wins: corners on straight lines go. ``points`` (n, 2): changed: the corners that stay come first; ``best``
     (n,): scratch; ``before`` (n,): scratch, and in ``before[0]`` the number of corners that stay.
     """
     n, count = 0, points.shape[0]
     while n != count:
         n, count = count, 1
-        _choose(tightening, points, n, most, best, before)
+        _choose(tightening, points, n, skips, best, before)
         at = n - 1
         while at > 0:  # turn the links round: from each corner that stays to the next one
             best[before[at]], at = at, before[at]
@@ -176,7 +176,7 @@ def _two_segments(cost: Costs, points: Floats, i: int, r: float, c: float, limit
 
 @helper
 def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: float) -> bool:
-    """Whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
+    """Return whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
     cost, margin, n = tightening.cost, tightening.margin, points.shape[0]
     before, after = _ends(i - 1, i, n) & A_END, _ends(i, i + 1, n) & B_END
     return segment_clear(cost, points[i - 1, 0], points[i - 1, 1], r, c, margin, before) and segment_clear(
@@ -211,10 +211,10 @@ def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) ->
 
 
 @kernel
-def move_corners(tightening: Tightening, corners: Corners, most: int) -> None:
-    """Move corners in turn until no step helps any of them, at most ``most`` times all of them."""
+def move_corners(tightening: Tightening, corners: Corners, sweeps: int) -> None:
+    """Move corners in turn until no step helps any of them, at most ``sweeps`` times all of them."""
     n, turns = corners.points.shape[0], corners.directions.shape[0] // 8
-    for turn in range(most):
+    for turn in range(sweeps):
         active = False
         for i in range(1, n - 1):
             if corners.step[i] < tightening.least_step:
@@ -272,9 +272,9 @@ def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     checked = _as_line(cost, line)
     if line.size and ((line < 0.0) | (line > np.array(cost.shape))).any():
         raise ValueError(f"the line leaves the window of {cost.shape[0]} x {cost.shape[1]} tiles")
-    most = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
-    integers = np.empty((2, most), np.int64)
-    pieces = Pieces(integers[0], integers[1], np.empty(most), np.zeros(1, np.int64))
+    room = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
+    integers = np.empty((2, room), np.int64)
+    pieces = Pieces(integers[0], integers[1], np.empty(room), np.zeros(1, np.int64))
     trace_line(checked, pieces)
     count = int(pieces.pieces[0])
     return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count])
@@ -314,7 +314,7 @@ _GAIN = 1e-6
 _LEAST_MOVE, _WORTH = 1e-10, 1e-7
 """A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
 LEAST_SAVING = 1e-3
-"""What a corner of a thinned line saves at least by default, tiles: 3 mm."""
+"""Least saving of a corner of a thinned line by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
 """How fine those are moved that stay, tiles."""
