@@ -291,7 +291,8 @@ def _touching(first: NDArray[np.int64], other: NDArray[np.int64], *, corners: bo
     if not len(starts):
         return at
     by_sides = np.add.reduceat(~is_corner, starts, dtype=np.int64)
-    return at[starts + by_sides // 2]
+    middle: NDArray[np.int64] = at[starts + by_sides // 2]
+    return middle
 
 
 @dataclass(frozen=True, slots=True)
