@@ -263,7 +263,7 @@ def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
     (tmp_path / "class.tif").write_bytes((folder / "class.tif").read_bytes())
     write_project(tmp_path, {"calibration": CALIBRATION, "crs": {"wkt": crs.to_wkt()}})
     known = CRS.from_wkt(read(tmp_path / "map.qgs").find("projectCrs/spatialrefsys/wkt").text)
-    assert known.name == "mine \ufffd / UTM zone 14N"
+    assert known.name == r"mine \x01 / UTM zone 14N"
 
 
 def test_a_project_without_a_crs_has_none(tmp_path, make_field):
@@ -283,7 +283,7 @@ def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     write_project(tmp_path, record)
     root = read(tmp_path / "map.qgs")
-    assert root.find("title").text == "Pit \ufffd <7> \ufffd &: ride cost"
+    assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
     assert "warthog" in root.find("projectMetadata/abstract").text
     assert "c0ffee" in root.find("projectMetadata/abstract").text
     assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
