@@ -334,14 +334,14 @@ class Layers:
         Raises
         ------
         BadInputError, OutputError, UsageError
-            See `bumpymap.views.write_report`.
+            See `bumpymap.views.write_reports`.
         """
-        from bumpymap.views import write_report
+        from bumpymap.views import write_reports
 
         for name, place in {"out": out, "route": route, "check": check}.items():
             if place is not None:
                 path_of_call(name, place)
-        return write_report(self.folder, out, route=route, check=check, overwrite=overwrite)
+        return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))

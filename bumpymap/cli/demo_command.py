@@ -1,13 +1,12 @@
 """``bumpymap demo``: map a synthetic survey as an example."""
 
 import shutil
+from itertools import chain
 from pathlib import Path
 
 import click
 
-from bumpymap.cli._options import PATH, GroupedCommand, output_options
-from bumpymap.cli._progress import show_progress
-from bumpymap.cli._text import print_line
+from bumpymap.cli._options import PATH, Run, job
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic
 
 __all__ = ["command"]
@@ -16,7 +15,7 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
 
 
-@click.command("demo", cls=GroupedCommand)
+@job("demo")
 @click.option(
     "--out",
     default="demo_out",
@@ -31,27 +30,20 @@ _SAMPLE = Path("sample_data") / "quarry.laz"
     metavar="FILE",
     help="Survey to map [default: a synthetic quarry, copied to DIR].",
 )
-@output_options()
-def command(out: Path, survey: Path | None, *, quiet: bool, log_json: bool) -> None:
+def command(run: Run, out: Path, survey: Path | None) -> None:
     """Map a synthetic quarry as an example."""
-    from bumpymap.cli._summary import show
+    from bumpymap.cli._summary import map_lines, map_record
     from bumpymap.layers import REPORT_NAME
     from bumpymap.survey import map_surveys
 
     if survey is None:
         survey = _copy_sample(out / "survey" / _SAMPLE.name)
     config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
+    with run.progress() as progress:
         result = map_surveys(config, progress)
-    if quiet:
-        return
-    if log_json:
-        show(result, config, as_json=True)
-        return
-    print_line(f"Mapped {survey}")
-    show(result, config, as_json=False)
-    print_line(f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS.")
-    print_line(f"Open {config.out / REPORT_NAME} in a browser.")
+    look = [f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS."]
+    look += [f"Open {config.out / REPORT_NAME} in a browser."]
+    run.show(map_record(result, config), chain([f"Mapped {survey}"], map_lines(result, config), look))
 
 
 def _copy_sample(survey: Path) -> Path:

@@ -1,18 +1,18 @@
-"""``bumpymap report``: the page of a map again."""
+"""``bumpymap report``: the page of a map again, or of two maps side by side."""
 
 from pathlib import Path
 from typing import Any
 
 import click
 
-from bumpymap.cli._options import PATH, GroupedCommand, given_options, grouped_option, output_options
-from bumpymap.cli._text import print_json, print_line
+from bumpymap.cli._options import PATH, Run, grouped_option, job
+from bumpymap.core import UsageError
 
 __all__ = ["command"]
 
 
-@click.command("report", cls=GroupedCommand)
-@click.argument("layers", type=PATH)
+@job("report", quiet="Print nothing.")
+@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
     "--route",
@@ -25,23 +25,19 @@ __all__ = ["command"]
     "--check", group="Input", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there."
 )
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
-@output_options("Print nothing.")
-def command(*, layers: Path, quiet: bool, log_json: bool, **given: Any) -> None:
-    """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
+def command(run: Run, layers: tuple[Path, ...], **settings: Any) -> None:
+    """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
 
-    For a folder of `bumpymap diff`, the page of what has changed is made again.
+    For one folder of `bumpymap diff`, the page of what has changed is made again.
 
     \b
     bumpymap report layers --route way
     bumpymap report layers --check checked
-    bumpymap report layers --out site.html
+    bumpymap report may_layers june_layers --out may_and_june.html
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    from bumpymap.views import write_report
+    if not layers:
+        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
+    from bumpymap.views import write_reports
 
-    path = write_report(layers, **given_options(given))
-    if quiet:
-        return
-    if log_json:
-        print_json({"report": str(path), "bytes": path.stat().st_size})
-    else:
-        print_line(f"Open {path} in a browser.")
+    path = write_reports(layers, **settings)
+    run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])

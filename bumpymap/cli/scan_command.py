@@ -6,19 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    PATH,
-    GroupedCommand,
-    config_options,
-    given_options,
-    grouped_option,
-    merge_settings,
-    output_options,
-    resume_option,
-    settings_options,
-)
-from bumpymap.cli._progress import show_progress
-from bumpymap.cli._text import option_name, print_json, print_line, print_table
+from bumpymap.cli._options import PATH, RESUME, Run, grouped_option, job, settings_options
+from bumpymap.cli._text import ALREADY_DONE, Table, option_name
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
     PolarSettings,
@@ -33,33 +22,26 @@ from bumpymap.scan import ScanConfig
 if TYPE_CHECKING:
     from bumpymap.scan import ScanRun, StripeModel
 
-__all__ = ["command", "show", "show_fit"]
+__all__ = ["command"]
 
 
-def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
-    """Print the result of a run as a table, or as one JSON object."""
+def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> Iterator[str | Table]:
     from statistics import median
 
-    record = _record(result, config)
-    if as_json:
-        print_json(record)
-        return
     if result.already_done:
-        from bumpymap.cli._summary import ALREADY_DONE
-
-        print_line(f"Already done: {config.out} {ALREADY_DONE}")
-    print_line(
+        yield f"Already done: {config.out} {ALREADY_DONE}"
+    yield (
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
         f"{sum(result.seconds.values()):.1f} s in total"
     )
     dropped = record["dropped"]
-    print_line(
+    yield (
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
     states = record["sector_states"]
-    print_line(
+    yield (
         f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
         f"{states['rough']:,} rough, {states['not ground']:,} not ground"
     )
@@ -67,18 +49,19 @@ def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
         *rated, unknown = record["sectors_by_ride"].values()
         classes = ", ".join(f"{count:,} of class {number}" for number, count in enumerate(rated))
         name = config.vehicle if config.calibration is None else config.calibration
-        print_line(f"ride of {name}: {classes}; unknown in {unknown:,} of {unknown + sum(rated):,} sectors")
-    print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
+        yield f"ride of {name}: {classes}; unknown in {unknown:,} of {unknown + sum(rated):,} sectors"
+    titles = ("class", "sectors", "share", "points")
+    yield Table(_rows(record["sectors"], record["points_by_class"]), titles)
     if result.skipped:
-        print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
-    print_line(f"Output in {config.out}: {', '.join(result.files)}")
+        yield f"skipped frames: {len(result.skipped)}; scan.json lists the reasons"
+    yield f"Output in {config.out}: {', '.join(result.files)}"
     if result.merged is not None:
-        print_line(_merged_line(result.merged))
+        yield _merged_line(result.merged)
     if config.bag is not None:
-        print_line(f"Grids of the frames in {config.bag}")
+        yield f"Grids of the frames in {config.bag}"
     if result.drive is not None:
         tiles = result.drive.summary
-        print_line(
+        yield (
             f"Map of the drive in {result.drive.files[0].parent}: {count_text(tiles.tiles, 'tile')}, "
             f"{tiles.unknown:,} of them unknown"
         )
@@ -97,18 +80,13 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
     return f"Merged: {kept}; {agree}"
 
 
-def show_fit(model: "StripeModel", config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
-    """Print the result of a fit."""
-    if as_json:
-        found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
-        print_json(found | {"skipped": skipped})
-        return
+def _fit_lines(model: "StripeModel", config: ScanConfig) -> Iterator[str]:
     centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    print_line(
+    yield (
         f"class 0 to 2: {centres} stripes, from {count_text(model.sectors, 'sector')} of "
         f"{count_text(model.scans, 'frame')}"
     )
-    print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --set stripes={config.out}")
+    yield f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --set stripes={config.out}"
 
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
@@ -140,7 +118,6 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
     return {part: sum(frame[name][part] for frame in frames) for part in frames[0][name]}
 
 
-_PARTLY_DONE = 4
 _OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
 _NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
 
@@ -156,11 +133,15 @@ class _EveryNth(click.types.IntParamType):
             self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
 
 
-@click.command("scan", cls=GroupedCommand)
+@job(
+    "scan",
+    ScanConfig,
+    settings_options(PolarSettings, table="polar"),
+    settings_options(Robot, table="robot"),
+    [RESUME],
+    clashes=[VEHICLE_OR_CALIBRATION],
+)
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
-@settings_options(ScanConfig)
-@settings_options(PolarSettings, table="polar")
-@settings_options(Robot, table="robot")
 @grouped_option(
     "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes and write only them.", group="Output"
 )
@@ -173,13 +154,7 @@ class _EveryNth(click.types.IntParamType):
     help="Draw all frames, or every Nth one.",
     group="Output",
 )
-@config_options(ScanConfig, clashes=[VEHICLE_OR_CALIBRATION])
-@resume_option
-@output_options()
-@click.pass_context
-def command(
-    ctx: click.Context, /, fit: Path | None, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any
-) -> None:
+def command(run: Run, fit: Path | None) -> None:
     """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
@@ -191,32 +166,32 @@ def command(
     from bumpymap.layers import import_without_pandas
     from bumpymap.scan import fit_frames, scan_frames
 
-    config = _config(stored, fit, given)
-    if ctx.obj:
+    config = _config(run, fit)
+    if run.ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
+    with run.progress() as progress:
         if fit is None:
             result = scan_frames(config, progress)
             skipped = result.skipped
         else:
             model, skipped = fit_frames(config, progress)
-    if not quiet and fit is None:
-        show(result, config, as_json=log_json)
-    elif not quiet:
-        show_fit(model, config, skipped, as_json=log_json)
+    if fit is None:
+        record = _record(result, config)
+        run.show(record, _lines(result, record, config))
+    else:
+        record = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
+        run.show(record | {"skipped": skipped}, _fit_lines(model, config))
     if skipped:
-        ctx.exit(_PARTLY_DONE)
+        run.end_partly_done()
 
 
-def _config(stored: dict[str, Any], fit: Path | None, given: dict[str, Any]) -> ScanConfig:
-    """Merge the settings of the file and of the command line, which override them."""
-    options = given_options(given)
-    if fit is not None and (wrong := [name for name in _NOT_OF_A_FIT if name in options]):
-        raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
-    settings = merge_settings(stored, options, [VEHICLE_OR_CALIBRATION])
+def _config(run: Run, fit: Path | None) -> ScanConfig:
+    """Return the settings; of a fit, those of a file that it has no use for are left out."""
     if fit is not None:
-        settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
-    for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):
-        if not settings.get(name):
-            raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
-    return ScanConfig(**settings)
+        if wrong := [name for name in _NOT_OF_A_FIT if name in run.given]:
+            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
+        for source in (run.stored, run.assigned):
+            for name in _NOT_OF_A_FIT:
+                source.pop(name, None)
+        run.given["out"] = fit
+    return ScanConfig(**run.required(frames="a file or a folder of scans", out="--out DIR"))

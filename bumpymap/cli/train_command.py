@@ -7,20 +7,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from bumpymap.cli._options import (
-    FILE,
-    GroupedCommand,
-    changed_settings,
-    config_options,
-    given_options,
-    grouped_option,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import interrupt_note, option_name, print_json, print_line
+from bumpymap.cli._options import FILE, Run, grouped_option, job, settings_options
+from bumpymap.cli._progress import CommandProgress
+from bumpymap.cli._text import interrupt_note, option_name
 from bumpymap.core import OutputError, Progress, UsageError
 from bumpymap.lab import LoopSettings, NetworkSettings, ScanTrainSettings, TrainSettings
 
@@ -34,7 +23,14 @@ _log = logging.getLogger(__name__)
 _SIMULATED = "simulated"
 
 
-@click.command("train", cls=GroupedCommand)
+@job(
+    "train",
+    settings_options(LoopSettings),
+    settings_options(TrainSettings, "patches_per_texture", "tile_size"),
+    settings_options(NetworkSettings, "pixels", table="network"),
+    settings_options(ScanTrainSettings, "scenes", "sectors_per_class"),
+    owners=(TrainSettings, ScanTrainSettings),
+)
 @grouped_option("--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output")
 @grouped_option(
     "--scans",
@@ -42,23 +38,8 @@ _SIMULATED = "simulated"
     help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
     group="Input",
 )
-@settings_options(LoopSettings)
-@settings_options(TrainSettings, "patches_per_texture", "tile_size")
-@settings_options(NetworkSettings, "pixels", table="network")
-@settings_options(ScanTrainSettings, "scenes", "sectors_per_class")
 @grouped_option("--overwrite", is_flag=True, help="Replace the network of an earlier training.", group="Output")
-@config_options(TrainSettings, ScanTrainSettings)
-@output_options()
-def command(
-    *,
-    out: Path,
-    scans: str | None,
-    stored: dict[str, Any],
-    overwrite: bool,
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
-) -> None:
+def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain and write it as ONNX; no survey is needed.
 
     With --scans, train the scan network instead. To resume an interrupted training after its last complete epoch, give
@@ -69,8 +50,7 @@ def command(
     bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    owners = (TrainSettings, ScanTrainSettings) if scans is None else (ScanTrainSettings, TrainSettings)
-    options = {**changed_settings(stored, *owners), **given_options(given)}
+    options = run.changed(TrainSettings if scans is None else ScanTrainSettings, *run.owners)
     _refuse_other_options(options, scans)
     _require(simulates=scans == _SIMULATED)
     if out.suffix != ".onnx":
@@ -78,18 +58,12 @@ def command(
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     note = "Give the same command again to continue after the last complete epoch."
-    with interrupt_note(note), show_progress(quiet=quiet, as_json=log_json) as progress:
+    with interrupt_note(note), run.progress() as progress:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
         else:
             lines, made = _train_scans(options, out, None if scans == _SIMULATED else Path(scans), progress)
-    if quiet:
-        return
-    if log_json:
-        print_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
-        return
-    for line in lines:
-        print_line(line)
+    run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
 
 
 def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:

@@ -39,25 +39,30 @@ def list_command() -> None:
 @command.command("check")
 @click.argument("vehicle", metavar="NAME_OR_FILE")
 def check_command(vehicle: str) -> None:
-    """Report the errors in a profile, or a summary of the vehicle.
+    """Report the errors in a profile, or a summary of the vehicle and what was estimated.
 
     NAME_OR_FILE is a TOML file or the name of an included vehicle. The exit code is 3 if the profile has errors.
     """
-    from bumpymap.rating import load_profile
+    from bumpymap.rating import estimated_values, load_profile
 
     profile = load_profile(vehicle)
     for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
         print_line(f"{name:13s} {value}")  # one line each, so that a command in it can be copied
+    estimates = estimated_values(vehicle)
+    if estimates:
+        print_line("estimated from mass, size and suspension; each may be set in the profile:")
+    for name, value in estimates.items():
+        print_line(f"  {name} = {value}")
 
 
 @command.command("new")
 @click.argument("name", metavar="NAME")
 @click.option("--out", type=PATH, metavar="FILE", help="File to write [default: NAME.toml].")
-@click.option("--like", metavar="NAME_OR_FILE", help="Copy the values of this vehicle [default: none].")
+@click.option("--like", metavar="NAME_OR_FILE", help="Copy all values of this vehicle instead.")
 def new_command(name: str, out: Path | None, like: str | None) -> None:
-    """Write a template of a vehicle profile.
+    """Write a vehicle profile to fill in: ten values, with units and ranges; the rest is estimated from them.
 
-    It holds every key with its unit and allowed range. NAME is the name of the vehicle.
+    NAME is the name of the vehicle.
     """
     from bumpymap.rating import write_profile_template
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted, read_rows
+from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
 from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
 
 __all__ = ["PcdTable"]
@@ -46,23 +46,26 @@ class PcdTable(PointTable):
     def __init__(
         self, file: OpenFile, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
     ) -> None:  # fmt: skip
-        path, self._file = file.path, file
+        path = file.path
         with decoding(path, "the header"), file.open() as stream:
             size = stream.seek(0, io.SEEK_END)
             stream.seek(0)
             self._head = head = _read_header(stream, path)
-            self._data_at = stream.tell()
-            self._dtype: np.dtype[np.void] = head.build_dtype()
-            _refuse_columns(head, self._dtype, path)
-            _refuse_size(stream, path, head, size - self._data_at)
-            _refuse_unpacking(stream, path, self._data_at, head, memory)
-        types = {name: self._dtype[name] for name in self._dtype.names or ()}
+            data_at = stream.tell()
+            row: np.dtype[np.void] = head.build_dtype()
+            _refuse_columns(head, row, path)
+            _refuse_size(stream, path, head, size - data_at)
+            _refuse_unpacking(stream, path, data_at, head, memory)
         is_text = head.data is Encoding.ASCII
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
-        super().__init__(path, TableInfo(kind, size, head.points, self._dtype.itemsize, types, is_text, notes))
-        self._text = self._text_rows(wanted, text_type) if is_text else None
+        info, text = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes), None
+        if is_text:
+            names, places = list(info.find(wanted).values()), list(info.types)
+            dtype = np.dtype([(name, text_type or row[name]) for name in names])
+            text = TextRows(file, data_at, 0, dtype, [places.index(name) for name in names])
+        super().__init__(file, info, data_at, text)
 
     @property
     def sequential(self) -> bool:
@@ -71,16 +74,9 @@ class PcdTable(PointTable):
 
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
-        if self._text is not None:
-            return self._text.read(first, count)
-        if self._head.data is Encoding.BINARY:
-            return read_rows(self._file, self._data_at, self._dtype, first, count)
+        if self._head.data in {Encoding.ASCII, Encoding.BINARY}:
+            return super().rows(first, count)
         return self._unpacked[first : first + count]
-
-    def close(self) -> None:
-        """See ``PointTable.close``."""
-        if self._text is not None:
-            self._text.close()
 
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
@@ -91,11 +87,6 @@ class PcdTable(PointTable):
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
             rows: NDArray[np.void] = PointCloud.from_fileobj(whole).pc_data
             return rows
-
-    def _text_rows(self, wanted: Wanted, text_type: type[np.float64] | None) -> TextRows:
-        names, places = list(self.info.find(wanted).values()), list(self.info.types)
-        dtype = np.dtype([(name, text_type or self._dtype[name]) for name in names])
-        return TextRows(self._file, self._data_at, 0, dtype, [places.index(name) for name in names])
 
 
 def _read_header(stream: BinaryIO, path: Location) -> Any:

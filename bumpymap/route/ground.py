@@ -92,8 +92,6 @@ PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
 LEAST_SAVING_M = 0.003
 """What a corner of a line on pixels saves at least, m of level ground."""
-_BESIDE_M = 0.1
-"""Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 _ROOM_M, _NARROW = 0.6, 0.5
@@ -154,8 +152,8 @@ class CostGround:
 
     @property
     def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m: half its width and 0.1 m."""
-        return 0.5 * self.site.vehicle.width_m + _BESIDE_M
+        """Distance that the middle of the vehicle keeps from obstacles, m."""
+        return self.site.vehicle.reach_m
 
     @property
     def joins_corners(self) -> bool:

@@ -6,7 +6,7 @@ from typing import Any
 
 from bumpymap.views.gis.project import write_project
 from bumpymap.views.gis.styles import write_styles
-from bumpymap.views.page.map_page import write_map_page
+from bumpymap.views.page.map_page import write_report
 
 __all__ = ["write_map_views"]
 
@@ -30,4 +30,4 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     """
     write_styles(folder, record)
     write_project(folder, record)
-    write_map_page(folder, record)
+    write_report(folder, record)

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.cli._options import GroupedCommand, config_options, given_options, settings_options
+from bumpymap.cli._options import job, settings_options
 from bumpymap.cli._text import as_options
 from bumpymap.core import Setting, check_settings
 
@@ -235,11 +235,9 @@ class Walk:
 def test_options_follow_from_the_declaration():
     walks = []
 
-    @click.command(cls=GroupedCommand)
-    @settings_options(Walk, tile_size="Size")
-    @config_options(Walk)
-    def walk(stored, **given):
-        walks.append(Walk(**{**stored, **given_options(given)}))
+    @job("walk", settings_options(Walk, tile_size="Size"), owners=(Walk,))
+    def walk(run):
+        walks.append(Walk(**run.settings))
 
     shown = CliRunner().invoke(walk, ["--help"]).output
     assert "--tile-size M" in shown

@@ -33,7 +33,7 @@ class Clock:
 
 def test_a_line_has_time_stage_and_share(capsys):
     clock = Clock()
-    progress = _progress.LineProgress(clock)
+    progress = _progress.TickedProgress(clock)
     progress.tick()
     assert capsys.readouterr().err == ""
     progress.start("reading points", 10_000_000)
@@ -78,7 +78,7 @@ def events(text):
 
 def test_events_hold_the_same(capsys):
     clock = Clock()
-    progress = _progress.EventProgress(clock)
+    progress = _progress.TickedProgress(clock, as_json=True)
     progress.start("reading points", 1000)
     progress.advance(250)
     clock.now += 12.34

@@ -31,10 +31,11 @@ def test_the_page_is_made_again_and_its_place_is_said(layers):
     assert run(layers[0], "--quiet").output == ""
 
 
-def test_the_answer_for_machines(layers, tmp_path):
-    out = tmp_path / "page.html"
-    out.touch()
-    done = run(layers[0], "--out", out, "--overwrite", "--json")
+def test_two_maps_in_one_page(layers, tmp_path):
+    out = tmp_path / "two.html"
+    assert run(*layers, "--out", out).exit_code == 0
+    assert "two maps compared" in out.read_text()
+    done = run(*layers, "--out", out, "--overwrite", "--json")
     assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(out), "bytes": out.stat().st_size}
 
 
@@ -56,7 +57,9 @@ def test_the_page_of_a_comparison_is_made_again(layers, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        ([], 2, "LAYERS"),
+        ([], 2, "no layers given"),
+        (["may", "june"], 2, "--out"),
+        (["may", "june", "may", "--out", "a.html"], 2, "3 folders"),
         (["may", "--out", "a.json"], 2, "ends in .html"),
         (["may", "--route", "june"], 3, "--route"),
         (["may", "--check", "june"], 3, "Give the folder that `bumpymap check` wrote, as --check"),

@@ -7,7 +7,7 @@ from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.rating.calibration import Calibration
-from bumpymap.rating.vehicle_profile import KEYS, load_profile
+from bumpymap.rating.vehicle_profile import load_profile
 
 SHIPPED = Path(__file__).parents[2] / "bumpymap" / "rating" / "data"
 
@@ -36,12 +36,21 @@ def test_a_new_profile_passes_only_when_it_is_filled_in(tmp_path):
     assert refused.exit_code == 3
     first, *faults = refused.stderr.splitlines()
     assert "bumpymap vehicle new NAME" in first  # no page of docs, which are not installed
-    wanted = [key for key in KEYS if key.default is None]
-    assert len(faults) == len(wanted) + 1  # and the description
-    for fault, key in zip(faults[1:], wanted, strict=True):
-        assert fault == f"  {key.name} is not filled in: {key.quantity.allowed}"
-    text = (tmp_path / "mine.toml").read_text()
-    assert all(f"({key.quantity.allowed})." in text for key in KEYS)
+    assert len(faults) == 10
+    assert "  wheelbase_m is not filled in: between 0.1 and 20 metres" in faults
+    assert "(between 0.1 and 20 metres)." in Path("mine.toml").read_text()
+
+
+def test_the_check_shows_what_was_estimated():
+    assert vehicle("new", "mine").exit_code == 0
+    text = Path("mine.toml").read_text()
+    for value in ('"A robot"', "40", '"rigid"', "0.6", "0.5", "1", "20", "0.1", "0.15", "0.2"):
+        text = text.replace('= "?"', f"= {value}", 1)
+    Path("mine.toml").write_text(text)
+    shown = vehicle("check", "mine.toml").stdout
+    assert "estimated from mass, size and suspension" in shown
+    assert "  rocker.stiffness_nm_per_rad = " in shown
+    assert "estimated" not in vehicle("check", "husky").stdout
 
 
 def test_a_new_profile_like_another_says_so_and_passes(tmp_path):
@@ -107,7 +116,7 @@ def test_a_profile_in_a_settings_file_is_beside_it(tmp_path):
     (folder / "run.toml").write_text('surveys = ["a.laz"]\nout = "o"\nvehicle = "mine.toml"\n')
     result = CliRunner().invoke(main, ["map", "--config", "site/run.toml"])
     assert result.exit_code == 3
-    assert "site/mine.toml: 20 errors" in result.stderr
+    assert "site/mine.toml: 10 errors" in result.stderr
 
 
 def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tmp_path):

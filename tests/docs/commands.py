@@ -27,7 +27,7 @@ from bumpymap.cli import main as bumpymap_main
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+    "bumpymap", "dask", "gdal_translate", "gdaldem", "grass", "make", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -54,14 +54,10 @@ RULES = (
     Rule(r"^gdal", "takes GDAL's own tools", ""),
     Rule(r"^grass ", "takes GRASS", ""),
     Rule(r"^(xdg-open|qgis) ", "opens a window", None),
-    Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
     Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
     Rule(r"^python tests/benchmarks/run\.py", "an hour, and PDAL", None),
     Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
-    Rule(r"^python tests/benchmarks/nights\.py", "kills batches for minutes", None),
-    Rule(r"^python tests/benchmarks/race\.py", "races runs for a quarter of an hour", None),
     Rule(r"^python tests/benchmarks/scan_frames\.py", "scans 100 frames a dozen times", None),
-    Rule(r"^python tests/benchmarks/wide_site\.py", "half a gigabyte", "--width 1 --height 1"),
     Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite", None),
     Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour", None),
     Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited", None),
@@ -72,13 +68,11 @@ RULES = (
     Rule(r"^bumpymap calibrate ", "hours of drives", f"{_FEW} --overwrite"),
     Rule(r"^python tests/benchmarks/ground_compare\.py", "takes labelled frames and Patchwork++", None),
     Rule(r"^python tests/benchmarks/second_simulator\.py", "takes MuJoCo, and drives for minutes", None),
-    Rule(r"^python tests/benchmarks/(drive_check|ditch_drives)\.py", "drives for hours", None),
+    Rule(r"^python tests/benchmarks/ditch_drives\.py", "drives for hours", None),
     Rule(r"^python tests/benchmarks/route_drives\.py", "drives for hours", None),
-    Rule(r"^python tests/benchmarks/(tile_changes|thin_sweep|scan_checks)\.py", "takes minutes; tests run parts", None),
     Rule(r"^python tests/benchmarks/thinned_maps\.py", "maps a survey three times", None),
     Rule(r"^python tests/benchmarks/(scene_book|rings)\.py", "surveys made-up scenes for minutes", None),
     Rule(r"^python tests/benchmarks/way_pairs\.py", "takes the layers of three sites", None),
-    Rule(r"^python tests/benchmarks/cost_pixels\.py", "takes GRASS, and the layers of two sites", None),
     Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file", None),
     Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),

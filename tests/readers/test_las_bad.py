@@ -67,6 +67,17 @@ def test_a_file_that_ends_inside_the_points(las, fmt):
     refused(path, "declares 7 points", "can hold 6", "truncated?")
 
 
+def test_a_stream_without_chunks(las):
+    path = las.write("a.laz")
+    refused(las.patch(path, laszip_record(path), "<H", 1), "in one stream without chunks", "pdal translate")
+
+
+def test_a_chunk_that_is_too_large_to_be_decoded_at_once(las, laz, monkeypatch):
+    path = laz.pack(las.write(), 5)
+    monkeypatch.setattr("bumpymap.readers.copc._LARGEST_CHUNK", 5 * 28 - 1)
+    refused(path, "holds 5 points", "pdal translate")
+
+
 def chunk_table(path):
     data = path.read_bytes()
     (points_at,) = struct.unpack_from("<I", data, 96)
@@ -136,7 +147,7 @@ def test_a_panic_of_the_decoder_becomes_a_message(las, monkeypatch):
         raise PanicException("index out of bounds: the len is 3\nnote: a backtrace")
 
     path = las.write("a.laz")
-    monkeypatch.setattr(decoder, "current", decoder.LocalDecoder())
+    monkeypatch.setattr(decoder, "current", decoder.Decoder(0))
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", panic)
     message = refused(path, "index out of bounds: the len is 3")
     assert "backtrace" not in message
@@ -146,7 +157,7 @@ def test_an_interrupt_passes(las, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(decoder, "current", decoder.LocalDecoder())
+    monkeypatch.setattr(decoder, "current", decoder.Decoder(0))
     monkeypatch.setattr(lazrs, "decompress_points_with_chunk_table", interrupt)
     with pytest.raises(KeyboardInterrupt):
         exhaust(las.write("a.laz"))

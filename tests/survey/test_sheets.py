@@ -114,12 +114,6 @@ def test_the_output_folder_may_be_a_link(survey, whole, tmp_path, settings):
     assert done.manifest["counts"] == whole.manifest["counts"]
 
 
-@pytest.mark.later
-def test_a_cluster_makes_the_same_sheets(survey, whole, tmp_path, dask_scheduler):
-    bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, scheduler=dask_scheduler)
-    assert_same_pixels(tmp_path / "out", whole.folder)
-
-
 def test_a_sheet_names_the_files_that_it_was_made_from(tmp_path):
     for number, east in enumerate((500_010.0, 501_010.0)):
         _write_points(tmp_path / "site" / f"part_{number}.las", np.array([east]), 4_000_002.0)

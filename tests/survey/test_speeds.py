@@ -10,7 +10,6 @@ from small_surveys import run, write_las
 
 import bumpymap
 from bumpymap.core import UsageError
-from bumpymap.survey.batch.source import read_table
 
 NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
 
@@ -153,9 +152,3 @@ def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):
     assert made.exit_code == 2
     assert said in made.output
     assert not (tmp_path / "out").exists()
-
-
-def test_a_table_of_a_batch_takes_speeds(tmp_path):
-    (tmp_path / "a.laz").touch()
-    ((_, _, settings),) = read_table("survey,speed,speeds\na.laz,0.5,0.5 1 2\n", "list.csv", tmp_path)
-    assert settings == {"speed": 0.5, "speeds": (0.5, 1.0, 2.0)}

@@ -171,20 +171,13 @@ def test_one_tile_too_large_for_memory_says_so(tmp_path):
         list(buckets.blocks())
 
 
-def test_marks_count_tiles_and_flagged_tiles():
-    buckets = TileBuckets(GRID)
-    buckets.add(np.array([0.5, 1.0, 3.5, 6.5]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
-    assert buckets.marks((0, 0)) == (3, 2)
-    assert buckets.points((0, 0)) == 4
-
-
 def test_points_far_apart_are_grouped_too():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-2e9, 2e9, (2, 50))
     grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
     assert grouped.keys == sorted(grouped.keys)
     for place, (row, col) in enumerate(grouped.keys):
-        part = grouped.block(place)
+        part = grouped.block(place, ("easting", "northing"))
         assert np.all(GRID.index(part.columns["easting"]) // 16 == col)
         assert np.all(GRID.index(part.columns["northing"]) // 16 == row)
     assert sorted(grouped.points["upward"].tolist()) == list(range(50))

@@ -349,7 +349,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         place_rows=[_place_row(site, place) for place in site.places],
         ramp_colours=_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
-        data={"maps": [site.map_record()], "codes": codes},
+        data={"maps": [site.map_record()], "together": False, "codes": codes},
     )
 
 

@@ -134,7 +134,7 @@ class Chart:
         ]
 
 
-def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
+def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Chart:
     """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
 
     Parameters
@@ -143,6 +143,8 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
         Tiles in each bin of ``C_R_EDGES``.
     limits : sequence of float
         Limits of the classes, rad/m.
+    key : str
+        Makes ids on the page differ.
     """
     used = np.flatnonzero(bins)
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
@@ -153,18 +155,18 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
     names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
     names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
     note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
-    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", "ride-0")
+    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", f"ride-{key}")
     return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
 
 
-def slope_chart(bins: NDArray[np.int64], limit: float) -> Chart:
+def slope_chart(bins: NDArray[np.int64], limit: float, key: str) -> Chart:
     """Return the histogram of the slope; ``limit`` is the steepest that the vehicle may drive, degrees."""
     used = np.flatnonzero(bins)
     last = max(int(used[-1]) + 1 if len(used) else 1, 4)
     ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
     names = [f"{low:g} to {high:g}" for low, high in pairwise(SLOPE_EDGES[: last + 1])]
     note = f"Red line: steepest slope for the vehicle, {limit:g} degrees."
-    about = ("Slope of the tiles", note, "slope, degrees", "slope-0")
+    about = ("Slope of the tiles", note, "slope, degrees", f"slope-{key}")
     return _histogram(about, bins[:last], SLOPE_EDGES[: last + 1], names, ticks, [(limit, f"{limit:g}°")])
 
 

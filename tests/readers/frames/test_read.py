@@ -39,16 +39,6 @@ def table(label):
     return rows
 
 
-def listed():
-    """The table with a list before the coordinates, of another length in each row."""
-    plain = table(label=True)
-    rows = np.empty(len(plain), [("seen_by", object), *plain.dtype.descr])
-    rows["seen_by"] = [list(range(number % 3)) for number in range(len(rows))]
-    for name in plain.dtype.names:
-        rows[name] = plain[name]
-    return rows
-
-
 def write_pcd(path, encoding, label=True):
     fields = ("x", "y", "z", "intensity") + (("label",) if label else ())
     types = (np.float32,) * 4 + ((np.uint16,) if label else ())
@@ -87,11 +77,6 @@ def test_ply(tmp_path, label, order):
     check(scan, label)
 
 
-@pytest.mark.parametrize("order", ["<", ">", "="])
-def test_lists_among_the_properties(tmp_path, order):
-    check(read_scan(write_ply(tmp_path / "a.ply", listed(), order=order)), label=True)
-
-
 @pytest.mark.parametrize("label", [True, False])
 @pytest.mark.parametrize("encoding", [Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED])
 def test_pcd(tmp_path, encoding, label):
@@ -113,7 +98,6 @@ def test_text_pcd_without_counts_and_with_several_values_a_field(tmp_path):
 SCANS = {
     "ply": lambda path: write_ply(path, table(label=True), order="<"),
     "text ply": lambda path: write_ply(path, table(label=True), order="="),
-    "ply with lists": lambda path: write_ply(path, listed(), order="<"),
     "text pcd": lambda path: write_pcd(path, Encoding.ASCII),
     "pcd": lambda path: write_pcd(path, Encoding.BINARY),
     "packed pcd": lambda path: write_pcd(path, Encoding.BINARY_COMPRESSED),
@@ -165,8 +149,6 @@ def test_a_scan_of_nothing_is_empty_and_says_why(tmp_path, row):
 def write_all(folder):
     yield write_ply(folder / "binary.ply", table(label=True))
     yield write_ply(folder / "text.ply", table(label=True), order="=")
-    yield write_ply(folder / "listed.ply", listed())
-    yield write_ply(folder / "listed_text.ply", listed(), order="=")
     for encoding in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED):
         yield write_pcd(folder / f"{encoding.value}.pcd", encoding)
     yield write_kitti(folder)

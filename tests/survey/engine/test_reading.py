@@ -111,35 +111,6 @@ def read(readers, *, skip_bad, threads=2):
     return stats, store.calls, bad
 
 
-@pytest.mark.parametrize("threads", [1, 2, 5])
-def test_chunks_are_taken_in_order_and_fetched_a_little_ahead(threads):
-    readers = [Reader("a", 20), Reader("b", 1), Reader("c", 30)]
-    stats, calls, _ = read(readers, skip_bad=False, threads=threads)
-    assert calls == list(range(51))
-    assert [reader.log for reader in readers] == [list(range(20)), [0], list(range(30))]
-    assert {file: own.points for file, own in stats.items()} == {0: 200, 1: 10, 2: 300}
-    # Those that are prepared, one in hand, and two that are fetched or wait for it.
-    assert max(reader.most_under_way for reader in readers) <= threads + 3
-
-
-def test_small_chunks_are_fetched_at_once_and_taken_in_order():
-    readers = [Reader("a", 20, parallel=True), Reader("b", 30)]
-    meeting = threading.Barrier(3, timeout=60)
-    fetch = readers[0].fetch
-
-    def together(chunk):
-        if chunk.index < 3:
-            meeting.wait()  # three threads are here
-        return fetch(chunk)
-
-    readers[0].fetch = together
-    stats, calls, _ = read(readers, skip_bad=False, threads=3)
-    assert calls == list(range(50))
-    assert {file: own.points for file, own in stats.items()} == {0: 200, 1: 300}
-    # Those that are prepared, one in hand, and those that are fetched or wait for it.
-    assert readers[0].most_under_way <= 3 + 3 + 2
-
-
 @pytest.mark.parametrize(
     ("faults", "says"),
     [

@@ -17,7 +17,7 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import open_map
 from bumpymap.layers.check_vectors import MapOffset
-from bumpymap.views import check_headline, write_report
+from bumpymap.views import check_headline, write_reports
 from bumpymap.views.page.charts import along_chart, drive_chart
 
 
@@ -45,7 +45,7 @@ def checked(site, tmp_path_factory):
 @pytest.fixture(scope="module")
 def drawn(site, checked, tmp_path_factory):
     folder = tmp_path_factory.mktemp("drawn")
-    return write_report(site, folder / "page.html", check=checked[0])
+    return write_reports([site], folder / "page.html", check=checked[0])
 
 
 def test_every_stretch_is_on_the_map(drawn, checked, read_page):
@@ -68,38 +68,47 @@ def test_without_a_check_nothing_of_drives_is_on_the_page(site, read_page):
 
 def test_layers_that_were_written_again_are_told(site, checked, tmp_path, read_page):
     later = copy_folder(site, tmp_path / "later", name="later")
-    page = read_page(write_report(later, check=checked[0] / "check.json"))
+    page = read_page(write_reports([later], check=checked[0] / "check.json"))
     assert "The layers were written again after this check" in page.text
 
 
 def test_the_check_of_another_map_is_refused(site, checked, tmp_path):
     other = copy_folder(site, tmp_path / "other", calibration={"id": "beef", "vehicle": "husky"})
     with pytest.raises(BadInputError, match=r"check of another map than .*the calibration is c0ffee there, beef here"):
-        write_report(other, check=checked[0])
+        write_reports([other], check=checked[0])
     crs = json.loads((site / "run.json").read_text())["crs"]
     moved = copy_folder(site, tmp_path / "moved", crs=crs | {"code": "EPSG:32615"})
     with pytest.raises(BadInputError, match="the CRS is EPSG:32614 there, EPSG:32615 here"):
-        write_report(moved, check=checked[0])
+        write_reports([moved], check=checked[0])
+
+
+def test_of_two_maps_the_checked_one_has_the_drives(site, checked, tmp_path, read_page):
+    other = copy_folder(site, tmp_path / "other", calibration={"id": "beef", "vehicle": "husky"})
+    page = read_page(write_reports([other, site], tmp_path / "two.html", check=checked[0]))
+    assert [len(about["stretches"]) for about in page.data["maps"]] == [0, 50]
+    with pytest.raises(BadInputError, match="check of another map"):
+        write_reports([other, other], tmp_path / "none.html", check=checked[0])
+    assert not (tmp_path / "none.html").exists()
 
 
 def test_drives_without_a_map_are_refused(site, tmp_path):
     write_check(made_up_check(ground=False), tmp_path / "alone")
     with pytest.raises(BadInputError, match=r"were measured without a map\. Check this map"):
-        write_report(site, tmp_path / "a.html", check=tmp_path / "alone")
+        write_reports([site], tmp_path / "a.html", check=tmp_path / "alone")
 
 
 def test_a_folder_without_a_check_and_a_comparison_are_refused(site, comparison, checked, tmp_path):
     with pytest.raises(BadInputError, match=r"no file .*check\.json"):
-        write_report(site, tmp_path / "a.html", check=tmp_path)
+        write_reports([site], tmp_path / "a.html", check=tmp_path)
     with pytest.raises(UsageError, match="`check` is drawn on the page of a map"):
-        write_report(comparison, check=checked[0])
+        write_reports([comparison], check=checked[0])
 
 
 def test_nothing_to_compare_is_drawn_without_a_chart(site, tmp_path, read_page):
     result, _ = on_site(made_up_check(6, unknown=range(5)), site)
     result = replace(result, stretches=replace(result.stretches, measured=np.zeros(6)), agreement=None, by_class={})
     write_check(result, tmp_path / "out", ground=MadeUpMap.around())
-    page = read_page(write_report(site, tmp_path / "a.html", check=tmp_path / "out"))
+    page = read_page(write_reports([site], tmp_path / "a.html", check=tmp_path / "out"))
     assert "Against real drives" in page.text
     assert "chart-drives" not in page.text
 
