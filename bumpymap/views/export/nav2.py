@@ -22,6 +22,7 @@ from bumpymap.views.export.area import (
     UNKNOWN_CELL,
     CostScale,
     ExportArea,
+    by_pixel,
     cost_values,
     keepout_values,
     lay_objects,
@@ -184,17 +185,12 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2
     BadInputError
         There are too many cells, or no tile of the area is passable.
     """
-    rows, cols = area.shape
-    if rows * cols > _MAX_CELLS:
-        raise BadInputError(
-            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a map for Nav2 may have {_MAX_CELLS:,}. "
-            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
-        )
+    area.require_cells(_MAX_CELLS, "a map for Nav2")
     highest, tiles = _survey(area)
     if not tiles["passable"]:
         raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
     scale = CostScale(max_cost or highest)
-    cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
+    cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
     for window, lines in area.strips():
         field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
         coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
@@ -209,14 +205,9 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2
         cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
         keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
         for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
-            cells[lines][between] = _by_cell(values, area.split)[between]
-        speed[lines] = _by_cell(coarse[2], area.split)
+            cells[lines][between] = by_pixel(values, area.split)[between]
+        speed[lines] = by_pixel(coarse[2], area.split)
     return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
-
-
-def _by_cell(values: NDArray[np.uint8], split: int) -> NDArray[np.uint8]:
-    """Give every cell the value of its tile."""
-    return np.repeat(np.repeat(values, split, axis=0), split, axis=1)
 
 
 def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:

@@ -3,23 +3,35 @@
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Number, shape_fault
-from bumpymap.layers import MapReader, check_extent, geojson_features, line_parts
+from bumpymap.core import (
+    BadInputError,
+    Number,
+    OutputError,
+    locked,
+    remove_empty_on_error,
+    shape_fault,
+    write_together,
+)
+from bumpymap.layers import (
+    MANIFEST_NAME,
+    MapReader,
+    check_extent,
+    geojson_features,
+    line_parts,
+    refuse_present,
+    write_manifest,
+)
 from bumpymap.views.export.area import (
-    DATUM_NAME,
-    EXPORT_FILES,
     ExportArea,
     ExportPoint,
-    check_target,
     choose_area,
-    export_folder,
-    write_json,
     write_pixel_cost,
 )
 from bumpymap.views.export.graph import make_graph, write_graph
@@ -168,7 +180,7 @@ def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
             "items": items,
         },
     }
-    write_json(folder / "route.plan", record)
+    write_manifest(record, folder / "route.plan")
     about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
     return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
 
@@ -186,6 +198,49 @@ def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
         "Altitude": 0,
         "AltitudeMode": 1,
     }
+
+
+DATUM_NAME = "datum.json"
+"""The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
+EXPORT_FILES: dict[str, tuple[str, ...]] = {
+    "nav2": (
+        "map.yaml",
+        "map.pgm",
+        "keepout_mask.yaml",
+        "keepout_mask.pgm",
+        "speed_mask.yaml",
+        "speed_mask.pgm",
+        "nav2_params.yaml",
+        DATUM_NAME,
+    ),
+    "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
+    "graph": ("graph.geojson", DATUM_NAME),
+    "plan": ("route.plan", DATUM_NAME),
+    "cost": ("cost.tif", DATUM_NAME),
+}
+"""Files of an export, by format."""
+
+
+def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
+    """Check that an export can be written to a folder, without touching it.
+
+    Raises
+    ------
+    OutputError
+        It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
+        is False.
+    """
+    if lexists(out) and not out.is_dir():
+        raise OutputError(f"cannot write to the folder {out}: it is not a folder. Choose another `out`")
+    if lexists(out / MANIFEST_NAME):
+        raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
+    own = EXPORT_FILES[to]
+    foreign = sorted(
+        name for names in EXPORT_FILES.values() for name in names if name not in own and lexists(out / name)
+    )
+    if foreign:
+        raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
+    refuse_present(out, own, overwrite=overwrite)
 
 
 _FORMAT, _VERSION = "bumpymap-export", 1
@@ -235,11 +290,13 @@ def export_map(
     record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
     # The faults of what was given come first, but for those that take long to find.
     write = _plan(area, settings) if settings.to == "plan" else None
-    check_target(folder, settings.to, overwrite=overwrite)
+    _check_target(folder, settings.to, overwrite=overwrite)
     write = write or _MAKERS[settings.to](area, settings)
-    with export_folder(folder, settings.to, overwrite=overwrite) as staged:
-        record |= write(staged)
-        write_json(staged / DATUM_NAME, record)
+    with remove_empty_on_error(folder), locked(folder):
+        _check_target(folder, settings.to, overwrite=overwrite)
+        with write_together(folder, DATUM_NAME) as staged:
+            record |= write(staged)
+            write_manifest(record, staged / DATUM_NAME)
     return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
 
 
