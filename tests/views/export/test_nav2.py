@@ -235,9 +235,10 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
     corner = (110_000.0 * 3 - 500, 680_000.0 * 3)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
         export_map(route_map, tmp_path / "out", ExportSettings(around=corner))
-    monkeypatch.setattr("bumpymap.views.export.nav2._MAX_CELLS", 100)
-    with pytest.raises(BadInputError, match="`around`"):
-        export_map(route_map, tmp_path / "out", ExportSettings())
+    for to, told in (("nav2", "`around`"), ("gridmap", "`resolution='tile'`")):
+        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 100)
+        with pytest.raises(BadInputError, match=told):
+            export_map(route_map, tmp_path / "out", ExportSettings(to=to, resolution="pixel"))
     assert not (tmp_path / "out").exists()
 
 
