@@ -1,4 +1,4 @@
-"""Pages, and files of XML for GIS, from templates: the engine, which escapes every text, and the frame of pages."""
+"""Pages, and files for GIS and robots, from templates: the engine, which escapes every text, and the frame of pages."""
 
 import base64
 import hashlib
@@ -86,7 +86,7 @@ def render_page(
 
 
 def render_text(template: str, **context: Any) -> str:
-    """Return a filled template of a page or of a file for GIS. Raises LookupError as `render_page`."""
+    """Return a filled template of a page, or of a file for GIS or robots. Raises LookupError as `render_page`."""
     import jinja2
 
     try:
@@ -98,7 +98,7 @@ def render_text(template: str, **context: Any) -> str:
 def compile_pages() -> None:
     """Compile all templates now, instead of when the first page is made."""
     engine = _engine()
-    for name in engine.list_templates(extensions=["html", "xml"]):
+    for name in engine.list_templates(extensions=["html", "xml", "yaml"]):
         engine.get_template(name)
 
 
@@ -126,7 +126,7 @@ def _engine() -> "jinja2.Environment":
                     super().dump_bytecode(bucket)
 
     engine = jinja2.Environment(
-        loader=jinja2.FileSystemLoader([_HERE / "templates", _HERE.parent / "gis" / "templates"]),
+        loader=jinja2.FileSystemLoader([_HERE.parent / part / "templates" for part in ("page", "gis", "export")]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         finalize=_printable,
