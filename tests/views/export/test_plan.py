@@ -132,7 +132,7 @@ def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, told):
 
 def test_a_map_without_a_crs_has_no_longitudes(make_field, write_map, tmp_path):
     local = make_field(6, 5, georeference=Georeference(None), easy=True)
-    local_map = open_map([write_map(local, tmp_path / "local", local=True)])
+    local_map = open_map([write_map(local, tmp_path / "local")])
     route = route_file(tmp_path / "r.json", {"type": "LineString", "coordinates": [[1, 2], [1, 3]]})
     with pytest.raises(BadInputError, match="a mission is in longitude and latitude, and the map has no CRS"):
         export_map(local_map, tmp_path / "out", ExportSettings(to="plan", route=route))
