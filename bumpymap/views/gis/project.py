@@ -1,4 +1,4 @@
-"""Write map.qgs, a QGIS project of the layers of a map."""
+"""map.qgs, a QGIS project of the layers of a map; and all views of them together."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -11,9 +11,10 @@ from pyproj.exceptions import CRSError
 
 from bumpymap.core import horizontal_of, stated_crs
 from bumpymap.layers import open_layer, raster_in, virtual_name
-from bumpymap.views.gis.styles import MULTIPLY, NORMAL, StyleFacts, layer_style, write_qgis
+from bumpymap.views.gis.styles import MULTIPLY, NORMAL, StyleFacts, layer_style, write_qgis, write_styles
+from bumpymap.views.page.map_page import write_report
 
-__all__ = ["write_project"]
+__all__ = ["write_map_views", "write_project"]
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
@@ -82,6 +83,28 @@ class LayerGroup:
                 yield from child.leaves()
             else:
                 yield child
+
+
+def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write the styles, map.qgs and report.html of the layers in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+        The layers of a run, or the virtual rasters over those of its sheets.
+    record : mapping
+        The content of run.json, which need not be there yet.
+
+    Raises
+    ------
+    BadInputError
+        A layer cannot be read.
+    OutputError
+        A file cannot be written.
+    """
+    write_styles(folder, record)
+    write_project(folder, record)
+    write_report(folder, record)
 
 
 _NAME = "map.qgs"
