@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from typing import Any
@@ -62,7 +62,7 @@ class Mission:
     home_z: float
     """Height of the ground at the first waypoint, m; 0 if unknown."""
     speed_mps: float
-    obstacle_m: float = 0.0
+    obstacle_m: float
     """Length on which the vehicle touches obstacles, m."""
 
 
@@ -117,7 +117,7 @@ def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
     raise ValueError("it holds no line")
 
 
-def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
+def make_mission(route_map: MapReader, line: NDArray[np.float64], obstacle_m: float) -> Mission:
     """Make a mission of a line over a map.
 
     Parameters
@@ -126,6 +126,8 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
         Gives the speed, and the height of the ground at the start.
     line : float64 (n, 2)
         Longitude and latitude of its corners, degrees.
+    obstacle_m : float
+        Length on which it touches obstacles, m.
 
     Raises
     ------
@@ -149,7 +151,7 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
             "Give the layers that the route was planned on"
         )
     height = _ground(route_map, float(easting[0]), float(northing[0]))
-    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
+    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps, obstacle_m)
 
 
 def _ground(route_map: MapReader, easting: float, northing: float) -> float:
@@ -243,11 +245,6 @@ def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
     refuse_present(out, own, overwrite=overwrite)
 
 
-_FORMAT, _VERSION = "bumpymap-export", 1
-
-_Writer = Callable[[Path], dict[str, Any]]
-
-
 @dataclass(frozen=True, slots=True)
 class Export:
     """Files that were written."""
@@ -287,11 +284,11 @@ def export_map(
     area = choose_area(route_map, split, _point(settings.around), settings.radius, _point(settings.datum))
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
-    record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
+    record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
     # The faults of what was given come first, but for those that take long to find.
-    write = _plan(area, settings) if settings.to == "plan" else None
+    write = _made(area, settings) if settings.to == "plan" else None
     _check_target(folder, settings.to, overwrite=overwrite)
-    write = write or _MAKERS[settings.to](area, settings)
+    write = write or _made(area, settings)
     with remove_empty_on_error(folder), locked(folder):
         _check_target(folder, settings.to, overwrite=overwrite)
         with write_together(folder, DATUM_NAME) as staged:
@@ -313,38 +310,31 @@ def _sources(route_map: MapReader) -> dict[str, Any]:
     }
 
 
-def _nav2(area: ExportArea, settings: ExportSettings) -> _Writer:
-    grids = make_grids(area, settings.comfort, settings.max_cost)
-    return lambda folder: write_nav2(folder, area, grids)
-
-
-def _gridmap(area: ExportArea, _: ExportSettings) -> _Writer:
-    require_rosbags()
-    layers = make_layers(area)
-    return lambda folder: write_gridmap(folder, area, layers)
-
-
-def _graph(area: ExportArea, settings: ExportSettings) -> _Writer:
-    lattice, every = make_graph(area, settings.every)
-    return lambda folder: write_graph(folder, area, lattice, every)
-
-
-def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
-    route = settings.route or area.route_map.sheets[0].folder
+def _mission(route_map: MapReader, settings: ExportSettings) -> Mission:
+    route = settings.route or route_map.sheets[0].folder
     path = route / "route.geojson" if route.is_dir() else route
     if not path.exists():
         raise BadInputError(
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
-    mission = replace(make_mission(area.route_map, line), obstacle_m=touched)
-    return lambda folder: write_plan(folder, mission)
+    return make_mission(route_map, *read_route_line(path, through_obstacles=settings.through_obstacles))
 
 
-_MAKERS: dict[str, Callable[[ExportArea, ExportSettings], _Writer]] = {
-    "nav2": _nav2,
-    "gridmap": _gridmap,
-    "graph": _graph,
-    "plan": _plan,
-    "cost": lambda area, _: lambda folder: write_pixel_cost(folder, area),
-}
+def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
+    """Make everything that a folder will hold, and return what writes it."""
+    match settings.to:
+        case "nav2":
+            grids = make_grids(area, settings.comfort, settings.max_cost)
+            return lambda folder: write_nav2(folder, area, grids)
+        case "gridmap":
+            require_rosbags()
+            layers = make_layers(area)
+            return lambda folder: write_gridmap(folder, area, layers)
+        case "graph":
+            lattice, every = make_graph(area, settings.every)
+            return lambda folder: write_graph(folder, area, lattice, every)
+        case "plan":
+            mission = _mission(area.route_map, settings)
+            return lambda folder: write_plan(folder, mission)
+        case "cost":
+            return lambda folder: write_pixel_cost(folder, area)
