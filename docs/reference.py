@@ -2,12 +2,15 @@
 
 ``<!-- help NAME -->`` becomes the help page of a command, ``<!-- settings NAME -->`` its settings file,
 ``<!-- bands -->`` the bands of roughness.tif, ``<!-- columns FILE -->`` the columns of a Parquet file,
-``<!-- profile -->`` the keys of a vehicle profile, ``<!-- vehicles -->`` their values for the included vehicles.
+``<!-- profile -->`` the keys of a vehicle profile, ``<!-- vehicles -->`` their values for the included vehicles, and
+``<!-- table FILE.csv -->`` the table in a file under docs/, which a command writes.
 """
 
+import csv
 import re
 import shlex
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -22,12 +25,8 @@ from bumpymap.rating import KEYS, load_profile, shipped_profiles
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Return a page with its markers replaced."""
-    return re.sub(
-        r"^<!-- (help|settings|bands|columns|profile|vehicles)(?: ([a-z. ]+))? -->$",
-        _filled,
-        markdown,
-        flags=re.MULTILINE,
-    )
+    kinds = "help|settings|bands|columns|profile|vehicles|table"
+    return re.sub(rf"^<!-- ({kinds})(?: ([a-z_./ ]+))? -->$", _filled, markdown, flags=re.MULTILINE)
 
 
 def _filled(marker: re.Match[str]) -> str:
@@ -44,6 +43,10 @@ def _filled(marker: re.Match[str]) -> str:
         profiles = [load_profile(vehicle).to_dict() for vehicle in shipped_profiles()]
         rows = ((f"`{key.name}`", *(_plain(_value(profile, key.name)) for profile in profiles)) for key in KEYS)
         return _table(("key", *(f"`{vehicle}`" for vehicle in shipped_profiles())), rows)
+    if kind == "table":
+        with (Path(__file__).parent / name).open(encoding="utf-8", newline="") as file:
+            head, *cells = csv.reader(file)
+            return _table(tuple(head), map(tuple, cells))
     if kind == "columns":
         return _columns(sector_schema() if name == "sectors.parquet" else tile_fields(15, ()))
     words, language = ([*shlex.split(name), "--help"], "text") if kind == "help" else (["settings", name], "toml")

@@ -7,8 +7,6 @@ import math
 import shutil
 import subprocess
 import sys
-import threading
-from dataclasses import fields
 from pathlib import Path
 
 import geopandas
@@ -20,11 +18,9 @@ import xarray as xr
 
 import bumpymap
 from bumpymap.core import Scan
-from bumpymap.core.config import MapConfig
 from bumpymap.core.types import BANDS
 from bumpymap.readers import read_scan
 from bumpymap.scan import polar_sectors
-from bumpymap.survey.api import MapSettings
 
 pytestmark = pytest.mark.slow
 
@@ -51,16 +47,6 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
     assert name in dir(bumpymap)
     value = getattr(bumpymap, name)
     assert isinstance(value, str) or value.__doc__
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="map_surveys"):
-        _ = bumpymap.map_surveys
-
-
-def test_the_settings_for_type_checkers_are_those_of_a_map():
-    own = {field.name for field in fields(MapConfig)} - {"surveys", "out"}
-    assert set(MapSettings.__annotations__) == own
 
 
 def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
@@ -96,21 +82,6 @@ def test_values_are_read_when_they_are_used(layers):
     assert unread in repr(dataset["c_r"])
     assert unread not in repr(dataset["slope"])
     assert "values with dtype" in repr(layers.heights())
-
-
-def test_a_band_goes_back_into_a_geotiff(layers, tmp_path):
-    layers.dataset()["c_r"].rio.to_raster(tmp_path / "c_r.tif")
-    with rasterio.open(tmp_path / "c_r.tif") as new, rasterio.open(layers.folder / "roughness.tif") as old:
-        np.testing.assert_array_equal(new.read(1), old.read(1))
-        assert (new.crs, new.transform, math.isnan(new.nodata)) == (old.crs, old.transform, True)
-
-
-def test_the_dataset_can_be_reprojected(layers):
-    there = layers.dataset().rio.reproject("EPSG:4326")
-    west, south, east, north = there.rio.bounds()
-    assert 9.16 < west < east < 9.18
-    assert 48.77 < south < north < 48.79
-    assert set(np.unique(there["class"])) <= {0, 1, 2, 3, 255}
 
 
 def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
@@ -164,19 +135,6 @@ def test_a_missing_layer_is_said(layers, tmp_path):
         with pytest.raises(bumpymap.BadInputError, match=f"{name} is missing"):
             call()
     assert "warthog" in repr(opened)
-
-
-def test_classes_of_an_earlier_version_are_said(layers, tmp_path):
-    """They had the reasons as a second band, and no reason.tif."""
-    folder = shutil.copytree(layers.folder, tmp_path / "copy")
-    with rasterio.open(folder / "class.tif") as file:
-        profile = file.profile | {"driver": "GTiff", "count": 2}
-        values = file.read(1)
-    with rasterio.open(folder / "class.tif", "w", **profile) as file:
-        file.write(np.stack([values, values]))
-    (folder / "reason.tif").unlink()
-    with pytest.raises(bumpymap.BadInputError, match=r"class\.tif (has 2 bands|is cut off or was changed)"):
-        bumpymap.open(folder).dataset()
 
 
 def test_a_damaged_layer_is_said(layers, tmp_path):
@@ -350,20 +308,6 @@ def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
         assert digests[0] == digests[1]
 
 
-def test_tables_of_settings_are_dicts(tmp_path):
-    layers = bumpymap.map_survey(QUARRY, features={"min_points": 5000})
-    assert layers.manifest["settings"]["features"]["min_points"] == 5000
-    assert layers.manifest["counts"]["classified"] == 0
-
-
-def test_a_run_in_a_thread(tmp_path):
-    found = []
-    thread = threading.Thread(target=lambda: found.append(bumpymap.map_survey(QUARRY)))
-    thread.start()
-    thread.join()
-    assert found[0].manifest["counts"]["tiles"] == 1426
-
-
 # --- scans ---
 
 
@@ -392,15 +336,6 @@ def test_a_scan_has_classes_by_point_and_by_sector(method):
     np.testing.assert_array_equal(np.bincount(place, minlength=len(result.sector_class)), result.sector_points)
     assert set(np.unique(result.sector_class)) <= set(result.class_names)
     assert f"{len(points):,} points" in repr(result)
-
-
-def test_confidence_is_that_of_the_network_and_nan_by_the_filter():
-    learned = bumpymap.classify_scan(ring_of_ground(), method="learned")
-    known = learned.sector_class != 255
-    assert known.any()
-    assert ((learned.sector_confidence[known] > 1 / 3 - 1e-6) & (learned.sector_confidence[known] <= 1 + 1e-6)).all()
-    assert np.isnan(learned.sector_confidence[~known]).all()
-    assert np.isnan(bumpymap.classify_scan(ring_of_ground(), method="filter").sector_confidence).all()
 
 
 def test_returns_that_are_no_points_keep_their_rows():
@@ -468,16 +403,6 @@ def test_an_empty_scan_has_no_sectors():
 # --- vehicles and calibrations ---
 
 
-def test_vehicles_and_calibrations_are_read():
-    assert bumpymap.Vehicle.load("warthog").name == bumpymap.Calibration.shipped("warthog").vehicle["name"] == "warthog"
-
-
-def test_a_calibration_is_read_from_a_string(tmp_path):
-    file = tmp_path / "own.json"
-    file.write_text(bumpymap.Calibration.shipped("warthog").to_json(), encoding="utf-8")
-    assert bumpymap.Calibration.load(str(file)) == bumpymap.Calibration.shipped("warthog")
-
-
 # --- drives ---
 
 
@@ -498,12 +423,6 @@ def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
     assert (tmp_path / "alone" / "check.json").exists()
     with pytest.raises(bumpymap.OutputError, match="overwrite"):
         bumpymap.check_drives(None, drive, tmp_path / "alone")
-
-
-@pytest.mark.parametrize(("settings", "words"), [({"window_m": 1}, "window_m"), ({"band_hz": "10 Hz"}, "band_hz")])
-def test_wrong_settings_of_a_check_are_named(layers, settings, words):
-    with pytest.raises(bumpymap.UsageError, match=words):
-        bumpymap.check_drives(layers, "drive.csv", **settings)
 
 
 # --- examples ---

@@ -37,13 +37,14 @@ def test_the_reference_is_filled_from_the_declarations():
     filled = "".join(
         reference.on_page_markdown(page.read_text(encoding="utf-8")) for page in sorted(PAGES.glob("*.md"))
     )
-    assert not re.search("<!-- (help|settings|bands|columns|profile|vehicles)", filled)
+    assert not re.search("<!-- (help|settings|bands|columns|profile|vehicles|table)", filled)
     for number, band in enumerate(BANDS, start=1):
         assert f"| {number} | `{band.name}` | {band.unit} | {band.description} |" in filled
         assert f"| `{band.name}` | " in filled
     assert all(f"| `{name}` | " in filled for name, *_ in COLUMNS)
     assert "| `chassis.com_height_m` | m | -2 to 6 | height of the centre of mass" in filled
     assert re.search(r"\| `rocker.stiffness_nm_per_rad` \| 120000 \| 5000 \| 300 \| 10000 \|", filled)
+    assert "| affine | BSD | default |" in filled
     assert "--tile-size M        Side of a tile, in metres [3]." in filled
     assert "#pixels = 15" in filled
 

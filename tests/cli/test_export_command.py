@@ -86,20 +86,6 @@ def test_a_crop_around_a_point_in_either_system(layers, tmp_path, place):
     assert (tmp_path / "out" / "map.pgm").read_bytes().startswith(b"P5\n45 45\n255\n")
 
 
-def test_the_other_formats(layers, tmp_path):
-    pytest.importorskip("rosbags")
-    done = export(layers, "--to", "graph", "--set", "every=1", "--out", tmp_path / "graph")
-    assert done.stdout.splitlines()[2].startswith("35 nodes, ")
-    done = export(layers, "--to", "gridmap", "--out", tmp_path / "bag")
-    assert "grid_map on /grid_map: elevation, c_r, p_fail, class, obstacle" in done.stdout
-    assert len(json.loads((tmp_path / "graph" / "graph.geojson").read_text())["features"]) > 9
-    line = Transformer.from_crs(32614, 4326, always_xy=True).transform([330001, 330014], [2040001, 2040016])
-    route = {"type": "LineString", "coordinates": np.transpose(line).tolist()}
-    (tmp_path / "r.geojson").write_text(json.dumps(route))
-    done = export(layers, "--to", "plan", "--route", tmp_path / "r.geojson", "--out", tmp_path / "plan")
-    assert done.stdout.splitlines()[0] == "2 waypoints at 1 m/s"
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -126,20 +126,6 @@ def test_one_bad_file_among_good_ones(info, tmp_path):
     assert "truncated" in record["error"]
 
 
-def test_stray_coordinates_are_pointed_at(info, tmp_path):
-    points = np.vstack([dense(), [[900000.0, 4000000.0, 0.0]]])
-    assert "spread over 400 km" in info(write(tmp_path / "a.las", points, "EPSG:32614")).output
-
-
-def test_nothing_to_look_at(info, tmp_path):
-    assert info(tmp_path).exit_code == 3
-    assert info(tmp_path / "nowhere.las").exit_code == 3
-    assert info().exit_code == 2
-    result = info(write(tmp_path / "a.las", dense()), "--crs", "EPSG:1")
-    assert result.exit_code == 2
-    assert "EPSG:1" in result.output
-
-
 def test_the_command_has_the_options_that_were_given(info, tmp_path):
     path = write(tmp_path / "a b.las", dense())
     said = info(path, "--crs", "EPSG:32614", "--z-unit", "m", "--ground", "all", "--quick").output

@@ -266,17 +266,6 @@ def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
     assert "Did you mean 'map'?" in done.output
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_values_are_named_in_one_style(name):
-    """Upper case, or the choices."""
-    context = click.Context(command(name), info_name=name)
-    for option in options(name):
-        if option.hidden or option.is_flag or option.name in {"help", "vehicle"}:
-            continue
-        assert re.fullmatch(r"[A-Z_]+(\|FILE)?|KEY=VALUE|simulated\|DIR", option.make_metavar(context)), option.name
-        assert option.help, option.name
-
-
 LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group) and name != "settings"]
 
 

@@ -3,8 +3,6 @@
 import io
 import json
 import logging
-import subprocess
-import sys
 from datetime import datetime
 from pathlib import Path
 
@@ -114,15 +112,6 @@ class Waits:
         pass
 
 
-def test_without_threads_the_run_goes_on(capsys, monkeypatch):
-    def refuse(_):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(_progress.Thread, "start", refuse)
-    with _progress.show_progress() as progress:
-        progress.start("reading", 10)
-
-
 def test_quiet_says_nothing(capsys, monkeypatch):
     monkeypatch.setattr(_progress, "Event", Waits(3))
     for as_json in (False, True):
@@ -227,27 +216,6 @@ def test_a_fault_is_an_event_with_its_traceback(capsys):
     last = events(capsys.readouterr().err)[-1]
     assert (last["event"], last["kind"]) == ("error", "KeyError")
     assert "Traceback" in last["traceback"]
-
-
-ENDED = """
-import os, signal, sys
-from bumpymap.cli import main
-from bumpymap.survey.engine import run
-run._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
-main()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
-def test_a_signal_is_an_event(tmp_path):
-    words = ["map", str(write_survey(tmp_path / "a.laz")), "--out", str(tmp_path / "o"), "--json"]
-    done = subprocess.run(
-        [sys.executable, "-c", ENDED, *words], capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.returncode == 143
-    last = events(done.stderr)[-1]
-    assert (last["event"], last["exit_code"], last["message"]) == ("error", 143, "Terminated. No file is half-written.")
 
 
 def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):

@@ -35,12 +35,6 @@ def test_no_letter_acts():
         assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
 
 
-def test_what_is_printable_stays():
-    text = "quarry (2).laz é 道 [red] \\n {x} 'a b'"
-    assert escape_controls(text) == text
-    assert escape_controls("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
-
-
 def test_every_way_out_shows_it(capsys):
     print_line(WICKED, "bold")
     print_table([(WICKED, WICKED)])
@@ -184,9 +178,3 @@ def test_a_reader_that_leaves_is_no_error(words):
     os.close(writing)
     assert done.returncode == 141
     assert done.stderr == ""
-
-
-@pytest.mark.slow
-def test_closed_outputs_are_no_error(tmp_path):
-    words = " ".join([f"'{sys.executable}' -c 'from bumpymap.cli import main; main()' info '{QUARRY}' >&- 2>&-"])
-    assert subprocess.run(["sh", "-c", words], check=False, timeout=300).returncode == 0

@@ -2,7 +2,6 @@ import json
 from pathlib import Path
 
 import pytest
-import rasterio
 from click.testing import CliRunner
 
 from bumpymap.cli import main
@@ -72,12 +71,6 @@ def test_nothing_is_overwritten(tmp_path):
     assert vehicle("new", "mine", "--out", "none/a.toml").exit_code == 3
 
 
-@pytest.mark.parametrize(("name", "word"), [("car", "is included in bumpymap"), ("../x", "letters"), ("", "letters")])
-def test_a_name_that_will_not_do(name, word):
-    result = vehicle("new", name)
-    assert (result.exit_code, word in result.stderr) == (2, True)
-
-
 def test_a_check_says_what_a_profile_means_and_which_calibration_it_has(tmp_path):
     said = vehicle("check", "car").stdout
     for words in ("1,900 kg", "3.9 m long, 1.84 m wide", "3 m/s", "25 degrees", Calibration.shipped("car").id):
@@ -133,21 +126,3 @@ def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tm
     result = CliRunner().invoke(main, ["map", "a.laz", "--out", "o", "--calibration", "c.json"])
     assert result.exit_code == 3
     assert "c.json, vehicle: wheelbase_m is 2700; it must be between" in result.stderr
-
-
-def test_a_map_takes_the_weights_of_a_profile_and_says_so(tmp_path):
-    vehicle("new", "mine", "--like", "warthog")
-    path = tmp_path / "mine.toml"
-    path.write_text(path.read_text().replace("ride_weight = 5.0", "ride_weight = 9").replace("= 300.0", "= 40"))
-    quarry = SHIPPED.parents[2] / "sample_data" / "quarry.laz"
-    words = ["map", str(quarry), "--vehicle", "mine.toml", "--out"]
-    result = CliRunner().invoke(main, [*words, "own", "--quiet"])
-    assert result.exit_code == 0, result.output
-    record = json.loads((tmp_path / "own" / "run.json").read_text())
-    assert record["settings"]["vehicle"] == "mine.toml"
-    assert record["calibration"]["preferences"] == {
-        "name": "mine", "description": "like warthog", "ride_weight": 9.0, "fail_weight": 40.0
-    }  # fmt: skip
-    assert record["calibration"]["id"] != Calibration.shipped("warthog").id
-    with rasterio.open(tmp_path / "own" / "roughness.tif") as raster:
-        assert (raster.tags()["vehicle"], raster.tags()["ride_weight_m_per_rad"]) == ("mine", "9")

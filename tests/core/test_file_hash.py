@@ -86,16 +86,6 @@ def test_two_readers_share_a_file():
     assert rest.read == PIECE
 
 
-def test_pieces_can_be_taken_after_the_end():
-    data = content(SIZES[-1])
-    made, other = FileHash(len(data)), FileHash(len(data))
-    made.finish(Rest(data))
-    other.put(made.take())
-    rest = Rest(data)
-    assert other.finish(rest) == made.checksum
-    assert rest.read == 0
-
-
 def test_a_file_that_ends_early():
     data = content(2 * PIECE)
     with pytest.raises(BadInputError, match="ends before byte 2,100,000"):

@@ -1,7 +1,5 @@
 """Whatever waits in memory or on disk, and in whatever order it came: the same blocks come out."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -88,22 +86,6 @@ def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets, together):
     assert {column.dtype for pack in buckets.packs for column in pack.columns[:3]} == {"<f8" if mixed else "<i4"}
     again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
     assert flat(again.blocks()) == flat(plain.blocks())
-
-
-def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
-    buckets = TileBuckets(GRID, MemoryLimits(26 * 300, 10_000, tmp_path))
-    columns = survey(1)
-    for lot, chunk in enumerate(chunks(columns, 100)):
-        add(buckets, chunk, lot // 2)
-    while not buckets.is_empty:
-        buckets.spill()
-    buckets.wait()
-    spans = [(pack.meta["first"], pack.meta["last"]) for pack in buckets.packs]
-    assert spans[0][0] == 0
-    assert spans[-1][1] == 9
-    assert all(after[0] == before[1] + 1 for before, after in itertools.pairwise(spans))
-    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
-    assert flat(again.blocks()) == in_memory(columns)
 
 
 def test_what_is_not_final_can_be_dropped(tmp_path):

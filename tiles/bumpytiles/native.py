@@ -412,7 +412,8 @@ def _compiler() -> bytes:
 
     spec = importlib.util.find_spec("numba")
     stated = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else Path()
-    return llvmlite.__version__.encode() + (stated.read_bytes() if stated.is_file() else b"")
+    own: bytes = llvmlite.__version__.encode()
+    return own + (stated.read_bytes() if stated.is_file() else b"")
 
 
 @cache
@@ -529,14 +530,14 @@ class _Children:
             self._threads |= dict.fromkeys(new)
             for share in filter(None, shares):
                 kernels = sum(len(missing[name]) for name in share)
-                thread = threading.Thread(target=self._follow, args=(share, kernels), daemon=True, name="compiling")
+                follower = threading.Thread(target=self._follow, args=(share, kernels), daemon=True, name="compiling")
                 with suppress(RuntimeError):
-                    thread.start()
+                    follower.start()
                     self._count(kernels, 0)
-                    self._threads |= dict.fromkeys(share, thread)
-            threads = {self._threads.get(name) for name in modules}
-        for started in threads - {None}:
-            started.join()
+                    self._threads |= dict.fromkeys(share, follower)
+            threads = {thread for thread in map(self._threads.get, modules) if thread is not None}
+        for thread in threads:
+            thread.join()
 
     def _follow(self, modules: list[str], kernels: int) -> None:
         """Compile modules in a child, and count its kernels as it compiles them."""

@@ -136,7 +136,8 @@ class BlockWork:
         self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str]
     ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
         """Rate a block in the shares that it comes in, or small ones in one call: no tile depends on other blocks."""
-        ends, whole = [], ()
+        ends: list[int] = []
+        whole: tuple[PatchStack, ...] = ()
         shares: Iterable[TilePoints] = self._points(buckets, keys[0])
         if len(keys) > 1:
             parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small

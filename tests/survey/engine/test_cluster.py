@@ -33,6 +33,8 @@ from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 pytestmark = pytest.mark.slow
 
+ALL_RANGES = 11
+"""Ranges of the three surveys where a task reads 10,000 points at least."""
 TWO_TASKS = 57_000
 """Least points of a task with which two tasks read the three surveys, one of them two files."""
 
@@ -135,7 +137,7 @@ def here(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("ground", "least", "tasks"), [("auto", 10_000, 11), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
+    ("ground", "least", "tasks"), [("auto", 10_000, ALL_RANGES), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
 )
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
@@ -438,34 +440,6 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     assert not (tmp_path / "layers").exists()
 
 
-def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys, plain, tmp_path, here, monkeypatch):
-    pytest.importorskip("distributed")
-    from bumpytiles import ClusterError
-
-    out, first_ranges = tmp_path / "layers", here.run
-
-    def lost_after_three(function, tasks):
-        for number, result in first_ranges(function, tasks):
-            yield number, result
-            if len(here.done) >= 3:
-                raise ClusterError("the connection to the scheduler is lost")
-
-    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here")
-    with monkeypatch.context() as patch:
-        patch.setattr(here, "run", lost_after_three)
-        result = run(*arguments)
-    assert result.exit_code == 2, result.output
-    assert "Run the same again to continue" in result.output
-    before = here.done.count(read_ranges)
-    here.done.clear()
-    assert run(*arguments).exit_code == 0
-    ranges = here.done.count(read_ranges)
-    here.done.clear()
-    assert run("map", surveys, "--out", tmp_path / "whole", "--set", "scheduler=here").exit_code == 0
-    assert before + ranges == here.done.count(read_ranges)
-    assert layers_of(out) == layers_of(plain / "auto")
-
-
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
     pytest.importorskip("distributed")
     from bumpytiles import ClusterError, Workers
@@ -481,25 +455,29 @@ def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
         Workers(client).each(len)
 
 
-@pytest.mark.parametrize("when", ["look", "finish"])
-def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
+@pytest.mark.parametrize("when", ["look", "read", "finish"])
+def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice(
     surveys, plain, tmp_path, here, monkeypatch, when
 ):
     pytest.importorskip("distributed")
     from bumpytiles import ClusterError
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
-    out = tmp_path / "layers"
+    out, whole = tmp_path / "layers", here.run
     arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")
 
+    def lost_after_three(function, tasks):
+        for number, result in whole(function, tasks):
+            yield number, result
+            if len(here.done) >= 3:
+                lost()
+
+    executor = "bumpymap.survey.engine.cluster.ClusterExecutor.finish"
+    place = {"look": (here, "each", lost), "read": (here, "run", lost_after_three), "finish": (executor, lost)}[when]
     with monkeypatch.context() as patch:
-        if when == "look":
-            patch.setattr(here, "each", lost)
-        else:
-            patch.setattr("bumpymap.survey.engine.cluster.ClusterExecutor.finish", lost)
+        patch.setattr(*place)
         result = run(*arguments)
     assert result.exit_code == 2, result.output
     assert "all 2 workers were lost. Look at their logs" in result.output
@@ -508,9 +486,8 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
         assert not out.exists()
         return
     assert "Run the same again to continue" in result.output
-    here.done.clear()
     assert run(*arguments).exit_code == 0
-    assert read_ranges not in here.done  # files that were read are not read again
+    assert here.done.count(read_ranges) == ALL_RANGES
     assert layers_of(out) == layers_of(plain / "auto")
     assert list((tmp_path / "scratch").iterdir()) == []
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings, strategies as st
 from small_surveys import write_las
 
 from bumpymap.cli import main
@@ -54,28 +53,6 @@ def map_and_look(surveys, folder, budget, monkeypatch):
     found["layers"] = bytes_in(folder / "layers")
     found["count"] = json.loads((folder / "layers" / "run.json").read_text())["counts"]["tiles"]
     return foretold, found
-
-
-@settings(max_examples=4, deadline=None)
-@given(
-    seed=st.integers(0, 99),
-    span=st.sampled_from([5.0, 60.0, 400.0]),
-    files=st.integers(1, 3),
-    waiting=st.integers(500, 4_000),
-)
-def test_a_run_takes_no_more_disk_than_was_said(tmp_path_factory, seed, span, files, waiting):
-    folder = tmp_path_factory.mktemp("survey")
-    rng = np.random.default_rng(seed)
-    surveys = []
-    for number in range(files):
-        corner = (500_000 + number * span * rng.integers(2), 4_000_000, 0)
-        points = rng.uniform(0, span, (3_000, 3)) + corner
-        surveys.append(write_points(folder / f"{number}.las", points))
-    with pytest.MonkeyPatch.context() as patch:
-        foretold, found = map_and_look(surveys, folder, (waiting, 400), patch)
-    assert (found["scratch"] > 0) <= (3_000 * files > waiting)
-    assert found["scratch"] <= foretold.scratch
-    assert found["count"] <= foretold.tiles
 
 
 def full_tiles(folder, files, west, side, points_a_pixel):
