@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from bumpymap.core import parse_record
 from bumpymap.rating.vehicle_body import Quantity
 
-__all__ = ["ESTIMATED", "SUSPENSION", "Estimate", "Whole", "estimate_profile"]
+__all__ = ["ESTIMATED", "SUSPENSION", "CompletedProfile", "Whole", "estimate_profile"]
 
 SUSPENSION = '"rigid": a frame without springs; "rocker": a beam on each side that pivots; "sprung": a spring a wheel.'
 """The choices, for a template."""
@@ -72,7 +72,7 @@ _BEAM = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class CompletedProfile:
     """A profile with estimates of what it leaves out."""
 
     record: Any
@@ -83,7 +83,7 @@ class Estimate:
     """What is wrong with the keys of `Whole`."""
 
 
-def estimate_profile(record: Any) -> Estimate:
+def estimate_profile(record: Any) -> CompletedProfile:
     """Fill in what a short profile leaves out.
 
     Wheels and rockers have their shares of ``mass_kg``, and the chassis has the rest. The chassis has the moments of
@@ -97,17 +97,19 @@ def estimate_profile(record: Any) -> Estimate:
         What is given stays.
     """
     if not isinstance(record, dict) or not _WHOLE & set(record):
-        return Estimate(record, {}, [])
+        return CompletedProfile(record, {}, [])
     own, faults = parse_record({key: record[key] for key in _WHOLE & set(record)}, Whole, Path(), complete=True)
     rest = {name: {} for name in _TABLES} | {key: value for key, value in record.items() if key not in _WHOLE}
     tables = {name: rest[name] if isinstance(rest[name], dict) else {} for name in _TABLES}
     wheel = tables["wheel"]
     size = (rest.get("wheelbase_m"), rest.get("track_m"), wheel.get("radius_m"), wheel.get("width_m"))
     if faults or not all(map(_is_positive, size)):
-        return Estimate(rest, {}, faults)
-    estimates = _estimates(Whole(**own), *size, tables)
+        return CompletedProfile(rest, {}, faults)
+    estimates = _estimates(Whole(**own), size, tables)
     if estimates["chassis"]["mass_kg"] <= 0:
-        return Estimate(rest, {}, [f"mass_kg is {own['mass_kg']:g}, and rockers and wheels alone weigh that much"])
+        return CompletedProfile(
+            rest, {}, [f"mass_kg is {own['mass_kg']:g}, and rockers and wheels alone weigh that much"]
+        )
     values = {
         f"{name}.{key}": value
         for name, found in estimates.items()
@@ -115,17 +117,16 @@ def estimate_profile(record: Any) -> Estimate:
         if key not in tables[name]
     }
     full = {name: estimates[name] | rest[name] for name in _TABLES if isinstance(rest[name], dict)}
-    return Estimate(rest | full, values, [])
+    return CompletedProfile(rest | full, values, [])
 
 
-def _estimates(
-    whole: Whole, wheelbase: float, track: float, radius: float, width: float, given: dict[str, dict[str, Any]]
-) -> dict[str, dict[str, Any]]:
+def _estimates(whole: Whole, size: tuple[Any, ...], given: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return the estimates by table and key; those that follow from others take what is given of these."""
+    wheelbase, track, radius, width = size
 
     def known(table: str, key: str, estimate: float) -> float:
         value = given[table].get(key)
-        return value if _is_positive(value) else _rounded(estimate)
+        return float(value) if value is not None and _is_positive(value) else _rounded(estimate)
 
     rules = _RULES[whole.suspension]
     wheel_mass = known("wheel", "mass_kg", rules.wheel_mass * whole.mass_kg)
