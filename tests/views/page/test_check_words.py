@@ -23,11 +23,6 @@ def judged(n=40, **figures):
         (0.95, 0.8, 0.8, "The map ranks the ground rightly, but its level is off by no more than its interval allows"),
         (0.7, 1.0, 0.79, "The map ranks the ground only roughly"),
         (0.7, 2.0, 0.79, "The map ranks the ground only roughly, and its level is off"),
-        (
-            0.7,
-            1.4,
-            0.8,
-        ),
         (-0.9, 1.0, 0.79, "The map does not rank this ground as the vehicle felt it"),
     ],
 )
