@@ -1,26 +1,23 @@
 """``bumpymap scan``: classify the ground in scans of a robot; with poses, map its drive."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bumpymap.cli._options import PATH, RESUME, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import ALREADY_DONE, Table, option_name
+from bumpymap.cli._text import ALREADY_DONE, Table
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
     PolarSettings,
     Robot,
-    UsageError,
     count_text,
-    settings_with_options,
     shares_text,
 )
 from bumpymap.scan import ScanConfig
 
 if TYPE_CHECKING:
-    from bumpymap.scan import ScanRun, StripeModel
+    from bumpymap.scan import ScanRun
 
 __all__ = ["command"]
 
@@ -80,15 +77,6 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
     return f"Merged: {kept}; {agree}"
 
 
-def _fit_lines(model: "StripeModel", config: ScanConfig) -> Iterator[str]:
-    centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    yield (
-        f"class 0 to 2: {centres} stripes, from {count_text(model.sectors, 'sector')} of "
-        f"{count_text(model.scans, 'frame')}"
-    )
-    yield f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --set stripes={config.out}"
-
-
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
     shares = shares_text(list(sectors.values()), (), 1)
     for class_id, ((name, count), share) in enumerate(zip(sectors.items(), shares, strict=True)):
@@ -118,10 +106,6 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
     return {part: sum(frame[name][part] for frame in frames) for part in frames[0][name]}
 
 
-_OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
-_NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
-
-
 class _EveryNth(click.types.IntParamType):
     """A whole number that may be left out, which a FRAME that follows is taken for."""
 
@@ -143,9 +127,6 @@ class _EveryNth(click.types.IntParamType):
 )
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
 @grouped_option(
-    "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes and write only them.", group="Output"
-)
-@grouped_option(
     "--pictures",
     type=_EveryNth(),
     is_flag=False,
@@ -154,44 +135,23 @@ class _EveryNth(click.types.IntParamType):
     help="Draw all frames, or every Nth one.",
     group="Output",
 )
-def command(run: Run, fit: Path | None) -> None:
+def command(run: Run) -> None:
     """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
     bumpymap scan frame.pcd --out out
     bumpymap scan drive --poses poses.txt --out out
     bumpymap scan drive.mcap --out out --bag grids.mcap
-    bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.layers import import_without_pandas
-    from bumpymap.scan import fit_frames, scan_frames
+    from bumpymap.scan import scan_frames
 
-    config = _config(run, fit)
+    config = ScanConfig(**run.required(frames="a file or a folder of scans", out="--out DIR"))
     if run.ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
     with run.progress() as progress:
-        if fit is None:
-            result = scan_frames(config, progress)
-            skipped = result.skipped
-        else:
-            model, skipped = fit_frames(config, progress)
-    if fit is None:
-        record = _record(result, config)
-        run.show(record, _lines(result, record, config))
-    else:
-        record = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
-        run.show(record | {"skipped": skipped}, _fit_lines(model, config))
-    if skipped:
+        result = scan_frames(config, progress)
+    record = _record(result, config)
+    run.show(record, _lines(result, record, config))
+    if result.skipped:
         run.end_partly_done()
-
-
-def _config(run: Run, fit: Path | None) -> ScanConfig:
-    """Return the settings; of a fit, those of a file that it has no use for are left out."""
-    if fit is not None:
-        if wrong := [name for name in _NOT_OF_A_FIT if name in run.given]:
-            raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
-        for source in (run.stored, run.assigned):
-            for name in _NOT_OF_A_FIT:
-                source.pop(name, None)
-        run.given["out"] = fit
-    return ScanConfig(**run.required(frames="a file or a folder of scans", out="--out DIR"))

@@ -168,7 +168,6 @@ from .scan_folder import (
     point_styles as point_styles,
     remove_stale_products as remove_stale_products,
     report_frame as report_frame,
-    sample_evenly as sample_evenly,
     save_part as save_part,
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,

@@ -41,7 +41,7 @@ def scan_fixture(tmp_path, monkeypatch):
 
     def run(*words, out=None):
         out = out or tmp_path / "out"
-        arguments = [*map(str, words), *(["--out", str(out)] if "--out" not in words and "--fit" not in words else [])]
+        arguments = [*map(str, words), *(["--out", str(out)] if "--out" not in words else [])]
         return CliRunner().invoke(main, ["scan", *arguments])
 
     return run
@@ -183,8 +183,6 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
         (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
         (["--set", "compat=paper", "--method", "learned"], "options of one"),
-        (["--fit", "a.json", "--poses", "p.txt"], "leave out --poses"),
-        (["--fit", "a.json", "--out", "x"], "leave out --out"),
     ],
 )
 def test_wrong_usage(scan, frame, tmp_path, options, words):
