@@ -161,15 +161,6 @@ def test_feet_and_no_crs(tmp_path, make_field):
     assert json.loads(pq.read_schema(tmp_path / "local.parquet").metadata[b"geo"])["columns"]["geometry"]["crs"] is None
 
 
-def test_many_tiles_make_several_row_groups(tmp_path, make_field):
-    cost_map = make_field(220, 160, grid=Grid(3.0, 2))
-    write_tiles(CostTable.of(cost_map), tmp_path / "t.parquet")
-    file = pq.ParquetFile(tmp_path / "t.parquet")
-    assert file.metadata.num_row_groups == 2
-    np.testing.assert_array_equal(file.read()["col"], cost_map.patches.col[canonical(cost_map)])
-    assert file.schema_arrow.field("heights").type.list_size == 4
-
-
 @pytest.mark.slow
 def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
