@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from _page import insert_tables
+from _measure import insert_tables
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "benchmarks.md"
 _WHOLE_RUNS = 3
