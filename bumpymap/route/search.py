@@ -50,7 +50,6 @@ from bumpymap.route.straighten import (
     line_cost,
     off_borders,
     pull_tight,
-    settle_corners,
     thin_out,
     trace,
     wide_margin,
@@ -339,18 +338,15 @@ def find_way(
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
     found = seek(as_cost(cost), start, goal, margin)
-    return None if found.line is None else tight_way(found, margin, least_saving, quick=True)
+    return None if found.line is None else tight_way(found, margin, least_saving)
 
 
-def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING, *, quick: bool = False) -> Way:
-    """Pull a way that has been found tight; `quick` as in `pull_tight`."""
+def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -> Way:
+    """Pull a way that has been found tight."""
     if found.line is None:
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
-    tight = pull_tight(near, found.line - corner, wide_margin(margin), quick=quick)
-    line = thin_out(near, tight, margin, least_saving)
-    if quick:
-        line = settle_corners(near, line, margin, least_saving)
+    line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
     line = off_borders(near, line, margin)
     pulled = line_cost(near, line)
     return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)

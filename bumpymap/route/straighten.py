@@ -13,10 +13,6 @@ A way is pulled tight in turns until nothing is gained: corners are left out whe
 (the cheapest choice among several in a row); new corners are set beside each that is left and in the middle of long
 straight parts; all corners are moved by ever smaller steps. Every cost is the exact integral. The result is never
 dearer, and never nearer to closed tiles than allowed.
-
-The many short ways on pixels are pulled quickly: in each turn corners are moved only as finely as pays before the next
-one sets others; then those that save little are left out, and the few that are left are moved to where they cost least.
-That takes half as long, and such a way costs less by some 1e-4, for the few corners stay where they were best.
 """
 
 import math
@@ -52,7 +48,6 @@ __all__ = [
     "move_corners",
     "off_borders",
     "pull_tight",
-    "settle_corners",
     "thin_out",
     "trace",
     "wide_margin",
@@ -85,6 +80,8 @@ class Corners(NamedTuple):
     """(n, 2) field coordinates; changed."""
     step: Annotated[Floats, 1]
     """(n,) by how far each corner is moved next, tiles; changed."""
+    spent: Annotated[Floats, 1]
+    """(n,) cost from the corner before to each; filled."""
     directions: Annotated[Floats, 2]
     """(k, 8, 2) flattened to (8 k, 2): unit vectors; the next eight are tried whenever the last did not help."""
 
@@ -185,11 +182,18 @@ def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: floa
 
 
 @helper
+def _spend(cost: Costs, corners: Corners, i: int) -> None:
+    """Fill the cost from a corner's predecessor to it."""
+    points = corners.points
+    corners.spent[i] = segment_cost(cost, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1], math.inf)
+
+
+@helper
 def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) -> bool:
     """Move a corner to the best of ten places around it: eight directions, and the borders nearest to it."""
     points, step = corners.points, corners.step[i]
     r0, c0 = points[i, 0], points[i, 1]
-    here = _two_segments(tightening.cost, points, i, r0, c0, math.inf)
+    here = corners.spent[i] + corners.spent[i + 1]
     best, moved = here - tightening.gain, False
     for k in range(10):
         r, c = r0, c0
@@ -207,6 +211,9 @@ def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) ->
             best, moved = total, True
             points[i, 0], points[i, 1] = r, c
             # The places that follow are still those around the old one.
+    if moved:
+        _spend(tightening.cost, corners, i)
+        _spend(tightening.cost, corners, i + 1)
     return moved
 
 
@@ -214,6 +221,8 @@ def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) ->
 def move_corners(tightening: Tightening, corners: Corners, sweeps: int) -> None:
     """Move corners in turn until no step helps any of them, at most ``sweeps`` times all of them."""
     n, turns = corners.points.shape[0], corners.directions.shape[0] // 8
+    for i in range(1, n):
+        _spend(tightening.cost, corners, i)
     for turn in range(sweeps):
         active = False
         for i in range(1, n - 1):
@@ -306,8 +315,6 @@ _ON_BORDER, _OFF_BORDER = 1e-7, 1e-6
 _SKIPPED = 12
 """Corners in a row that one look may leave out; the next look begins with those that are left."""
 _ROUNDS = 6
-_LEAST_STEPS = (3e-2, 1e-2, 3e-3, 3e-4)
-"""How fine corners are moved in each round of quick pulling, tiles: those of a later round are others, elsewhere."""
 _SWEEPS = 60
 _GAIN = 1e-6
 """Pulling ends with a round that gains less, as a share of the cost."""
@@ -317,14 +324,13 @@ LEAST_SAVING = 1e-3
 """Least saving of a corner of a thinned line by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
-"""How fine those are moved that stay, tiles."""
 _SPARE = 5e-10
 """Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
 """No new corners on straight parts that are shorter, tiles."""
 
 
-def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0, *, quick: bool = False) -> Floats:
+def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
     """Pull a line tight.
 
     Parameters
@@ -335,8 +341,6 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0, *,
         Field coordinates of a line that keeps the margin; see `bumpymap.route.straighten`.
     margin : float
         Tiles, at least 0 and below 0.5.
-    quick : bool
-        Take fewer and coarser rounds, for a line that is thinned and goes to `settle_corners`.
 
     Returns
     -------
@@ -355,9 +359,8 @@ def pull_tight(cost: NDArray[np.floating], line: Floats, margin: float = 0.0, *,
     tightening = Tightening(as_cost(cost), kept, _LEAST_MOVE * given, _WORTH * given, _LEAST_STEP)
     best = _leave_out(tightening, np.ascontiguousarray(line, np.float64))
     total = line_cost(cost, best)
-    for least_step in _LEAST_STEPS if quick else (_LEAST_STEP,) * _ROUNDS:
-        moved = _move(tightening._replace(least_step=least_step), _with_new_corners(best))
-        tried = _leave_out(tightening, moved)
+    for _ in range(_ROUNDS):
+        tried = _leave_out(tightening, _move(tightening, _with_new_corners(best)))
         reached = line_cost(cost, tried)
         gain = total - reached
         if gain > 0.0:
@@ -378,16 +381,6 @@ def thin_out(
     kept = as_margin(margin) + _SPARE
     thinning = Tightening(as_cost(cost), kept, 0.0, least_saving, _LEAST_STEP)
     return _leave_out(thinning, np.ascontiguousarray(line, np.float64))
-
-
-def settle_corners(
-    cost: NDArray[np.floating], line: Floats, margin: float = 0.0, least_saving: float = LEAST_SAVING
-) -> Floats:
-    """Move the corners of a thinned line to where they cost least, and thin it again; for parameters see `thin_out`."""
-    given = line_cost(cost, line)
-    tightening = Tightening(as_cost(cost), as_margin(margin) + _SPARE, _LEAST_MOVE * given, least_saving, _LEAST_STEP)
-    settled = _leave_out(tightening, _move(tightening, np.ascontiguousarray(line, np.float64)))
-    return settled if line_cost(cost, settled) < given else line
 
 
 def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -> Floats:
@@ -422,7 +415,7 @@ def _with_new_corners(line: Floats) -> Floats:
 
 def _move(tightening: Tightening, line: Floats) -> Floats:
     """Move corners."""
-    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), _directions())
+    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _directions())
     move_corners(tightening, corners, _SWEEPS)
     return corners.points
 
