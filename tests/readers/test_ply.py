@@ -151,3 +151,8 @@ def test_more_vertices_promised_than_there_are(tmp_path, name, order, promised):
     path.write_bytes(path.read_bytes().replace(b"vertex 3", b"vertex %d" % promised))
     with pytest.raises(BadInputError, match=f"declares {promised:,} points but holds"):
         list(open_survey(path).clouds())
+
+
+def test_no_vertices(tmp_path):
+    with pytest.raises(BadInputError, match="0 vertices"):
+        open_survey(write(tmp_path / "a.ply", columns(points=POINTS[:0])))
