@@ -17,9 +17,9 @@ from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 if TYPE_CHECKING:
     from bumpymap.lab import Findings, ScanFindings, Subject
 
-_OF_SCANS = ("scenes", "labels", "model", "stripes")
+_OF_SCANS = ("labels", "model")
 _OF_READING = ("ground", "crs", "z_unit", "local")
-_OF_SURVEYS = {field.name for field in fields(EvaluateSettings) if field.name != "seed"}
+_OF_SURVEYS = {field.name for field in fields(EvaluateSettings)}
 _OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
 
 
@@ -27,53 +27,43 @@ _OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
     "evaluate",
     settings_options(MapConfig, *_OF_READING),
     EvaluateSettings,
-    settings_options(ScanEvaluateSettings, without=("seed",)),
+    ScanEvaluateSettings,
     [JOBS],
     owners=(EvaluateSettings, ScanEvaluateSettings),
 )
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@grouped_option("--scans", is_flag=True, help="Evaluate scans: given frames, or simulated scenes.", group="Input")
+@grouped_option("--scans", is_flag=True, help="Evaluate the classes of scans: SURVEY are frames.", group="Input")
 @grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
 @grouped_option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.", group="Input")
 @grouped_option(
-    "--vehicle",
-    multiple=True,
-    metavar="NAME|FILE",
-    help="An included vehicle, or a TOML file [warthog].",
-    group="Vehicle",
+    "--vehicle", default="warthog", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle"
 )
 @grouped_option(
-    "--calibration",
-    multiple=True,
-    type=PATH,
-    metavar="FILE",
-    help="Calibration file of your own vehicle.",
-    group="Vehicle",
+    "--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.", group="Vehicle"
 )
 @grouped_option("--labels", metavar="NAME|FILE", help="With --scans: label set [by the ids].", group="Input")
 @grouped_option("--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output")
 def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -> None:
     """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
 
-    With several vehicles, the report also compares their order; the first one determines the patches. To resume an
-    interrupted run, give the same command again. With --scans, compare the classes of scans with labels instead.
+    To resume an interrupted run, give the same command again. With --scans, compare the classes of scans with labels
+    instead.
 
     \b
     bumpymap evaluate site.laz --out trust
-    bumpymap evaluate site.laz --out trust --vehicle warthog --calibration my_vehicle.json
-    bumpymap evaluate --scans --out trust
+    bumpymap evaluate site.laz --out trust --calibration my_vehicle.json
     bumpymap evaluate --scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _refuse_other_options(run.named(), places=bool(surveys), scans=scans)
+    _refuse_other_options(run.named(), scans=scans)
+    if not surveys:
+        raise UsageError("evaluate takes surveys, such as site.laz, or with --scans frames, such as the folder drive")
     if scans:
         _evaluate_scans(run, surveys, out, given)
         return
-    if not surveys:
-        raise UsageError("evaluate takes surveys, such as site.laz, or --scans")
     forced = {} if given["force_crs"] is None else {"force_crs": given["force_crs"]}
     refuse_clashes(run.given | forced, OF_CRS, option_name)
     settings = EvaluateSettings(**_chosen(run, EvaluateSettings))
-    subjects = _subjects(given, settings)
+    subject = _subject(given, settings)
     from bumpymap.lab import (
         TrialOptions,
         evaluate_survey,
@@ -92,12 +82,12 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
     with locked(out), interrupt_note(DRIVES_KEPT), run.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
         trial = TrialOptions(out, given["jobs"] or os.cpu_count() or 1, given["overwrite"], progress)
-        findings = evaluate_survey(readers, options, reading.get("ground") or "auto", subjects, settings, trial)
+        findings = evaluate_survey(readers, options, reading.get("ground") or "auto", subject, settings, trial)
         files = write_report(findings, out)
     run.show(_record(out, files), _lines(findings, files))
 
 
-def _refuse_other_options(given: list[str], *, places: bool, scans: bool) -> None:
+def _refuse_other_options(given: list[str], *, scans: bool) -> None:
     """Raise UsageError for settings of the other evaluation, which would have no effect."""
     for name in given:
         if scans and name in _OF_SURVEYS:
@@ -106,10 +96,6 @@ def _refuse_other_options(given: list[str], *, places: bool, scans: bool) -> Non
             )
         if not scans and name in _OF_SCANS:
             raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
-    if scans and places and "scenes" in given:
-        raise UsageError("`scenes` applies to simulated scenes: leave it or the frames out")
-    if scans and not places and "labels" in given:
-        raise UsageError("--labels applies to frames: give frames, or leave it out")
 
 
 def _record(out: Path, files: list[Path]) -> dict[str, Any]:
@@ -117,29 +103,18 @@ def _record(out: Path, files: list[Path]) -> dict[str, Any]:
 
 
 def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
-    from bumpymap.lab import (
-        ScanMethods,
-        evaluate_scans,
-        labels_of,
-        load_open3d,
-        read_frames,
-        simulated_scans,
-        write_scan_report,
-    )
+    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, read_frames, write_scan_report
     from bumpymap.readers import find_frames
     from bumpymap.scan import ScanModel, load_stripes
 
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
-    methods = ScanMethods(load_stripes(settings.stripes), network)
-    if not places:
-        load_open3d("evaluate --scans without frames")
-    frames = find_frames([Path(place) for place in places]) if places else []
+    methods = ScanMethods(load_stripes(), network)
+    frames = find_frames([Path(place) for place in places])
     labels = labels_of(frames, given["labels"])
     with locked(out), run.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
-        scans = read_frames(frames, labels) if frames else simulated_scans(settings)
-        findings = evaluate_scans(scans, len(frames) or settings.scenes, settings, methods, progress, labels)
+        findings = evaluate_scans(read_frames(frames, labels), len(frames), settings, methods, progress, labels)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
 
@@ -150,18 +125,13 @@ def _chosen(run: Run, owner: type) -> dict[str, Any]:
     return {name: value for name, value in run.changed().items() if name in names}
 
 
-def _subjects(given: dict[str, Any], settings: EvaluateSettings) -> "list[Subject]":
+def _subject(given: dict[str, Any], settings: EvaluateSettings) -> "Subject":
+    """Return the vehicle with the ratings that are held against its drives."""
     from bumpymap.lab import Subject
     from bumpymap.rating import TextureModel, find_calibration
 
-    names = given["vehicle"] or (() if given["calibration"] else ("warthog",))
-    calibrations = [find_calibration(name) for name in names]
-    calibrations += [find_calibration("", file) for file in given["calibration"]]
-    ids = [calibration.id for calibration in calibrations]
-    if len(set(ids)) < len(ids):
-        raise UsageError("the same calibration was given twice; give each vehicle once")
-    textures = TextureModel.shipped()
-    return [Subject.of(calibration, textures, settings.rating) for calibration in calibrations]
+    calibration = find_calibration(given["vehicle"], given["calibration"])
+    return Subject.of(calibration, TextureModel.shipped(), settings.rating)
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:
@@ -177,13 +147,13 @@ def _check_place(out: Path, *, overwrite: bool) -> None:
 def _lines(findings: "Findings", files: list[Path]) -> Iterator[str]:
     from bumpymap.lab import number, percent
 
-    for vehicle, found in findings.comparisons.items():
-        yield f"{vehicle}: {found.patches} patches, {found.drives} drives, {found.failed} failed"
-        for name, own in found.agreement.items():
-            yield (
-                f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
-                f"same class {percent(own.steps['same']):>7s}"
-            )
+    found = findings.comparison
+    yield f"{findings.vehicle['vehicle']}: {found.patches} patches, {found.drives} drives, {found.failed} failed"
+    for name, own in found.agreement.items():
+        yield (
+            f"  {name:16s} Spearman {number(own.spearman, 4):>6s}   median error {percent(own.median_error):>7s}   "
+            f"same class {percent(own.steps['same']):>7s}"
+        )
     yield f"wrote {files[0]}"
 
 

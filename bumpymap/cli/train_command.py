@@ -1,6 +1,5 @@
 """``bumpymap train``: train the texture network, or with ``--scans`` the network for the sectors of scans."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from importlib.util import find_spec
@@ -18,24 +17,20 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_log = logging.getLogger(__name__)
-
-_SIMULATED = "simulated"
-
 
 @job(
     "train",
     settings_options(LoopSettings),
     settings_options(TrainSettings, "patches_per_texture", "tile_size"),
     settings_options(NetworkSettings, "pixels", table="network"),
-    settings_options(ScanTrainSettings, "scenes", "sectors_per_class"),
+    settings_options(ScanTrainSettings, "sectors_per_class"),
     owners=(TrainSettings, ScanTrainSettings),
 )
 @grouped_option("--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output")
 @grouped_option(
     "--scans",
-    metavar="simulated|DIR",
-    help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
+    metavar="DIR",
+    help="Train the network of `bumpymap scan` on labelled frames: a folder in the layout of RELLIS-3D.",
     group="Input",
 )
 @grouped_option("--overwrite", is_flag=True, help="Replace the network of an earlier training.", group="Output")
@@ -47,12 +42,11 @@ def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
 
     \b
     bumpymap train --out textures.onnx
-    bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     options = run.changed(TrainSettings if scans is None else ScanTrainSettings, *run.owners)
     _refuse_other_options(options, scans)
-    _require(simulates=scans == _SIMULATED)
+    _require_libraries()
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
@@ -62,7 +56,7 @@ def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
         else:
-            lines, made = _train_scans(options, out, None if scans == _SIMULATED else Path(scans), progress)
+            lines, made = _train_scans(options, out, Path(scans), progress)
     run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
 
 
@@ -72,13 +66,11 @@ def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
     own = names if scans is None else names - {"network"}  # the file's table is that of the texture network
     foreign = [option_name(name) for name in options if name not in own]
     if foreign and scans is None:
-        raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
+        raise UsageError(f"{foreign[0]} applies to scans: add --scans DIR, or leave it out")
     if foreign:
         raise UsageError(f"{foreign[0]} applies to the texture network and has no effect with --scans: leave it out")
     if scans is not None and not scans.strip():
-        raise UsageError(
-            "--scans is empty; is a variable unset? Give simulated, or a folder in the layout of RELLIS-3D"
-        )
+        raise UsageError("--scans is empty; is a variable unset? Give a folder in the layout of RELLIS-3D")
 
 
 def _train_textures(
@@ -98,14 +90,10 @@ def _train_textures(
 
 
 def _train_scans(
-    options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
+    options: dict[str, Any], out: Path, folder: Path, progress: CommandProgress
 ) -> "tuple[list[str], TrainedModel[Any]]":
-    from bumpymap.lab import load_open3d, make_scan_model
+    from bumpymap.lab import make_scan_model
 
-    if folder is None:
-        load_open3d("--scans simulated")
-    elif "scenes" in options:
-        _log.warning("scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     scores = made.evaluation
     even = 100 * scores.every.balanced_accuracy
@@ -149,12 +137,7 @@ class _Epochs:
         self._progress.note(text, "epoch", **asdict(report))
 
 
-def _require(*, simulates: bool) -> None:
+def _require_libraries() -> None:
     """Raise UsageError if a library is missing, before the hours of work."""
-    wanted = ("torch", "onnx", "open3d") if simulates else ("torch", "onnx")
-    missing = [name for name in wanted if find_spec(name) is None]
-    if missing:
-        *first, last = missing
-        named = f"{', '.join(first)} and {last}" if first else last
-        extras = ",".join(["learn"] * bool({"torch", "onnx"} & set(missing)) + ["o3d"] * ("open3d" in missing))
-        raise UsageError(f"training needs {named}. Install with: pip install 'bumpymap[{extras}]'")
+    if missing := [name for name in ("torch", "onnx") if find_spec(name) is None]:
+        raise UsageError(f"training needs {' and '.join(missing)}. Install with: pip install 'bumpymap[learn]'")

@@ -192,7 +192,7 @@ _MOST_LISTED = 8
 """Differences that a message lists at most."""
 _LONGEST = 80
 """Characters of a value that a message shows at most."""
-_FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method": ("method", "model", "stripes")}
+_FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method": ("method", "model")}
 """Settings that select something with an id of its own: they count as different only if the id differs."""
 
 

@@ -230,7 +230,8 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_
             f"{_REBUILD}"
         )
     nodes = nodes[_depth_first_order(nodes)]
-    table = ChunkTable(*(nodes[name].astype(np.int64) for name in ("points", "offset", "size")))
+    counts, starts, sizes = (nodes[name].astype(np.int64) for name in ("points", "offset", "size"))
+    table = ChunkTable(counts, starts, sizes)
     _refuse_sizes(path, header, table)
     if metres_per_unit is None:
         return table

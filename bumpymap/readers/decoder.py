@@ -57,16 +57,18 @@ class Decoder:
         """Of the children; the last one is used first."""
         # Last in, first out: what one child can do does not start another.
         self._free: LifoQueue[Guard | None] = LifoQueue()
-        for guard in self.guards or [None]:  # lazrs holds the GIL: there is no use in two calls of this process
+        for guard in self.guards:
             self._free.put(guard)
+        if not children:
+            self._free.put(None)  # lazrs holds the GIL: there is no use in two calls of this process
 
     def start(self) -> None:
         """Start a child now, so that it is ready when it is needed; a failure shows in the first request."""
-        if self.guards:
-            guard = self._free.get()
-            with suppress(UsageError, OSError):
+        guard = self._free.get()
+        with suppress(UsageError, OSError):
+            if guard is not None:
                 guard.live_child()
-            self._free.put(guard)
+        self._free.put(guard)
 
     def allocate(self, size: int) -> SharedBytes:
         """Allocate memory for bytes that the decoder will read."""
@@ -89,7 +91,7 @@ class Decoder:
 
     def close(self) -> None:
         """End the children and free unused memory, until the next request. Arrays in use stay valid."""
-        idle = [self._free.get() for _ in self.guards or [None]]
+        idle = [self._free.get() for _ in range(max(len(self.guards), 1))]
         for guard in reversed(idle):
             if guard is not None:
                 guard.end()

@@ -11,7 +11,7 @@ from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
-from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PcdTable"]
 
@@ -32,7 +32,7 @@ class PcdTable(PointTable):
 
     Parameters
     ----------
-    file : OpenFile
+    path : Path or str
     wanted : dict of str to tuple of str
         See `Wanted`.
     memory : int
@@ -44,10 +44,9 @@ class PcdTable(PointTable):
     nan_is_no_return, searched = True, 100_000
 
     def __init__(
-        self, file: OpenFile, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
+        self, path: Location, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
     ) -> None:  # fmt: skip
-        path = file.path
-        with decoding(path, "the header"), file.open() as stream:
+        with decoding(path, "the header"), open_source(path) as stream:
             size = stream.seek(0, io.SEEK_END)
             stream.seek(0)
             self._head = head = _read_header(stream, path)
@@ -64,8 +63,8 @@ class PcdTable(PointTable):
         if is_text:
             names, places = list(info.find(wanted).values()), list(info.types)
             dtype = np.dtype([(name, text_type or row[name]) for name in names])
-            text = TextRows(file, data_at, 0, dtype, [places.index(name) for name in names])
-        super().__init__(file, info, data_at, text)
+            text = TextRows(path, data_at, 0, dtype, [places.index(name) for name in names])
+        super().__init__(path, info, data_at, text)
 
     @property
     def sequential(self) -> bool:
@@ -81,7 +80,7 @@ class PcdTable(PointTable):
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
         """All rows; cached, since they are compressed column by column."""
-        with decoding(self.path, "the points"), self._file.open() as stream:
+        with decoding(self.path, "the points"), open_source(self.path) as stream:
             stream.seek(self._data_at)
             # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())

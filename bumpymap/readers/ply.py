@@ -9,7 +9,7 @@ import numpy as np
 
 from bumpymap.core import PLY_TYPES, BadInputError
 from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
-from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PlyTable"]
 
@@ -152,16 +152,15 @@ class PlyTable(PointTable):
 
     Parameters
     ----------
-    file : OpenFile
+    path : Path or str
     wanted : dict of str to tuple of str
         See `Wanted`.
     """
 
     nan_is_no_return, searched = False, 1
 
-    def __init__(self, file: OpenFile, wanted: Wanted) -> None:
-        path = file.path
-        with file.open() as stream, decoding(path, "the header"):
+    def __init__(self, path: Location, wanted: Wanted) -> None:
+        with open_source(path) as stream, decoding(path, "the header"):
             header = read_ply_header(stream, path)
             size = stream.seek(0, io.SEEK_END)
         _refuse_size(header, path, size)
@@ -173,10 +172,10 @@ class PlyTable(PointTable):
         if is_text:
             names, before = list(info.find(wanted).values()), sum(element.count for element in header.before)
             dtype, places = np.dtype([(name, np.float64) for name in names]), list(info.types)
-            text = TextRows(file, data_at, before, dtype, [places.index(name) for name in names])
+            text = TextRows(path, data_at, before, dtype, [places.index(name) for name in names])
         else:
             data_at += sum(element.count * element.dtype(header.byte_order).itemsize for element in header.before)
-        super().__init__(file, info, data_at, text)
+        super().__init__(path, info, data_at, text)
 
 
 def _refuse_size(header: PlyHeader, path: Location, size: int) -> None:

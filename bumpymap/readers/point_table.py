@@ -22,7 +22,7 @@ from bumpymap.readers.protocol import (
     SurveyReader,
     split_rows,
 )
-from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count
 from bumpytiles import DECIMALS
 
 __all__ = [
@@ -46,7 +46,7 @@ class TextRows:
 
     Parameters
     ----------
-    file : OpenFile
+    path : Path or str
     data_at : int
         Offset of the first line, bytes.
     skipped : int
@@ -58,18 +58,18 @@ class TextRows:
     """
 
     def __init__(
-        self, file: OpenFile, data_at: int, skipped: int, dtype: np.dtype[np.void], columns: list[int]
+        self, path: Location, data_at: int, skipped: int, dtype: np.dtype[np.void], columns: list[int]
     ) -> None:  # fmt: skip
-        self._file, self._data_at, self._skipped, self._dtype, self._columns = file, data_at, skipped, dtype, columns
+        self._path, self._data_at, self._skipped, self._dtype, self._columns = path, data_at, skipped, dtype, columns
         self._stream: Any = None
         self._next = 0
 
     def read(self, first: int, count: int) -> NDArray[np.void]:
         """Return ``count`` rows from row ``first``; fewer at the end of the file."""
-        with decoding(self._file.path, f"the points from {first:,} on"):
+        with decoding(self._path, f"the points from {first:,} on"):
             if self._stream is None or first < self._next:
                 self.close()
-                binary: Any = self._file.open()
+                binary: Any = open_source(self._path)
                 binary.seek(self._data_at)
                 self._stream, self._next = io.TextIOWrapper(binary, "ascii", errors="replace"), 0
                 deque(islice(self._stream, self._skipped), maxlen=0)
@@ -227,7 +227,7 @@ class PointTable:
 
     Parameters
     ----------
-    file : OpenFile
+    path : Path or str
     info : TableInfo
     data_at : int
         Offset of the first row of a binary table, bytes.
@@ -240,8 +240,8 @@ class PointTable:
     searched: ClassVar[int]
     """Rows that are searched for the first valid point."""
 
-    def __init__(self, file: OpenFile, info: TableInfo, data_at: int, text: TextRows | None) -> None:
-        self.path, self.info, self._file, self._data_at, self._text = file.path, info, file, data_at, text
+    def __init__(self, path: Location, info: TableInfo, data_at: int, text: TextRows | None) -> None:
+        self.path, self.info, self._data_at, self._text = path, info, data_at, text
 
     @property
     def sequential(self) -> bool:
@@ -253,7 +253,7 @@ class PointTable:
         if self._text is not None:
             return self._text.read(first, count)
         size = self.info.row.itemsize
-        data = self._file.read(self._data_at + first * size, count * size)
+        data = read_range(self.path, self._data_at + first * size, count * size)
         return data[: data.size // size * size].view(self.info.row)
 
     def close(self) -> None:
@@ -273,13 +273,13 @@ class TableSurvey(SurveyReader):
     """A survey in a table. These formats have neither CRS nor units: metres are assumed, unless ``--crs`` is given."""
 
     def __init__(
-        self, path: Location, options: ReadOptions, open_table: Callable[[OpenFile, Wanted, int], PointTable]
+        self, path: Location, options: ReadOptions, open_table: Callable[[Location, Wanted, int], PointTable]
     ) -> None:
         self._open_table = open_table
         super().__init__(path, options)
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
-        self._table = table = self._open_table(OpenFile(self._path), _CLASSES, options.memory)
+        self._table = table = self._open_table(self._path, _CLASSES, options.memory)
         head, names = table.info, table.info.find(_CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()

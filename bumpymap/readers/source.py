@@ -26,7 +26,6 @@ from bumpytiles import Bounds
 __all__ = [
     "TRUST",
     "Location",
-    "OpenFile",
     "Version",
     "asks_too_much",
     "box_text",
@@ -74,13 +73,6 @@ HashedBytes = Callable[[int, Any], None]
 
 PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
 """See `bumpymap.readers.source.pinned_version`."""
-
-
-def add_to_hash(path: Path, start: int, data: NDArray[np.uint8]) -> None:
-    """Add bytes of a file to the hash of `pinned_version`."""
-    pinned = PINNED.get()
-    if pinned is not None and pinned.hashed is not None and pinned.location == path:
-        pinned.hashed(start, data)
 
 
 def file_changed(location: Location, how: str) -> BadInputError:
@@ -177,37 +169,6 @@ def open_source(location: Location) -> BinaryIO:
             _refuse_special(location)
             return location.open("rb")
         return io.BufferedReader(RangeFile(location), _BLOCK)
-
-
-class OpenFile:
-    """Access to the bytes of a file: opened by path or URL for each access, or through a stream that is already open.
-
-    Parameters
-    ----------
-    path : Path or str
-    stream : binary file, optional
-        The open file. It can then be read by one reader at a time.
-    """
-
-    def __init__(self, path: Location, stream: BinaryIO | None = None) -> None:
-        self.path, self._stream = path, stream
-
-    def open(self) -> BinaryIO:
-        """Return a new stream at the start of the file, which the caller closes. Raises the errors of `open_source`."""
-        if self._stream is None:
-            return open_source(self.path)
-        stream = os.fdopen(os.dup(self._stream.fileno()), "rb")
-        stream.seek(0)
-        return stream
-
-    def read(self, start: int, size: int) -> NDArray[np.uint8]:
-        """Read ``size`` bytes from offset ``start``; fewer at the end of the file."""
-        if self._stream is None:
-            return read_range(self.path, start, size)
-        data = np.empty(size, np.uint8)
-        with _reading(self.path), self.open() as stream:
-            stream.seek(start)
-            return data[: _fill(stream, data)]
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:

@@ -59,12 +59,11 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
-    monkeypatch.setattr(evaluate_command, "_subjects", ends("evaluate"))
-    monkeypatch.setattr(train_command, "_require", lambda **_: None)
+    monkeypatch.setattr(evaluate_command, "_subject", ends("evaluate"))
+    monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train"))
         monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train"))
-        monkeypatch.setattr("bumpymap.lab.load_open3d", lambda _: None)
     return got
 
 
@@ -97,8 +96,6 @@ MEANT = {
     ("route", "snap", 0): lambda got: got[0].snap,
 }
 NUMERIC = {"SIZE", "LIST", "N", "M", "HZ", "COST", "SHARE", "KM", "RAD_S"}
-SCENES = {"scenes", "sectors_per_class"}
-"""Numbers of scans; they have words of their own."""
 
 
 def numbers():
@@ -117,10 +114,8 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     given = ("--set", f"{option.key}={value}") if getattr(option, "key", "") else (f"{option.opts[0]}={value}",)
     words = [name, *WORDS[name], *given]
-    if option.name in SCENES:
-        words += ["--scans", "simulated"] if name == "train" else ["--scans"]
-        if name == "evaluate":
-            words.remove("site.laz")
+    if option.name == "sectors_per_class":
+        words += ["--scans", "drive"]
     if name == "train":
         pytest.importorskip("torch")
     result = run(*words)

@@ -77,7 +77,6 @@ NAMES = ["a\0b", "n" * 300, "é" * 128]
         ["map", "a.laz", "--out", "o", "--set", "scratch=x/NAME/y"],
         ["info", "NAME"],
         ["scan", "NAME", "--out", "o"],
-        ["scan", "f.pcd", "--out", "o", "--set", "stripes=NAME"],
         ["evaluate", "NAME", "--out", "o"],
         ["calibrate", "--out", "NAME"],
         ["train", "--out", "NAME"],

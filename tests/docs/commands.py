@@ -50,6 +50,7 @@ RULES = (
     Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour"),
     Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited"),
     Rule(r"^python tests/fuzz/", "an hour"),
+    Rule(r"^python docs/models/", "takes open3d, and simulates scenes for hours"),
     Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`"),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes"),
     Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in"),
@@ -59,6 +60,7 @@ RULES = (
     Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them"),
     Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives"),
     Rule(r"^python tests/benchmarks/", "measures for minutes or hours, some beside other programs; tests run parts"),
+    Rule(r"^python docs/models/|model=rellis\.onnx", "takes open3d and hours, or a data set"),
     Rule(r"^bumpymap (evaluate|train) ", "hours of drives or learning; tests/lab runs short ones"),
 )
 

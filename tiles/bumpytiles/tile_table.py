@@ -15,7 +15,7 @@ __all__ = ["TileTable"]
 
 
 @dataclass(frozen=True, slots=True)
-class _Source:
+class _ColumnSource:
     """Packs that hold some columns of all blocks of a table."""
 
     packs: Sequence[Pack | MemoryPack]
@@ -26,7 +26,7 @@ class _Source:
     """(blocks,) where the rows of each block begin there."""
 
     @classmethod
-    def of(cls, packs: Sequence[Pack | MemoryPack]) -> "tuple[_Source, NDArray[np.int64], NDArray[np.int64]]":
+    def of(cls, packs: Sequence[Pack | MemoryPack]) -> "tuple[_ColumnSource, NDArray[np.int64], NDArray[np.int64]]":
         """Return the source, its blocks in order, and their numbers of rows; blocks without rows are left out."""
         nothing = np.empty(0, np.int64)
         codes, counts, starts = (
@@ -39,9 +39,9 @@ class _Source:
         columns = {column.name: column for column in packs[0].columns} if packs else {}
         return cls(packs, columns, number[order], starts[order]), codes[order], counts[order]
 
-    def of_blocks(self, places: NDArray[np.int64]) -> "_Source":
+    def of_blocks(self, places: NDArray[np.int64]) -> "_ColumnSource":
         """Return the same for some of the blocks."""
-        return _Source(self.packs, self.columns, self.pack[places], self.start[places])
+        return _ColumnSource(self.packs, self.columns, self.pack[places], self.start[places])
 
     def read(self, places: NDArray[np.int64], counts: NDArray[np.int64], names: Sequence[str]) -> dict[str, Any]:
         """Read columns of blocks with so many rows, joined; those that follow each other in a pack at once."""
@@ -74,10 +74,12 @@ class TileTable:
     """
 
     def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack]) -> None:
-        source, codes, counts = _Source.of(packs)
+        source, codes, counts = _ColumnSource.of(packs)
         self._set(grid, codes, counts, [source])
 
-    def _set(self, grid: Grid, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_Source]) -> None:
+    def _set(
+        self, grid: Grid, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_ColumnSource]
+    ) -> None:
         """Set all attributes, given blocks in order, their numbers of tiles, and where their columns are."""
         self.grid = grid
         self.tiles = int(counts.sum())
@@ -107,7 +109,7 @@ class TileTable:
         packs : sequence of Pack
             All blocks of the table, with their rows in the same order.
         """
-        added, codes, counts = _Source.of(packs)
+        added, codes, counts = _ColumnSource.of(packs)
         return self._with(codes, counts, [added, *self._sources])
 
     def part(self, window: TileWindow) -> "TileTable":
@@ -126,7 +128,7 @@ class TileTable:
         )
 
     def _with(
-        self, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_Source]
+        self, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_ColumnSource]
     ) -> "TileTable":  # fmt: skip
         table = TileTable.__new__(TileTable)
         table._set(self.grid, codes, counts, sources)  # noqa: SLF001 (of the same class)

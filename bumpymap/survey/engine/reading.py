@@ -104,7 +104,7 @@ class OpenRange:
 
 @dataclass(frozen=True, slots=True)
 class ReadChunk:
-    """What is known of a chunk that was read, without its points."""
+    """A chunk that was read, without its points."""
 
     source: OpenRange
     chunk: Chunk

@@ -1,7 +1,5 @@
 """One scan in every format it may come in, and files that are none."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from ply_files import write_ply
@@ -93,24 +91,6 @@ def test_text_pcd_without_counts_and_with_several_values_a_field(tmp_path):
     bare = head.replace("COUNT 3 1 1 1 1\n", "")
     (tmp_path / "b.pcd").write_text(bare + tail + "9 1 2 3 4\n9 5 6 7 8\n")
     assert read_scan(tmp_path / "b.pcd").label.tolist() == [4, 8]
-
-
-SCANS = {
-    "ply": lambda path: write_ply(path, table(label=True), order="<"),
-    "text ply": lambda path: write_ply(path, table(label=True), order="="),
-    "text pcd": lambda path: write_pcd(path, Encoding.ASCII),
-    "pcd": lambda path: write_pcd(path, Encoding.BINARY),
-    "packed pcd": lambda path: write_pcd(path, Encoding.BINARY_COMPRESSED),
-}
-
-
-@pytest.mark.parametrize("kind", SCANS)
-def test_a_scan_is_opened_once(tmp_path, monkeypatch, kind):
-    path = SCANS[kind](tmp_path / "scan")
-    opened, whole = [], Path.open
-    monkeypatch.setattr(Path, "open", lambda file, *args, **how: opened.append(file) or whole(file, *args, **how))
-    check(read_scan(path), label=True)
-    assert opened == [path]
 
 
 def test_kitti_without_and_with_labels_where_data_sets_put_them(tmp_path):

@@ -80,10 +80,10 @@ def goes_on(surveys, out, plain, monkeypatch, *options):
 def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles):
     finish = Child.finish
 
-    def kill(child, supply):
+    def kill(child, *supply):
         child.process.kill()
         child.process.wait()
-        return finish(child, supply)
+        return finish(child, *supply)
 
     # One request at a time: otherwise all may have been made before the first tiles are finished.
     monkeypatch.setattr("bumpymap.survey.engine.reading.requests_at_once", lambda *_: 1)
