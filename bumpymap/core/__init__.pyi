@@ -175,11 +175,13 @@ from .scan_types import (
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
     FrameSource as FrameSource,
+    PolarCells as PolarCells,
     PoseTrack as PoseTrack,
     Scan as Scan,
     SectorBounds as SectorBounds,
     SectorRide as SectorRide,
     SectorStack as SectorStack,
+    cell_numbers as cell_numbers,
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )

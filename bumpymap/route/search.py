@@ -50,6 +50,7 @@ from bumpymap.route.straighten import (
     line_cost,
     off_borders,
     pull_tight,
+    settle_corners,
     thin_out,
     trace,
     wide_margin,
@@ -158,10 +159,10 @@ def is_open(cost: NDArray[np.float32], point: Point) -> bool:
 
 
 class SearchFrame(NamedTuple):
-    """What is done to a window, in this order, and to the ends of a way."""
+    """Turns and flips of a window, in this order, and of the ends of a way."""
 
     back: bool
-    """Whether the search runs from goal to start."""
+    """True if the search runs from goal to start."""
     flip_rows: bool
     flip_cols: bool
     transpose: bool
@@ -298,7 +299,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a search leaves."""
+    """Result of a search."""
 
     line: Floats | None
     """(n, 2) the cheapest way by moves, in the frame; None if there is none."""
@@ -338,15 +339,18 @@ def find_way(
         A cost below 1 or NaN, a margin or coordinates out of range.
     """
     found = seek(as_cost(cost), start, goal, margin)
-    return None if found.line is None else tight_way(found, margin, least_saving)
+    return None if found.line is None else tight_way(found, margin, least_saving, quick=True)
 
 
-def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -> Way:
-    """Pull a way that has been found tight."""
+def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING, *, quick: bool = False) -> Way:
+    """Pull a way that has been found tight; `quick` as in `pull_tight`."""
     if found.line is None:
         raise ValueError("no way has been found")
     near, corner = _cut_out(found.ground, found.line)
-    line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
+    tight = pull_tight(near, found.line - corner, wide_margin(margin), quick=quick)
+    line = thin_out(near, tight, margin, least_saving)
+    if quick:
+        line = settle_corners(near, line, margin, least_saving)
     line = off_borders(near, line, margin)
     pulled = line_cost(near, line)
     return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)

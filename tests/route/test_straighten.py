@@ -5,7 +5,7 @@ import pytest
 from route_oracles import gap_to_closed, smooth_field, taut_length
 
 from bumpymap.route.search import find_way, follow_back, spread
-from bumpymap.route.straighten import is_clear, line_cost, pull_tight
+from bumpymap.route.straighten import is_clear, line_cost, pull_tight, settle_corners, thin_out
 
 
 def way_by_moves(cost, start, goal, margin):
@@ -13,17 +13,24 @@ def way_by_moves(cost, start, goal, margin):
     return np.vstack([start, follow_back(back, *goal)[::-1]])
 
 
+@pytest.mark.parametrize("quick", [False, True])
 @pytest.mark.parametrize("margin", [0.0, 0.35])
 @pytest.mark.parametrize("seed", range(4))
-def test_never_dearer_and_never_too_near(seed, margin):
+def test_never_dearer_and_never_too_near(seed, margin, quick):
     rng = np.random.default_rng(seed)
     cost = smooth_field(rng, (60, 60), most=20, width=seed, closed=0.15)
     reach, _ = spread(cost, (30.2, 30.9), margin=margin)
     goals = rng.permutation(np.argwhere(np.isfinite(reach)))[:6]
     for goal in goals:
         line = way_by_moves(cost, (30.2, 30.9), goal, margin)
-        pulled = pull_tight(cost, line, margin)
+        pulled = pull_tight(cost, line, margin, quick=quick)
         assert line_cost(cost, pulled) <= line_cost(cost, line)
+        if quick:
+            pulled, tight = thin_out(cost, pulled, margin), pull_tight(cost, line, margin)
+            thin = line_cost(cost, pulled)
+            pulled = settle_corners(cost, pulled, margin)
+            assert line_cost(cost, pulled) <= thin
+            assert line_cost(cost, pulled) < 1.001 * line_cost(cost, tight)
         assert is_clear(cost, pulled, margin)
         assert gap_to_closed(cost, pulled) >= min(margin, gap_to_closed(cost, line[[0, 0]])) - 1e-6
         np.testing.assert_array_equal(pulled[[0, -1]], line[[0, -1]])

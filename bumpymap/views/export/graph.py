@@ -154,7 +154,7 @@ class FreeGround:
     read: Callable[[slice, slice], NDArray[np.bool_]]
     """Gives the free pixels of some rows and columns of tiles, (rows * pixels, cols * pixels)."""
     joins_corners: bool = False
-    """Whether the vehicle can go from one free pixel to another that touches it at a corner alone."""
+    """True if the vehicle can go from one free pixel to another that touches it at a corner alone."""
 
     def costs(self, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the cost of each pixel of some rows and columns of tiles; inf where closed."""
@@ -291,7 +291,8 @@ def _touching(first: NDArray[np.int64], other: NDArray[np.int64], *, corners: bo
     if not len(starts):
         return at
     by_sides = np.add.reduceat(~is_corner, starts, dtype=np.int64)
-    return at[starts + by_sides // 2]
+    middle: NDArray[np.int64] = at[starts + by_sides // 2]
+    return middle
 
 
 @dataclass(frozen=True, slots=True)
@@ -429,8 +430,8 @@ def _joined(ground: FreeGround, nodes: _Nodes) -> Lattice:
     return _largest_part(np.concatenate(place), nodes, np.concatenate(ends), np.concatenate(costs), ground.pixels)
 
 
-def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[np.int64]:
-    """Return the pairs of small nodes, not both squares, that touch a third and are less than ``most`` pixels apart."""
+def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, limit_px: int) -> NDArray[np.int64]:
+    """Return the pairs of small nodes, not both squares, that touch a third, less than ``limit_px`` pixels apart."""
     count, small = len(nodes.place), nodes.is_small
     ends = joined[small[joined].all(axis=1)]
     one = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
@@ -439,7 +440,7 @@ def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[n
     kept = (first < second) & (second >= len(nodes.squares.side))
     first, second = first[kept], second[kept]
     apart = np.abs(nodes.place[first] - nodes.place[second]).max(axis=1, initial=0)
-    found: NDArray[np.int64] = np.column_stack([first, second])[apart < most].astype(np.int64)
+    found: NDArray[np.int64] = np.column_stack([first, second])[apart < limit_px].astype(np.int64)
     return _others(found, np.sort(joined, axis=1))
 
 
