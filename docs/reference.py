@@ -3,7 +3,7 @@
 ``<!-- help NAME -->`` becomes the help page of a command, ``<!-- settings NAME -->`` its settings file,
 ``<!-- bands -->`` the bands of roughness.tif, ``<!-- columns FILE -->`` the columns of a Parquet file,
 ``<!-- profile -->`` the keys of a vehicle profile, ``<!-- vehicles -->`` their values for the included vehicles, and
-``<!-- table FILE.csv -->`` the table in a file under docs/, which a command writes.
+``<!-- include FILE -->`` what a file under docs/ says, which a command writes: Markdown, or a table in CSV.
 """
 
 import csv
@@ -25,7 +25,7 @@ from bumpymap.rating import KEYS, load_profile, shipped_profiles
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
     """Return a page with its markers replaced."""
-    kinds = "help|settings|bands|columns|profile|vehicles|table"
+    kinds = "help|settings|bands|columns|profile|vehicles|include"
     return re.sub(rf"^<!-- ({kinds})(?: ([a-z_./ ]+))? -->$", _filled, markdown, flags=re.MULTILINE)
 
 
@@ -43,10 +43,8 @@ def _filled(marker: re.Match[str]) -> str:
         profiles = [load_profile(vehicle).to_dict() for vehicle in shipped_profiles()]
         rows = ((f"`{key.name}`", *(_plain(_value(profile, key.name)) for profile in profiles)) for key in KEYS)
         return _table(("key", *(f"`{vehicle}`" for vehicle in shipped_profiles())), rows)
-    if kind == "table":
-        with (Path(__file__).parent / name).open(encoding="utf-8", newline="") as file:
-            head, *cells = csv.reader(file)
-            return _table(tuple(head), map(tuple, cells))
+    if kind == "include":
+        return _included(Path(__file__).parent / name)
     if kind == "columns":
         return _columns(sector_schema() if name == "sectors.parquet" else tile_fields(15, ()))
     words, language = ([*shlex.split(name), "--help"], "text") if kind == "help" else (["settings", name], "toml")
@@ -54,6 +52,15 @@ def _filled(marker: re.Match[str]) -> str:
     if printed.exit_code:
         raise ValueError(f"{marker[0]}: {printed.output}")
     return f"```{language}\n{printed.stdout.strip()}\n```"
+
+
+def _included(path: Path) -> str:
+    """Return the text of a file, or the table of a CSV file."""
+    with path.open(encoding="utf-8", newline="") as file:
+        if path.suffix != ".csv":
+            return file.read().strip()
+        head, *cells = csv.reader(file)
+        return _table(tuple(head), map(tuple, cells))
 
 
 def _columns(fields: Iterable[pa.Field]) -> str:

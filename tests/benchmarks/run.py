@@ -25,10 +25,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from _measure import insert_tables, run_timed, table, warm_page_cache
+from _measure import run_timed, table, warm_page_cache
 
 HERE = Path(__file__).resolve().parent
-PAGE = HERE.parents[1] / "docs" / "pages" / "benchmarks.md"
+FIGURES = HERE.parents[1] / "docs" / "figures" / "speed.md"
 SAMPLE = HERE.parents[1] / "sample_data" / "quarry.laz"
 READ_ALL = """
 import sys, laspy
@@ -347,9 +347,9 @@ def main() -> None:
         measure(given, wanted, results)
     text = tables(results)
     print(text)
-    page = given.page or (PAGE if given.scale == 1.0 and not given.only and not given.tables else None)
+    page = given.page or (FIGURES if given.scale == 1.0 and not given.only and not given.tables else None)
     if page:
-        insert_tables(page, text, "figures")
+        page.write_text(text.strip() + "\n", encoding="utf-8")
 
 
 def _arguments() -> argparse.Namespace:
@@ -364,7 +364,7 @@ def _arguments() -> argparse.Namespace:
     add("--tables", action="store_true", help="measure nothing, print the tables of the figures so far")
     add("--scale", type=float, default=1.0, help="share of the points, such as 0.01 for a quick test")
     add("--map-options", default="", metavar="TEXT", help="more options for bumpymap map")
-    add("--page", type=Path, help=f"insert the tables into this page [{PAGE.name} after a complete run]")
+    add("--page", type=Path, help=f"write the tables here too [{FIGURES.name} of docs/figures after a complete run]")
     given = parser.parse_args()
     if given.rounds < 1:
         parser.error(f"--rounds is {given.rounds}; it must be at least 1")

@@ -1,5 +1,6 @@
 """A scan run from Python: what it writes, what it leaves when it ends early, and the map of a drive."""
 
+import errno
 import hashlib
 import json
 import os
@@ -19,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -317,6 +319,27 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     with pytest.raises(OutputError, match=r"0\.bin has changed since"):
         scan_frames(config)
     assert checksums(tmp_path / "out") == before
+
+
+@pytest.mark.slow
+def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(name, *rest):
+        if name == "1":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write_polygons(name, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
+    done_frames.clear()
+    scan_frames(config)
+    assert done_frames == ["1"]
+    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
 
 
 @pytest.mark.slow

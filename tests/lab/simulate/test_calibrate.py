@@ -1,5 +1,6 @@
 """The calibration as a whole, with few and short drives."""
 
+import errno
 import json
 from dataclasses import replace
 
@@ -144,6 +145,23 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
         journal.add(("a", 1), PatchDrives(("completed",), (0.1,)))
     assert driven == {}
     assert (tmp_path / "mine").read_text() == "mine"
+
+
+def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
+    path = tmp_path / "progress"
+    calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    before = path.read_text()
+
+    def full(file, *_, **__):
+        with file.open("w") as opened:
+            opened.write("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pathlib.Path.write_text", full)
+        with pytest.raises(OutputError, match="No space left"):
+            Journal(path, SETTINGS.to_dict()).resume(discard_other=False)
+    assert path.read_text() == before
 
 
 @pytest.mark.later
