@@ -51,7 +51,6 @@ RULES = (
     Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited"),
     Rule(r"^python tests/fuzz/", "an hour"),
     Rule(r"^python docs/models/", "takes open3d, and simulates scenes for hours"),
-    Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`"),
     Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes"),
     Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in"),
     Rule(r"^bumpymap calibrate ", "hours of drives"),
