@@ -31,13 +31,13 @@ $(VENV)/.installed: pyproject.toml $(PINS)
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
-	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,o3d,dask,remote,csf
+	.ci/install $(VENV) $(VENV) $(VENV) sim,learn,dask,remote,csf
 	$(PIP) install --quiet $(HELD) --group dev
 	$(PIP) $(EDITABLE)
 	@touch $@
 
 demo: $(VENV)/.installed
-	$(BIN)/bumpymap demo --survey sample_data/quarry.laz --out $(DEMO_OUT)
+	$(BIN)/bumpymap demo --out $(DEMO_OUT)
 
 # Kernels that were changed compile first: what a command says while it compiles is not what tests expect of it.
 test: $(VENV)/.installed-dev

@@ -46,29 +46,22 @@ __all__ = [
     "points_of",
 ]
 
-_EXPORTS = {
-    "BadInputError": ("bumpymap.core", "BadInputError"),
-    "BumpymapError": ("bumpymap.core", "BumpymapError"),
-    "Calibration": ("bumpymap.rating", "Calibration"),
-    "GroundGrid": ("bumpymap.views", "GroundGrid"),
-    "Layers": ("bumpymap.api", "Layers"),
-    "OutputError": ("bumpymap.core", "OutputError"),
-    "PlannedRoute": ("bumpymap.layers", "PlannedRoute"),
-    "ScanClassifier": ("bumpymap.scan", "ScanClassifier"),
-    "ScanResult": ("bumpymap.scan", "ScanResult"),
-    "UsageError": ("bumpymap.core", "UsageError"),
-    "Vehicle": ("bumpymap.rating", "Vehicle"),
-    "check_drives": ("bumpymap.check", "check_drives"),
-    "classify_scan": ("bumpymap.scan", "classify_scan"),
-    "diff_surveys": ("bumpymap.change", "diff_surveys"),
-    "find_routes": ("bumpymap.route", "find_routes"),
-    "map_batch": ("bumpymap.survey", "map_batch"),
-    "map_reach": ("bumpymap.route", "map_reach"),
-    "map_survey": ("bumpymap.api", "map_survey"),
-    "open": ("bumpymap.api", "open_layers"),
-    "points_of": ("bumpymap.readers", "points_of"),
+_PLACES = {
+    "api": ("Layers", "map_survey"),
+    "change": ("diff_surveys",),
+    "check": ("check_drives",),
+    "core": ("BadInputError", "BumpymapError", "OutputError", "UsageError"),
+    "layers": ("PlannedRoute",),
+    "rating": ("Calibration", "Vehicle"),
+    "readers": ("points_of",),
+    "route": ("find_routes", "map_reach"),
+    "scan": ("ScanClassifier", "ScanResult", "classify_scan"),
+    "survey": ("map_batch",),
+    "views": ("GroundGrid",),
 }
-"""Public name: the module to import and the name in it."""
+"""Module of this package: public names that are imported from it."""
+_EXPORTS = {name: (place, name) for place, names in _PLACES.items() for name in names}
+_EXPORTS["open"] = ("api", "open_layers")
 
 
 if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept any name
@@ -83,8 +76,8 @@ if not TYPE_CHECKING:  # hidden from type checkers, which would otherwise accept
             raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
         from importlib import import_module
 
-        module, attribute = _EXPORTS[name]
-        value = globals()[name] = getattr(import_module(module), attribute)
+        place, attribute = _EXPORTS[name]
+        value = globals()[name] = getattr(import_module(f"bumpymap.{place}"), attribute)
         return value
 
 

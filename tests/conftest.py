@@ -15,7 +15,6 @@ from hypothesis import settings
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import CostTable
-from bumpymap.lab.worlds.scans.lidar import load_open3d
 from bumpymap.patches.features import join_stacks, measure
 from bumpytiles import Grid, TileBuckets
 
@@ -33,6 +32,8 @@ sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worl
 
 @cache
 def _why_without_open3d():
+    from scan_scenes.lidar import load_open3d
+
     try:
         load_open3d("this test")
     except UsageError as error:

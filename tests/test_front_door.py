@@ -7,8 +7,6 @@ import math
 import shutil
 import subprocess
 import sys
-import threading
-from dataclasses import fields
 from pathlib import Path
 
 import geopandas
@@ -20,11 +18,8 @@ import xarray as xr
 
 import bumpymap
 from bumpymap.core import Scan
-from bumpymap.core.config import MapConfig
 from bumpymap.core.types import BANDS
-from bumpymap.readers import read_scan
 from bumpymap.scan import polar_sectors
-from bumpymap.survey.api import MapSettings
 
 pytestmark = pytest.mark.slow
 
@@ -51,16 +46,6 @@ def test_every_public_name_is_there_and_says_what_it_is(name):
     assert name in dir(bumpymap)
     value = getattr(bumpymap, name)
     assert isinstance(value, str) or value.__doc__
-
-
-def test_a_name_that_is_not_there_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="map_surveys"):
-        _ = bumpymap.map_surveys
-
-
-def test_the_settings_for_type_checkers_are_those_of_a_map():
-    own = {field.name for field in fields(MapConfig)} - {"surveys", "out"}
-    assert set(MapSettings.__annotations__) == own
 
 
 def test_the_dataset_holds_every_band_as_rasterio_reads_it(layers):
@@ -98,34 +83,11 @@ def test_values_are_read_when_they_are_used(layers):
     assert "values with dtype" in repr(layers.heights())
 
 
-def test_a_band_goes_back_into_a_geotiff(layers, tmp_path):
-    layers.dataset()["c_r"].rio.to_raster(tmp_path / "c_r.tif")
-    with rasterio.open(tmp_path / "c_r.tif") as new, rasterio.open(layers.folder / "roughness.tif") as old:
-        np.testing.assert_array_equal(new.read(1), old.read(1))
-        assert (new.crs, new.transform, math.isnan(new.nodata)) == (old.crs, old.transform, True)
-
-
-def test_the_dataset_can_be_reprojected(layers):
-    there = layers.dataset().rio.reproject("EPSG:4326")
-    west, south, east, north = there.rio.bounds()
-    assert 9.16 < west < east < 9.18
-    assert 48.77 < south < north < 48.79
-    assert set(np.unique(there["class"])) <= {0, 1, 2, 3, 255}
-
-
 def test_the_dataset_is_kept_in_a_netcdf_file(layers, tmp_path):
     layers.dataset()[["c_r", "cost"]].to_netcdf(tmp_path / "layers.nc", engine="scipy")
     back = xr.open_dataset(tmp_path / "layers.nc", engine="scipy", decode_coords="all", mask_and_scale=False)
     assert back.rio.crs == "EPSG:32632"
     np.testing.assert_array_equal(back["c_r"].values, layers.dataset()["c_r"].values)
-
-
-def test_heights_are_those_of_the_file(layers):
-    heights = layers.heights()
-    with rasterio.open(layers.folder / "heightmap.tif") as file:
-        np.testing.assert_array_equal(heights.values, file.read(1))
-        assert heights.rio.transform() == file.transform
-    assert heights.attrs["units"] == "m"
 
 
 def test_objects_are_those_of_the_file(layers):
@@ -164,19 +126,6 @@ def test_a_missing_layer_is_said(layers, tmp_path):
         with pytest.raises(bumpymap.BadInputError, match=f"{name} is missing"):
             call()
     assert "warthog" in repr(opened)
-
-
-def test_classes_of_an_earlier_version_are_said(layers, tmp_path):
-    """They had the reasons as a second band, and no reason.tif."""
-    folder = shutil.copytree(layers.folder, tmp_path / "copy")
-    with rasterio.open(folder / "class.tif") as file:
-        profile = file.profile | {"driver": "GTiff", "count": 2}
-        values = file.read(1)
-    with rasterio.open(folder / "class.tif", "w", **profile) as file:
-        file.write(np.stack([values, values]))
-    (folder / "reason.tif").unlink()
-    with pytest.raises(bumpymap.BadInputError, match=r"class\.tif (has 2 bands|is cut off or was changed)"):
-        bumpymap.open(folder).dataset()
 
 
 def test_a_damaged_layer_is_said(layers, tmp_path):
@@ -350,20 +299,6 @@ def test_strings_paths_and_lists_give_the_same(layers, tmp_path):
         assert digests[0] == digests[1]
 
 
-def test_tables_of_settings_are_dicts(tmp_path):
-    layers = bumpymap.map_survey(QUARRY, features={"min_points": 5000})
-    assert layers.manifest["settings"]["features"]["min_points"] == 5000
-    assert layers.manifest["counts"]["classified"] == 0
-
-
-def test_a_run_in_a_thread(tmp_path):
-    found = []
-    thread = threading.Thread(target=lambda: found.append(bumpymap.map_survey(QUARRY)))
-    thread.start()
-    thread.join()
-    assert found[0].manifest["counts"]["tiles"] == 1426
-
-
 # --- scans ---
 
 
@@ -394,15 +329,6 @@ def test_a_scan_has_classes_by_point_and_by_sector(method):
     assert f"{len(points):,} points" in repr(result)
 
 
-def test_confidence_is_that_of_the_network_and_nan_by_the_filter():
-    learned = bumpymap.classify_scan(ring_of_ground(), method="learned")
-    known = learned.sector_class != 255
-    assert known.any()
-    assert ((learned.sector_confidence[known] > 1 / 3 - 1e-6) & (learned.sector_confidence[known] <= 1 + 1e-6)).all()
-    assert np.isnan(learned.sector_confidence[~known]).all()
-    assert np.isnan(bumpymap.classify_scan(ring_of_ground(), method="filter").sector_confidence).all()
-
-
 def test_returns_that_are_no_points_keep_their_rows():
     points = ring_of_ground()
     odd = points.copy()
@@ -415,23 +341,6 @@ def test_returns_that_are_no_points_keep_their_rows():
     np.testing.assert_array_equal(result.point_sector[kept], alone.point_sector)
     assert (result.point_class[~kept] == 255).all()
     assert (result.point_sector[~kept] == -1).all()
-
-
-def test_an_array_and_its_file_give_the_same(tmp_path):
-    points = ring_of_ground()
-    file = tmp_path / "000000.bin"
-    np.column_stack([points, np.ones(len(points))]).astype(np.float32).tofile(file)
-    from_file, from_array = bumpymap.classify_scan(str(file)), bumpymap.classify_scan(points.astype(np.float64))
-    np.testing.assert_array_equal(from_file.sector_class, from_array.sector_class)
-    np.testing.assert_array_equal(from_file.points, read_scan(file).points)
-
-
-def test_the_robot_is_left_out(tmp_path):
-    points = ring_of_ground()
-    result = bumpymap.classify_scan(points, robot={"box_m": [-20, 20, -20, 0]})
-    hidden = (np.abs(points[:, 0]) <= 20) & (points[:, 1] <= 0) & (points[:, 1] >= -20)
-    assert hidden.any()
-    assert (result.point_class[hidden] == 255).all()
 
 
 def test_a_classifier_gives_what_a_fresh_one_gives_and_leaves_earlier_results_alone():
@@ -460,22 +369,7 @@ def test_points_that_are_none_are_refused(points, words):
         bumpymap.classify_scan(points)
 
 
-def test_an_empty_scan_has_no_sectors():
-    result = bumpymap.classify_scan(np.empty((0, 3)))
-    assert len(result.point_class) == len(result.sector_class) == 0
-
-
 # --- vehicles and calibrations ---
-
-
-def test_vehicles_and_calibrations_are_read():
-    assert bumpymap.Vehicle.load("warthog").name == bumpymap.Calibration.shipped("warthog").vehicle["name"] == "warthog"
-
-
-def test_a_calibration_is_read_from_a_string(tmp_path):
-    file = tmp_path / "own.json"
-    file.write_text(bumpymap.Calibration.shipped("warthog").to_json(), encoding="utf-8")
-    assert bumpymap.Calibration.load(str(file)) == bumpymap.Calibration.shipped("warthog")
 
 
 # --- drives ---
@@ -498,12 +392,6 @@ def test_a_check_takes_layers_and_one_drive_or_several(layers, tmp_path):
     assert (tmp_path / "alone" / "check.json").exists()
     with pytest.raises(bumpymap.OutputError, match="overwrite"):
         bumpymap.check_drives(None, drive, tmp_path / "alone")
-
-
-@pytest.mark.parametrize(("settings", "words"), [({"window_m": 1}, "window_m"), ({"band_hz": "10 Hz"}, "band_hz")])
-def test_wrong_settings_of_a_check_are_named(layers, settings, words):
-    with pytest.raises(bumpymap.UsageError, match=words):
-        bumpymap.check_drives(layers, "drive.csv", **settings)
 
 
 # --- examples ---

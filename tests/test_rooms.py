@@ -31,7 +31,7 @@ ROOMS = {
     "check": ({"core", "readers", "layers", "views"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "matplotlib", "numpy", "onnx", "open3d", "scipy", "torch"},
+        {"dartpy", "matplotlib", "numpy", "onnx", "scipy", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},
@@ -54,7 +54,6 @@ ONE_PLACE = {
     "blake3": {"bumpymap/core/run_spec.py"},
     "jinja2": {"bumpymap/views/page/page.py"},
     "onnxruntime": {"bumpymap/core/onnx_file.py"},
-    "open3d": {"bumpymap/lab/worlds/scans/lidar.py"},
     "distributed": {"tiles/bumpytiles/_dask.py"},
 }
 """The only files that import a package."""
@@ -187,7 +186,7 @@ def circles(ways):
 
 @pytest.mark.parametrize("package", ONE_PLACE)
 def test_one_file_imports_a_package_that_needs_care(package):
-    """ONNX Runtime: telemetry off first. open3d: it says which libraries are missing. Dask: the seam."""
+    """ONNX Runtime: telemetry off first. Dask: the seam."""
     importing = {
         str(file.relative_to(ROOT))
         for folder in ("bumpymap", "tiles", "docs")
@@ -227,7 +226,7 @@ def docstrings(tree):
                 yield child.value.value
 
 
-@pytest.mark.parametrize("room", sorted(set(ROOMS) - {"patches", "rating", "route"}))
+@pytest.mark.parametrize("room", sorted(set(ROOMS) - {"patches", "rating"}))
 def test_docstrings_say_what_a_thing_is(room):
     """They begin with a noun or a verb, not with What, Which or Whether."""
     texts = [text for file in files_of(room) for text in docstrings(TREES[file])]
@@ -259,7 +258,7 @@ def test_bumpymap_is_light():
 
 def test_the_main_job_loads_no_workshop():
     loaded = loaded_by("import bumpymap.survey.pipeline, bumpymap.cli.map_command, sys; print(*sys.modules)")
-    assert not {"torch", "dask", "open3d", "dartpy", "sklearn", "geopandas", "pandas", "matplotlib"} & loaded
+    assert not {"torch", "dask", "dartpy", "sklearn", "geopandas", "pandas", "matplotlib"} & loaded
 
 
 def test_no_help_loads_anything_heavy():

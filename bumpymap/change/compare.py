@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtr
 
-from bumpymap.layers import SurveyPair
+from bumpymap.layers import NORMAL_80, SurveyPair
 from bumpytiles import TileWindow
 
 __all__ = [
@@ -168,8 +168,6 @@ def _differences(pair: SurveyPair, cell: int) -> Iterator[tuple[slice, NDArray[n
         yield rows, after - before
 
 
-_TAIL = float(ndtri(0.9))
-"""Half the width of an 80 % interval, in standard deviations."""
 _LEAST_OWN = 0.5
 """Least share of a spread that is the survey's own."""
 
@@ -217,7 +215,7 @@ def _log_and_spread(bands: Bands, common: CommonError) -> tuple[Floats, Floats]:
     c_r, low, high = (band.astype(np.float64) for band in bands)
     middle = np.log(c_r)
     shared = common.log_sd(c_r)
-    sides = ((middle - np.log(low)) / _TAIL, (np.log(high) - middle) / _TAIL)
+    sides = ((middle - np.log(low)) / NORMAL_80, (np.log(high) - middle) / NORMAL_80)
     below, above = (np.sqrt(np.maximum(side**2 - shared**2, (_LEAST_OWN * side) ** 2)) for side in sides)
     return middle, 0.5 * (below + above)
 

@@ -5,8 +5,9 @@ Open both, find which tiles both have, compare heights and ride costs, decide, c
 
 import os
 from collections import defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
@@ -23,7 +24,6 @@ from bumpymap.change.compare import (
     height_offset,
     ride_z,
 )
-from bumpymap.change.output import CHANGE_FILES, write_change
 from bumpymap.change.settings import DiffConfig
 from bumpymap.core import (
     CHANGE_KINDS,
@@ -39,13 +39,34 @@ from bumpymap.core import (
     path_of_call,
     settings_of_call,
 )
-from bumpymap.layers import ChangeField, SurveyPair, SurveyTiles, change_regions, label, open_pair
+from bumpymap.layers import (
+    CHANGED_BAND,
+    REPORT_NAME,
+    ChangeField,
+    OutputFolder,
+    SurveyPair,
+    SurveyTiles,
+    change_regions,
+    label,
+    open_pair,
+    place_entries,
+    plain_manifest,
+    software_versions,
+    write_change_raster,
+    write_change_regions,
+)
+from bumpymap.views import write_change_report, write_change_style
 
 if TYPE_CHECKING:
     import geopandas
 
-__all__ = ["ChangeResult", "connect", "diff_surveys", "find_changes", "remarks"]
+__all__ = ["CHANGE_FILES", "ChangeResult", "connect", "diff_surveys", "find_changes", "remarks"]
 
+CHANGE_FILES = OutputFolder(
+    ("change.tif", "change.geojson", "change.json", "change.qml", REPORT_NAME),
+    "change.json",
+    views=("change.qml", REPORT_NAME),
+)
 _DENSITY = 2.0
 """Ratio of the densities from which surveys are unlike."""
 _WIDE = 1.5
@@ -241,8 +262,26 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     if config.out is not None:
         progress.start("writing layers", None)
         own = _manifest(config, pair, fit, counts, transitions) | {"remarks": notes}
-        files = write_change(field, config.out, manifest=own, overwrite=config.overwrite)
+        files = _write(field, config.out, own, overwrite=config.overwrite)
     return ChangeResult(field, counts, transitions, fit, tuple(files), notes)
+
+
+def _write(field: ChangeField, out: Path, manifest: Mapping[str, Any], *, overwrite: bool) -> list[Path]:
+    """Write all files of a comparison, or none; but for change.json, none depends on folder names."""
+
+    def describe(staged: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        head = {"format": "bumpymap-change", "version": 1, "versions": software_versions()}
+        record = head | place_entries(field.placement) | dict(manifest) | {"files": files}
+        write_change_report(staged, plain_manifest(record), staged / REPORT_NAME)
+        return record
+
+    writers: dict[str, Callable[[Path], None]] = {
+        "change.tif": partial(write_change_raster, field),
+        "change.geojson": partial(write_change_regions, field),
+        "change.qml": partial(write_change_style, band=CHANGED_BAND),
+    }
+    CHANGE_FILES.write(out, writers, describe, overwrite=overwrite)
+    return [out / name for name in CHANGE_FILES.names]
 
 
 def _field(

@@ -180,8 +180,6 @@ class Mounting:
     """Turns vectors of the sensor's axes into those of the vehicle: x ahead, y left, z up."""
     degrees: tuple[float, float, float]
     """Roll, pitch and yaw, NaN where not determined."""
-    yaw_sd: float
-    """Standard deviation of the yaw, degrees."""
     upward: Floats
     """(n, 3) upward direction in the sensor's axes, with the motion of the vehicle taken into account."""
 
@@ -203,9 +201,8 @@ def find_mounting(imu: EvenImu, rate: Floats, attitude: Rotation, motion: Driven
         driven = np.stack([ahead, motion.speed * motion.yaw_rate, 0.0 * ahead], axis=1)
         upward = upward_in_sensor(imu, attitude, aligned.inv().apply(driven))
         rotation = _level(aligned.apply(upward), motion, moving) * aligned
-    yaw_found = yaw_sd <= _MOST_YAW_SD
     roll, pitch, turn = (float(angle) for angle in rotation.as_euler("ZYX", degrees=True)[::-1])
-    return Mounting(rotation, (roll, pitch, turn if yaw_found else float("nan")), float(np.degrees(yaw_sd)), upward)
+    return Mounting(rotation, (roll, pitch, turn if yaw_sd <= _MOST_YAW_SD else float("nan")), upward)
 
 
 def level_force(imu: EvenImu, rotation: Rotation, upward: Floats) -> NDArray[np.complex128]:

@@ -9,23 +9,18 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias, TypedDict, TypeVar, Unpack
+from typing import Any, TypeAlias, TypedDict, TypeVar, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 from scipy.stats import rankdata
 
 from bumpymap.check.measure import COUNTS, LEFT_OUT, DriveMeasure, WayStretch, measure_drive
-from bumpymap.check.output import write_check
 from bumpymap.check.places import MetrePlaces, SlopeMap, places_alone, places_on_map, window_around
 from bumpymap.check.settings import LEAST_WINDOW_M, CheckConfig
 from bumpymap.check.stretches import (
-    DriveSteps,
     MapReading,
     cut_stretches,
-    drive_steps,
-    driven_tiles,
     read_along,
     with_ground,
 )
@@ -48,8 +43,25 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import MapReader, check_check_out, open_map
+from bumpymap.layers import (
+    CHECK_FILES,
+    CHECK_FORMAT,
+    MANIFEST_NAME,
+    NORMAL_80,
+    CheckGround,
+    CheckPlaces,
+    MapReader,
+    check_check_out,
+    check_entries,
+    describe_file,
+    open_map,
+    place_entries,
+    software_versions,
+    write_stretch_table,
+    write_stretches,
+)
 from bumpymap.readers import close_log_reader, drive_files, read_drive
+from bumpymap.views import write_check_page, write_check_style
 
 __all__ = [
     "agreement_of",
@@ -60,13 +72,13 @@ __all__ = [
     "refuse_without_stretches",
     "run_check",
     "spearman",
+    "write_check",
 ]
 
 Floats = NDArray[np.float64]
 
 _LEAST_STRETCHES = 5
 """With fewer, no rank correlation is given."""
-_END_80 = float(ndtri(0.9))
 
 
 def spearman(first: Floats, second: Floats) -> float:
@@ -94,7 +106,7 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
         nothing = float("nan")
         return MapAgreement(0, 0.0, nothing, nothing, nothing, nothing, nothing)
     ratio = predicted / measured
-    error = _END_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
+    error = NORMAL_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
     below = np.hypot(predicted - stretches.c_r_low[on], error)
     above = np.hypot(stretches.c_r_high[on] - predicted, error)
     inside = (measured >= predicted - below) & (measured <= predicted + above)
@@ -280,7 +292,6 @@ class _Done:
     log: DriveLog
     drive: DriveMeasure
     cut: WayStretch
-    steps: DriveSteps | None = None
     reading: MapReading | None = None
 
 
@@ -316,7 +327,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
     done = _usable(((place, partial(_measured, *log, config, site, field)) for place, log in left), skipped)
     for place, why in skipped.items():
         _log.warning("%s is left out: %s", place, why)
-    result = replace(_compared(list(done.values()), site, field), skipped=skipped)
+    result = replace(_compared(list(done.values()), site), skipped=skipped)
     files: list[Path] = []
     if config.out is not None:
         progress.start("writing the check", None)
@@ -373,8 +384,7 @@ def _measured(
     refuse_without_stretches(drive, cut)
     if field is None:
         return _Done(log, drive, cut)
-    steps = drive_steps(drive, cut, field)
-    return _Done(log, drive, cut, steps, read_along(steps, len(cut.start_s), field))
+    return _Done(log, drive, cut, read_along(drive, cut, field))
 
 
 def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
@@ -385,14 +395,14 @@ def _on_map(places: MetrePlaces, site: MapReader) -> tuple[Floats, Floats]:
     return places.place.real[inside], places.place.imag[inside]
 
 
-def _compared(done: list[_Done], site: MapReader | None, field: TileField | None) -> CheckResult:
+def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
     """Compare all drives with the map."""
     ground = None if site is None else _ground(site)
     limits = (np.inf,) * 3 if ground is None else ground.class_limits
     stretches = _stretches(done, limits)
     drives = tuple(_checked(one) for one in done)
-    if field is None or ground is None:
-        return CheckResult(None, drives, stretches, None, None, {}, ())
+    if ground is None:
+        return CheckResult(None, drives, stretches, None, {}, ())
     agreement = agreement_of(stretches)
     if not agreement.stretches:
         raise BadInputError(
@@ -402,16 +412,10 @@ def _compared(done: list[_Done], site: MapReader | None, field: TileField | None
     classes = map(int, np.unique(stretches.class_id[on]))
     by_class = {number: agreement_of(stretches, stretches.class_id == number) for number in classes}
     speeds = [(drive.name, drive.speed_mps) for drive in drives]
-    on_tiles = [
-        (one.drive, one.steps, float(np.median(one.drive.track.way_sd(one.cut.start_s, one.cut.end_s) / one.cut.way_m)))
-        for one in done
-        if one.steps is not None
-    ]
     return CheckResult(
         ground=ground,
         drives=drives,
         stretches=stretches,
-        tiles=driven_tiles(on_tiles, field, limits),
         agreement=agreement,
         by_class=by_class,
         warnings=tuple(map_warnings(ground, speeds, agreement)),
@@ -494,3 +498,79 @@ def _checked(one: _Done) -> CheckedDrive:
         notes=(*log.notes, *drive.notes),
         warnings=tuple(drive_warnings(drive, cut, has_positions=has_positions)),
     )
+
+
+def write_check(
+    result: CheckResult,
+    out: Path,
+    *,
+    ground: CheckGround | None = None,
+    manifest: Mapping[str, Any] | None = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write what drives show of a map to a folder, which is created if it is missing.
+
+    All files appear or none; links are replaced, never followed. Files of an earlier check that this one does not
+    write are removed: without positions on a map there is nothing for GIS. Except for check.json no file depends on
+    the time or on folder names.
+
+    Parameters
+    ----------
+    result : CheckResult
+        With at least one drive.
+    out : Path
+        The folder.
+    ground : CheckGround, optional
+        The map that the drives were checked against, such as `open_map` returns it; None without a map.
+    manifest : mapping, optional
+        The run's own entries for check.json, such as settings.
+    overwrite : bool
+        Allow files of an earlier check to be replaced.
+
+    Returns
+    -------
+    list of Path
+        What was written.
+
+    Raises
+    ------
+    UsageError, OutputError
+        See `check_check_out`; or a file cannot be written.
+    BadInputError
+        The layers cannot be read, or positions have no longitude and latitude.
+    """
+    check_check_out(out, overwrite=overwrite)
+    places = None if ground is None else CheckPlaces.of(result.stretches, ground)
+
+    def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
+        return {
+            "format": CHECK_FORMAT,
+            "version": 1,
+            **(manifest or {}),
+            "versions": software_versions(),
+            **_describe_ground(ground, places),
+            "files": files,
+            **check_entries(result),
+        }
+
+    writers: dict[str, Callable[[Path], None]] = {
+        "check.html": partial(write_check_page, result, ground if places is not None else None),
+        "stretches.csv": partial(write_stretch_table, result, places),
+    }
+    if places is not None:
+        writers["check.geojson"] = partial(write_stretches, result, places)
+        writers["check.qml"] = write_check_style
+    return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
+
+
+def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:
+    """Return the layers that drives were checked against: their folders, checksums, place and calibration."""
+    if ground is None:
+        return {}
+    folders = [
+        {"path": str(folder), "run_sha256": describe_file(folder / MANIFEST_NAME)["sha256"]}
+        for folder in ground.folders
+    ]
+    first: Mapping[str, Any] = next(iter(ground.manifests), {})
+    known = {name: first[name] for name in ("vehicle", "calibration") if name in first}
+    return {"layers": folders, **known, **({} if places is None else place_entries(places.placement))}

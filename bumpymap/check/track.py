@@ -360,8 +360,6 @@ class DrivenTrack:
     drift: float
     drift_sd: float
     scatter: Scatter
-    chosen: tuple[float, float]
-    """How fast the speed changes, and the error of the acceleration (0: it was not used)."""
     _factor: SuperLU
     """Of the normal equations."""
 
@@ -528,7 +526,6 @@ def _track(problem: TrackProblem, state: TrackState, factor: SuperLU, spread_s: 
         offset_s=float(state.whole[OFFSET]),
         offset_sd_s=float(np.sqrt(spread[0] ** 2 + spread_s**2 + _SLIP_S**2)),
         offset_spread_s=spread_s,
-        chosen=(problem.speed_change, problem.force_change if np.isfinite(knots.gained).any() else 0.0),
         drift=float(state.whole[DRIFT]),
         drift_sd=float(spread[1]),
         scatter=problem.scatter,

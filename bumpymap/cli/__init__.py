@@ -33,12 +33,14 @@ _COMMANDS = {
 }
 
 
+_SHORT = ("compile", "demo", "report", "settings", "vehicle")
+"""Commands that stand together in one module."""
 _INTERRUPTED, _TERMINATED = 130, 143
 """Exit codes after Ctrl-C (SIGINT) and after SIGTERM, as shells expect them."""
 
 
 class _LazyGroup(click.Group):
-    """A group whose commands live in ``bumpymap.cli.NAME`` and are imported when they run."""
+    """A group whose commands live in ``bumpymap.cli.NAME_command`` and are imported when they run."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names of the commands."""
@@ -48,9 +50,12 @@ class _LazyGroup(click.Group):
         """Import and return a command; None if there is none of that name."""
         if cmd_name not in _COMMANDS:
             return None
-        command = import_module(f"bumpymap.cli.{cmd_name}_command").command
+        if cmd_name in _SHORT:
+            command = getattr(import_module("bumpymap.cli.short_commands"), f"{cmd_name}_command")
+        else:
+            command = import_module(f"bumpymap.cli.{cmd_name}_command").command
         if not isinstance(command, click.Command):
-            raise TypeError(f"bumpymap.cli.{cmd_name}_command.command is not a click command")
+            raise TypeError(f"the command {cmd_name} is not one of click")
         return command
 
     def resolve_command(

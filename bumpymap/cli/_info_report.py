@@ -1,33 +1,41 @@
 """The report of ``bumpymap info`` about one survey, and the estimate of a run."""
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from rich.filesize import decimal
 
-from bumpymap.cli._text import about, as_options
+from bumpymap.cli._text import Styled, Table, about, as_options
 from bumpymap.core import (
     REASON_TEXT,
+    BadInputError,
     FeatureSettings,
+    Georeference,
     Ground,
+    MapConfig,
+    common_georeference,
     count_text,
     decide_ground,
     describe_crs,
     horizontal_of,
+    parse_crs,
+    same_crs,
     unit_name,
     vertical_of,
 )
-from bumpymap.layers import fits_one_map, suggested_sheets
-from bumpymap.readers import PointSummary, SurveyInfo
+from bumpymap.layers import MAX_TILES, fits_one_map, suggested_sheets
+from bumpymap.readers import PointSummary, PointSummaryBuilder, SurveyInfo
 from bumpymap.survey import (
     Budget,
     Estimate,
     FlightLines,
     Outcome,
     advise,
+    compare_lines,
+    describe_lines,
     describe_pairs,
     enough_points,
     estimate,
@@ -36,17 +44,7 @@ from bumpymap.survey import (
 )
 from bumpytiles import Bounds, Grid, TileWindow
 
-__all__ = [
-    "Report",
-    "as_record",
-    "as_rows",
-    "estimated",
-    "outcome_of",
-    "run_record",
-    "run_rows",
-    "sheet_options",
-    "sheets_for",
-]
+__all__ = ["Report", "map_options", "report_lines", "report_record"]
 
 _CLASS_NAMES = {
     0: "never classified",
@@ -112,12 +110,12 @@ class Report:
     @property
     def outcome(self) -> Outcome | None:
         """Forecast of the tiles that ``bumpymap map`` will make; None if the points were not read."""
-        return outcome_of(self.summary, self.ground) if self.summary is not None else None
+        return _outcome_of(self.summary, self.ground) if self.summary is not None else None
 
     @property
     def sheets(self) -> float | None:
         """Side of the sheets that ``map`` should write, km; None if one map can hold all tiles."""
-        return sheets_for(self.grid, [self.bounds])
+        return _sheets_for(self.grid, [self.bounds])
 
     def needs(self) -> list[str]:
         """Return what ``bumpymap map`` needs for this file, or the command to map it; one sentence each."""
@@ -134,13 +132,13 @@ class Report:
                 f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
             )
         summary = self.summary
-        if summary and summary.ground_tiles and self.ground == "auto" and outcome_of(summary).measured == "points":
+        if summary and summary.ground_tiles and self.ground == "auto" and _outcome_of(summary).measured == "points":
             share = summary.ground_tiles / summary.tiles
             lines.append(f"ground points (class 2) in only {share:.0%} of tiles: --ground auto will use all points")
         return lines or [self._ready()]
 
     def _ready(self) -> str:
-        words = ["bumpymap", "map", str(self.path), *self.options, *sheet_options(self.sheets), "--out", "DIR"]
+        words = ["bumpymap", "map", str(self.path), *self.options, *_sheet_options(self.sheets), "--out", "DIR"]
         few = f", about {self.outcome.share:.0%} of the tiles will be unknown" if self.outcome else ""
         return f"ready{few}: {shlex.join(words)}"
 
@@ -171,7 +169,106 @@ class Report:
         ]
 
 
-def sheets_for(grid: Grid, boxes: Sequence[Bounds | None]) -> float | None:
+def map_options(config: MapConfig, place: Georeference) -> Iterator[str]:
+    """Yield the options that ``map`` needs too: ``--crs`` only for a survey that has none."""
+    if config.crs is not None:
+        flat, own = horizontal_of(parse_crs(config.crs)), place.crs and horizontal_of(place.crs)
+        if flat is not None and own is not None and same_crs(flat, own):
+            yield from ("--crs", config.crs)
+    if config.force_crs is not None:
+        yield from ("--set", f"force_crs={config.force_crs}")
+    if config.z_unit is not None:
+        yield from ("--z-unit", config.z_unit)
+    if config.trust_points:
+        yield from ("--set", "trust_points=true")
+    if config.ground != "auto":
+        yield from ("--ground", config.ground)
+
+
+def report_record(reports: Sequence[Report], budget: Budget) -> dict[str, Any]:
+    """Return everything about files and a run over them, for ``--json``."""
+    together, forecast = _why_not_together(reports), _estimated(reports, budget)
+    return {
+        "files": [_as_record(report) for report in reports],
+        "together": " ".join(together),
+        "sheets_km": _sheets_for(reports[0].grid, [report.bounds for report in reports]),
+        "run": None if forecast is None else _run_record(forecast, budget),
+    }
+
+
+def report_lines(
+    reports: Sequence[Report],
+    budget: Budget,
+    surveys: Sequence[Path | str],
+    memory: str,
+    whole: PointSummaryBuilder | None,
+) -> Iterator[str | Styled | Table]:
+    """Yield the report in lines.
+
+    Parameters
+    ----------
+    reports : sequence of Report
+    budget : Budget
+    surveys : sequence of Path or str
+        Files and folders that the user named.
+    memory : str
+        The setting ``memory``, for the line about a run.
+    whole : PointSummaryBuilder or None
+        All files together, if their points were read.
+    """
+    grid = reports[0].grid
+    for report in reports:
+        yield Styled(str(report.path), "bold")
+        yield Table(_as_rows(report))
+        # Not in the table, which would wrap commands: they must stay on one line to be copied.
+        label = "error" if report.error else "to map it"
+        yield from (Styled(need, "yellow", f"  {label}: ") for need in report.needs())
+        yield ""
+    together = _why_not_together(reports) or _advise_one_map(surveys, reports, whole)
+    yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
+    forecast = _estimated(reports, budget)
+    if forecast is not None:
+        threads = count_text(budget.threads, "thread")
+        yield Styled(f"a run with --memory {memory} on {threads}", "bold")
+        yield Table(_run_rows(forecast, grid))
+        sheets = _sheets_for(grid, [report.bounds for report in reports])
+        if sheets is not None:
+            text = f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {sheets:g} writes it in several"
+            yield Styled(f"{text} folders", "yellow", "  sheets: ")
+
+
+def _why_not_together(reports: Sequence[Report]) -> list[str]:
+    """Return why the files cannot be mapped in one run, in lines; empty if they can."""
+    infos = [report.info for report in reports if report.info is not None]
+    try:
+        if infos:
+            common_georeference(infos)
+    except BadInputError as error:
+        return [str(line) for line in error.args]
+    return []
+
+
+def _advise_one_map(
+    surveys: Sequence[Path | str], reports: Sequence[Report], whole: PointSummaryBuilder | None
+) -> list[str]:
+    """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
+    infos = [report.info for report in reports if report.info is not None and not report.error]
+    if len(reports) == 1 or len(infos) < len(reports):
+        return []
+    points = sum(info.point_count for info in infos)
+    sheets = _sheet_options(_sheets_for(reports[0].grid, [report.bounds for report in reports]))
+    command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, *sheets, "--out", "DIR"])
+    text = f"{count_text(len(reports), 'file')}, {count_text(points, 'point')}, one map: {command}"
+    summary = None if whole is None else whole.summary()
+    if whole is None or summary is None:
+        return [text]
+    outcome = _outcome_of(summary, reports[0].ground)
+    advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
+    steps = describe_lines(compare_lines(whole.lines), "report")
+    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
+
+
+def _sheets_for(grid: Grid, boxes: Sequence[Bounds | None]) -> float | None:
     """Return the side of sheets, km, for points in these boxes; None if one map can hold them, or no box is known."""
     known = [box for box in boxes if box is not None]
     if not known:
@@ -183,12 +280,12 @@ def sheets_for(grid: Grid, boxes: Sequence[Bounds | None]) -> float | None:
     return None if fits_one_map(grid, window) else suggested_sheets(grid)
 
 
-def sheet_options(sheets: float | None) -> tuple[str, ...]:
+def _sheet_options(sheets: float | None) -> tuple[str, ...]:
     """Return the options of ``map`` for sheets of this side."""
     return () if sheets is None else ("--sheets", f"{sheets:g}")
 
 
-def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
+def _outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
     """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
     # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
     ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
@@ -202,7 +299,7 @@ def outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
     )
 
 
-def as_record(report: Report) -> dict[str, Any]:
+def _as_record(report: Report) -> dict[str, Any]:
     """Return everything about one file, for ``--json``."""
     info, summary = report.info, report.summary
     if info is None:
@@ -238,7 +335,7 @@ def as_record(report: Report) -> dict[str, Any]:
             "points_per_tile": summary.points_per_tile,
             "ground_points": summary.ground_share,
             "ground_tiles": summary.ground_tiles / summary.tiles,
-            "unknown_tiles_about": _shares(outcome_of(summary, report.ground)),
+            "unknown_tiles_about": _shares(_outcome_of(summary, report.ground)),
             "flight_lines": report.lines.to_record(),
         }
     return record if report.dropped is None else record | {"dropped": report.dropped}
@@ -249,7 +346,7 @@ def _shares(outcome: Outcome) -> dict[str, float]:
     return {REASON_TEXT[reason]: count / outcome.tiles for reason, count in outcome.unknown.items() if count}
 
 
-def as_rows(report: Report) -> list[tuple[str, str]]:
+def _as_rows(report: Report) -> list[tuple[str, str]]:
     """Return the facts about one file as (name, text); empty if it cannot be read."""
     info, summary = report.info, report.summary
     if info is None:
@@ -282,17 +379,17 @@ def as_rows(report: Report) -> list[tuple[str, str]]:
     return rows + [("note", note) for note in info.notes]
 
 
-def estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
-    """Estimate one run over all files that can be read; None if there are none."""
+def _estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
+    """Estimate one run over all files that can be read; None if there are none, or they cannot be mapped together."""
     readable = [report for report in reports if report.info is not None]
-    if not readable:
+    if not readable or _why_not_together(reports):
         return None
     counted = [report.summary.tiles for report in readable if report.summary is not None]
     tiles = sum(counted) if len(counted) == len(readable) else None
     return estimate([report.info for report in readable if report.info], readable[0].grid, budget, tiles)
 
 
-def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
+def _run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
     """Return everything about the run, for ``--json``."""
     return {
         "memory_option_bytes": budget.memory,
@@ -306,7 +403,7 @@ def run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
     }
 
 
-def run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
+def _run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
     """Return the needs of a run as (name, text)."""
     unknown = "unknown until the points are read: run without --quick"
     scratch = (

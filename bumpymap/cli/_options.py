@@ -1,15 +1,29 @@
-"""Options of commands, made from the declaration of their settings, and which were given on the command line."""
+"""Commands: their options, made from the declaration of their settings, which were given, and how results are printed.
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+A command is a function of a `Run` with the decorator `job`.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, fields
 from functools import wraps
+from itertools import chain
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args, get_origin
+from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin
 
 import click
 from click.core import ParameterSource
 
-from bumpymap.cli._text import option_name, set_up_logging, spell_settings
+from bumpymap.cli._progress import CommandProgress, show_progress
+from bumpymap.cli._text import (
+    Styled,
+    Table,
+    option_name,
+    print_json,
+    print_lines,
+    set_up_logging,
+    spell_settings,
+)
 from bumpymap.core import (
     Clash,
     Declared,
@@ -25,17 +39,14 @@ from bumpymap.core import (
 
 __all__ = [
     "FILE",
+    "JOBS",
     "LOCATION",
     "PATH",
-    "GroupedCommand",
-    "changed_settings",
-    "config_options",
-    "given_options",
+    "RESUME",
+    "Run",
+    "gone_option",
     "grouped_option",
-    "jobs_option",
-    "merge_settings",
-    "output_options",
-    "resume_option",
+    "job",
     "settings_options",
 ]
 
@@ -77,9 +88,9 @@ LOCATION = _Location(path_type=Path)
 class GroupedOption(click.Option):
     """An option that the help page shows under the heading of its group."""
 
-    def __init__(self, *names: Any, group: str = "Run", key: str = "", **more: Any) -> None:
+    def __init__(self, *names: Any, group: str = "Run", key: str = "", declared: bool = False, **more: Any) -> None:
         super().__init__(*names, **more)
-        self.group, self.key = group, key
+        self.group, self.key, self.declared = group, key, declared
 
 
 def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> None:
@@ -99,6 +110,9 @@ def grouped_option(*names: str, group: str, **more: Any) -> Callable[[_Command],
 
 class GroupedCommand(click.Command):
     """A command whose help page shows its options in groups, each in its order."""
+
+    owners: tuple[type, ...] = ()
+    """Classes of its settings."""
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; messages name its settings as it takes them."""
@@ -144,64 +158,152 @@ class NumberList(click.ParamType):  # type: ignore[type-arg]
             self.fail(f"{value!r} is no list of {whole}numbers; give one such as 1,2,5", param, ctx)
 
 
-def output_options(what: str = "Print no progress and no summary.") -> Callable[[_Command], _Command]:
-    """Add ``--quiet`` and ``--json``, by which logs are printed; ``what`` is the help text of ``--quiet``."""
-
-    def add(command: Callable[..., Any]) -> Any:
-        @wraps(command)
-        def run(*values: Any, **options: Any) -> Any:
-            set_up_logging(as_json=options["log_json"])
-            return command(*values, **options)
-
-        log_json = click.option("--json", "log_json", is_flag=True, help="Print result, events and errors as JSON.")
-        old = gone_option("--log-json", "give --json, as to every command")
-        return click.option("--quiet", is_flag=True, help=what)(old(log_json(run)))
-
-    return add
+_PARTLY_DONE = 4
+_OF_ALL = ("quiet", "log_json", "config_file", "assigned")
 
 
-def gone_option(name: str, instead: str) -> Callable[[_Command], _Command]:
-    """Add an option that there was, which only says what to do ``instead``."""
+def _is_given(ctx: click.Context, name: str) -> bool:
+    return ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE
+
+
+@dataclass
+class Run:
+    """A command that runs: settings by where they come from, and what its results are printed for."""
+
+    ctx: click.Context
+    owners: tuple[type, ...]
+    """Classes of its settings."""
+    clashes: Sequence[Clash]
+    """Settings that exclude each other."""
+    quiet: bool
+    as_json: bool
+    stored: dict[str, Any]
+    """Settings of the file of ``--config``."""
+    assigned: dict[str, Any]
+    """Settings of ``--set``; a table of the file keeps its other values."""
+    given: dict[str, Any]
+    """Settings that are given by options and arguments, even with an empty value."""
+
+    @property
+    def from_file(self) -> dict[str, Any]:
+        """Settings of ``--config`` and of ``--set``, which override them."""
+        return merge_settings(self.stored, self.assigned, self.clashes)
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """All settings. Those of the command line also override settings that contradict them."""
+        return merge_settings(self.from_file, self.given, self.clashes)
+
+    def required(self, **examples: str) -> dict[str, Any]:
+        """Return all settings; raise UsageError if one of these is not there, with an example of how to give it."""
+        settings = self.settings
+        for name, example in examples.items():
+            if not settings.get(name):
+                raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
+        return settings
+
+    def changed(self, *owners: type) -> dict[str, Any]:
+        """Return the settings that are given, or differ from their defaults: a settings file may state those too.
+
+        Of a setting that several classes have, the default is that of the first of ``owners``, those of the command.
+        """
+        own = reversed(owners or self.owners)
+        defaults = {field.name: default_of(field) for owner in own for field in fields(owner)}
+        return {name: value for name, value in self.from_file.items() if value != defaults[name]} | self.given
+
+    def named(self) -> list[str]:
+        """Return the names of options and arguments that are given, and of settings that differ from their defaults."""
+        typed = (name for name in self.ctx.params if name not in _OF_ALL and _is_given(self.ctx, name))
+        return list(dict.fromkeys([*typed, *self.changed()]))
+
+    def progress(self) -> AbstractContextManager[CommandProgress]:
+        """Return a context with the progress to hand over to the work."""
+        return show_progress(quiet=self.quiet, as_json=self.as_json)
+
+    def show(self, record: Mapping[str, Any], lines: Iterable[str | Styled | Table]) -> None:
+        """Print the result: as JSON, or in lines; nothing if the command is to be quiet."""
+        if self.as_json and not self.quiet:
+            print_json(record)
+        elif not self.quiet:
+            print_lines(lines)
+
+    def end_partly_done(self) -> NoReturn:
+        """End with the exit code of a command that left out some of its inputs."""
+        self.ctx.exit(_PARTLY_DONE)
+
+
+def job(
+    name: str,
+    *parts: type | Iterable[click.Parameter],
+    owners: tuple[type, ...] | None = None,
+    clashes: Sequence[Clash] = (),
+    quiet: str = "Print no progress and no summary.",
+) -> Callable[[Callable[..., None]], click.Command]:
+    """Make a command of a function, which gets a `Run`, and its own options and arguments by their names.
+
+    Parameters
+    ----------
+    name : str
+    *parts : type or iterable of click.Parameter
+        Classes of settings, whose options are all taken; or options, such as `settings_options` returns.
+    owners : tuple of type, optional
+        Classes whose fields ``--config`` and ``--set`` set, and arguments of the command; default: those in ``parts``.
+        Empty: the command has no such options.
+    clashes : sequence of Clash
+        Settings that exclude each other.
+    quiet : str
+        Help text of ``--quiet``.
+    """
+    known = tuple(part for part in parts if isinstance(part, type)) if owners is None else owners
+    fields_known = {field.name for owner in known for field in fields(owner)}
+
+    def make(function: Callable[..., None]) -> click.Command:
+        @wraps(function)
+        def run(*, quiet: bool, log_json: bool, **values: Any) -> None:
+            set_up_logging(as_json=log_json)
+            ctx = click.get_current_context()
+            file, words = values.pop("config_file", None), values.pop("assigned", ())
+            stored = read_settings_file(file, *known) if file else {}
+            assigned = assigned_settings(words, stored, "--set", *known)
+            settings = fields_known | {each.name for each in ctx.command.params if getattr(each, "declared", False)}
+            own = {name: values.pop(name) for name in list(values) if name in settings}
+            given = {name: value for name, value in own.items() if _is_given(ctx, name)}
+            function(Run(ctx, known, clashes, quiet, log_json, stored, assigned, given), **values)
+
+        command = click.command(name, cls=GroupedCommand)(run)
+        command.owners = known
+        declared = [settings_options(part) if isinstance(part, type) else part for part in parts]
+        last = [*(_CONFIG if known else []), GroupedOption(["--quiet"], is_flag=True, help=quiet), *_JSON]
+        command.params = [*chain.from_iterable(declared), *command.params, *last]
+        return command
+
+    return make
+
+
+def gone_option(name: str, instead: str) -> GroupedOption:
+    """Return an option that there was, which only says what to do ``instead``."""
 
     def refuse(_ctx: click.Context, _option: click.Parameter, value: bool) -> None:
         if value:
             raise UsageError(f"{name} is gone: {instead}")
 
     dest = "gone" + name.replace("-", "_")
-    return click.option(name, dest, is_flag=True, hidden=True, expose_value=False, callback=refuse)
+    return GroupedOption([name, dest], is_flag=True, hidden=True, expose_value=False, callback=refuse)
 
 
-resume_option = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
-
-
-def jobs_option(command: _Command) -> _Command:
-    """Add ``--jobs`` for drives of the simulation."""
-    text = "Drives at a time, each a process [one per core]."
-    return click.option("--jobs", type=click.IntRange(min=1), metavar="N", help=text)(command)
-
-
-def config_options(*owners: type, clashes: Sequence[Clash] = (), apart: bool = False) -> Callable[[_Command], _Command]:
-    """Add ``--config`` and ``--set``, which set any field of the settings classes ``owners``.
-
-    The command gets ``stored``: name -> value, with those of ``--set`` in the place of those of the file; or, if they
-    are kept ``apart``, those of the file, and as ``assigned`` those of ``--set``.
-    """
-
-    def add(command: Callable[..., Any]) -> Any:
-        @wraps(command)
-        def run(*values: Any, config_file: Path | None, assigned: tuple[str, ...], **options: Any) -> Any:
-            stored = read_settings_file(config_file, *owners) if config_file else {}
-            own = assigned_settings(assigned, stored, "--set", *owners)
-            if apart:
-                return command(*values, stored=stored, assigned=own, **options)
-            return command(*values, stored=merge_settings(stored, own, clashes), **options)
-
-        text = "Any setting of `bumpymap settings`, such as pixels=21"
-        assign = click.option("--set", "assigned", multiple=True, metavar="KEY=VALUE", help=f"{text}.")
-        file = click.option("--config", "config_file", type=PATH, metavar="FILE", help="TOML file with settings.")
-        return file(assign(run))
-
-    return add
+RESUME = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
+_HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
+_CONFIG = (
+    GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),
+    GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", help=_HELP_OF_SET),
+)
+_JSON = (
+    GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),
+    gone_option("--log-json", "give --json, as to every command"),
+)
+JOBS = GroupedOption(
+    ["--jobs"], type=click.IntRange(min=1), metavar="N", help="Drives at a time, each a process [one per core]."
+)
 
 
 def settings_options(
@@ -212,8 +314,8 @@ def settings_options(
     moved: Sequence[str] = (),
     table: str = "",
     **texts: str,
-) -> Callable[[_Command], _Command]:
-    """Add the options of a settings class: those named, or all that it declares.
+) -> list[click.Parameter]:
+    """Return the options of a settings class: those named, or all that it declares.
 
     Parameters
     ----------
@@ -229,40 +331,33 @@ def settings_options(
         Help texts of this command, without the full stop, instead of those of the declaration.
     """
     every = [each for each in settings_with_options(owner) if each.name not in without]
-    declared = [each for each in every if not names or each.name in names]
-
-    def add(command: _Command) -> _Command:
-        for each in reversed(declared):
-            if each.setting.rare or each.name in moved:
-                command = _moved(each, f"{table}.{each.name}" if table else each.name)(command)
-            else:
-                command = _option(each, texts.get(each.name, each.setting.help), each.name in required)(command)
-        return command
-
-    return add
+    return [
+        _moved(each, f"{table}.{each.name}" if table else each.name)
+        if each.setting.rare or each.name in moved
+        else _option(each, texts.get(each.name, each.setting.help), each.name in required)
+        for each in every
+        if not names or each.name in names
+    ]
 
 
-def _option(each: Declared, text: str, required: bool) -> Callable[[_Command], _Command]:
-    """Return a decorator that adds one option."""
+def _option(each: Declared, text: str, required: bool) -> GroupedOption:
     setting = each.setting
-    spelled = _spelled(each)
     default = _default_text(each.default) if setting.default is None else setting.default
     shown = f"{text} [{default}]." if default and "[" not in text else f"{text}."
-    if each.kind is bool:
-        as_flag: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
-        return grouped_option(spelled, each.name, help=shown, group=setting.group, **as_flag)
-    kind, several = _click_type(each.kind)
-    more: dict[str, Any] = {"multiple": several, "required": required, "metavar": setting.metavar}
-    return grouped_option(spelled, each.name, type=kind, help=shown, group=setting.group, **more)
+    more: dict[str, Any] = {"flag_value": False, "type": bool} if each.default else {"is_flag": True}
+    if each.kind is not bool:
+        kind, several = _click_type(each.kind)
+        more = {"type": kind, "multiple": several, "required": required, "metavar": setting.metavar}
+    return GroupedOption([_spelled(each), each.name], help=shown, group=setting.group, declared=True, **more)
 
 
-def _moved(each: Declared, key: str) -> Callable[[_Command], _Command]:
-    """Return a decorator that adds an option which is there only to say how this setting is given."""
+def _moved(each: Declared, key: str) -> GroupedOption:
+    """Return an option which is there only to say how this setting is given."""
     more: dict[str, Any] = {"metavar": each.setting.metavar}
     if each.kind is bool:
         more = {"is_flag": True, "metavar": "false" if each.default else "true"}
-    return grouped_option(
-        _spelled(each), each.name, group="Run", key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
+    return GroupedOption(
+        [_spelled(each), each.name], key=key, hidden=True, expose_value=False, callback=_refuse_moved, **more
     )
 
 
@@ -287,24 +382,6 @@ def _click_type(kind: Any) -> tuple[Any, bool]:
     if get_origin(kind) is tuple:
         return (NumberList(items[0]), False) if items[0] in (int, float) else (_click_type(items[0])[0], True)
     return {int: int, float: float, Path: PATH, Path | str: LOCATION}.get(kind), False
-
-
-def given_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the options that were given on the command line, even with an empty value; leave out defaults.
-
-    Parameters
-    ----------
-    options : mapping
-        Name -> value of all options of the current command.
-    """
-    source = click.get_current_context().get_parameter_source
-    return {name: value for name, value in options.items() if source(name) is ParameterSource.COMMANDLINE}
-
-
-def changed_settings(stored: Mapping[str, Any], *owners: type) -> dict[str, Any]:
-    """Return the settings that differ from their defaults: a settings file may state those too."""
-    defaults = {field.name: default_of(field) for owner in reversed(owners) for field in fields(owner)}
-    return {name: value for name, value in stored.items() if value != defaults[name]}
 
 
 def merge_settings(from_file: dict[str, Any], given: dict[str, Any], clashes: Sequence[Clash]) -> dict[str, Any]:

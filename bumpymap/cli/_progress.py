@@ -1,7 +1,6 @@
 """Progress of a run: bars on a terminal, lines in the log of a batch system, or JSON events."""
 
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from threading import Event, Lock, Thread
@@ -14,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress, TaskID
 
-__all__ = ["Clock", "CommandProgress", "EventProgress", "LineProgress", "show_progress"]
+__all__ = ["Clock", "CommandProgress", "TickedProgress", "show_progress"]
 
 Clock = Callable[[], float]
 _LINE_SECONDS, _EVENT_SECONDS = 30.0, 10.0
@@ -68,11 +67,14 @@ class _Bars:
         print_error(text)
 
 
-class _StepCounter(ABC):
-    """Counts the steps of a stage; `tick` of a subclass prints them, or how many kernels are compiled."""
+class TickedProgress:
+    """Counts the steps of a stage; each `tick` prints a line with the time since the run began, or an event.
 
-    def __init__(self, clock: Clock = time.monotonic) -> None:
-        self._clock, self._begun = clock, clock()
+    An event is also printed when a stage begins, and both when the compilation of kernels begins and ends.
+    """
+
+    def __init__(self, clock: Clock = time.monotonic, *, as_json: bool = False) -> None:
+        self._clock, self._begun, self._as_json = clock, clock(), as_json
         self._lock = Lock()
         self._stage, self._done, self._total = "", 0, None  # type: tuple[str, int, int | None]
         self._kernels = 0, 0
@@ -81,6 +83,8 @@ class _StepCounter(ABC):
         """Begin a stage."""
         with self._lock:
             self._stage, self._done, self._total = stage, 0, total
+        if self._as_json:
+            emit("stage", stage=stage, total=total)
 
     def advance(self, steps: int) -> None:
         """Count steps."""
@@ -91,72 +95,36 @@ class _StepCounter(ABC):
         """Count kernels; say so at once when it begins and when it ends."""
         began, self._kernels = self._kernels[1] > 0, (done, total)
         if not began or done == total:
-            self.tick_compiling(done, total)
+            self._tell_compiling(done, total)
 
     def tick(self) -> None:
         """Print what is being done."""
         if self._kernels[0] < self._kernels[1]:
-            self.tick_compiling(*self._kernels)
+            self._tell_compiling(*self._kernels)
         elif self._stage:
-            self.tick_stage()
+            self._tell_stage()
 
-    @abstractmethod
-    def tick_stage(self) -> None:
-        """Print the steps of the stage."""
+    def note(self, text: str, event: str, **facts: Any) -> None:
+        """Print a line, or an event."""
+        if self._as_json:
+            emit(event, **facts)
+        else:
+            print_error(text)
 
-    @abstractmethod
-    def tick_compiling(self, done: int, total: int) -> None:
-        """Print the number of kernels."""
-
-    def _state(self) -> tuple[str, int, int | None, float]:
+    def _tell_stage(self) -> None:
         with self._lock:
-            return self._stage, self._done, self._total, self._clock() - self._begun
+            stage, done, total, seconds = self._stage, self._done, self._total, self._clock() - self._begun
+        share = min(done / total, 1.0) if total else None
+        shown = f"{done:,}" if share is None else f"{share:.0%} ({done:,} of {total:,})"
+        facts = {"done": done, "total": total, "share": share and round(share, 4), "seconds": round(seconds, 1)}
+        self._tell(f"{stage}: {shown}", "progress", stage=stage, **facts)
 
+    def _tell_compiling(self, done: int, total: int) -> None:
+        self._tell(f"{_COMPILING}: {done} of {total} kernels", "compiling", done=done, total=total)
 
-class LineProgress(_StepCounter):
-    """Prints a line at each `tick`: time since the run began, stage, share."""
-
-    def tick_stage(self) -> None:
-        """Print a line."""
-        stage, done, total, seconds = self._state()
-        counted = f"{done:,}" if not total else f"{min(done / total, 1.0):.0%} ({done:,} of {total:,})"
-        self._print(f"{stage}: {counted}", seconds)
-
-    def tick_compiling(self, done: int, total: int) -> None:
-        """Print a line."""
-        self._print(f"{_COMPILING}: {done} of {total} kernels", self._clock() - self._begun)
-
-    @staticmethod
-    def _print(text: str, seconds: float) -> None:
-        minutes, seconds = divmod(int(seconds), 60)
-        print_error(f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} {text}")
-
-    def note(self, text: str, event: str, **facts: Any) -> None:
-        """Print a line."""
-        print_error(text)
-
-
-class EventProgress(_StepCounter):
-    """Prints an event when a stage begins and at each `tick`."""
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Begin a stage."""
-        super().start(stage, total)
-        emit("stage", stage=stage, total=total)
-
-    def tick_stage(self) -> None:
-        """Print an event with the number of steps."""
-        stage, done, total, seconds = self._state()
-        share = round(min(done / total, 1.0), 4) if total else None
-        emit("progress", stage=stage, done=done, total=total, share=share, seconds=round(seconds, 1))
-
-    def tick_compiling(self, done: int, total: int) -> None:
-        """Print an event with the number of kernels."""
-        emit("compiling", done=done, total=total)
-
-    def note(self, text: str, event: str, **facts: Any) -> None:
-        """Print an event."""
-        emit(event, **facts)
+    def _tell(self, text: str, event: str, **facts: Any) -> None:
+        minutes, seconds = divmod(int(self._clock() - self._begun), 60)
+        self.note(f"{minutes // 60}:{minutes % 60:02d}:{seconds:02d} {text}", event, **facts)
 
 
 @contextmanager
@@ -176,18 +144,13 @@ def show_progress(*, quiet: bool = False, as_json: bool = False) -> Iterator[Com
         with compiling_reports(lambda _done, _total: None):  # who asks for no reports is warned
             yield _Quiet()
         return
-    if as_json:
-        events = EventProgress()
-        with compiling_reports(events.compiling), _calling_every(events.tick, _EVENT_SECONDS):
-            yield events
+    if as_json or is_plain(error=True):
+        ticked = TickedProgress(as_json=as_json)
+        every = _EVENT_SECONDS if as_json else _LINE_SECONDS
+        with compiling_reports(ticked.compiling), _calling_every(ticked.tick, every):
+            yield ticked
         return
-    console = None if is_plain(error=True) else error_console()
-    if console is None or not console.is_terminal:
-        lines = LineProgress()
-        with compiling_reports(lines.compiling), _calling_every(lines.tick, _LINE_SECONDS):
-            yield lines
-        return
-    with moving_bars(console) as bars, compiling_reports(bars.compiling):
+    with moving_bars(error_console()) as bars, compiling_reports(bars.compiling):
         yield bars
 
 

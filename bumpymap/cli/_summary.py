@@ -3,51 +3,42 @@
 import math
 from collections.abc import Iterator
 
-from bumpymap.cli._text import as_options, print_json, print_line, print_table
+from bumpymap.cli._text import ALREADY_DONE, Table, as_options
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
 from bumpymap.layers import SHEET_FOLDER, MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 from bumpymap.views import degrees_line
 
-__all__ = ["ALREADY_DONE", "show"]
-
-ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite replaces it"
+__all__ = ["map_lines", "map_record"]
 
 _TITLES = ("class", "tiles", "share", "median c_r (rad/m)", "median slope (deg)")
 
 
-def show(result: MapResult, config: MapConfig, *, as_json: bool) -> None:
-    """Print the result of a run as a table, or as one JSON object."""
-    if as_json:
-        print_json(_record(result, config))
-        return
+def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
+    """Yield the result of a run in lines."""
     summary = result.summary
     if result.already_done:
-        print_line(f"Already done: {config.out} {ALREADY_DONE}")
+        yield f"Already done: {config.out} {ALREADY_DONE}"
     which = outcome_of_run(result, config).measured
-    print_line(
+    yield (
         f"{count_text(result.points, 'point')}, {count_text(summary.tiles, 'tile')} of {config.tile_size:g} m measured "
         f"from {'all points' if which == 'points' else which}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
-    print_table(_rows(summary), _TITLES)
-    if line := degrees_line(summary.median_c_r[: len(CLASS_NAMES)]):
-        print_line(line)
-    print_line(_passable_line(summary))
-    print_line(unknown_line(result, config))
-    if line := ground_line(result):
-        print_line(as_options(line))
-    if steps := _steps(result, config):
-        print_line(steps)
+    yield Table(_rows(summary), _TITLES)
+    degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), _steps(result, config)
+    yield from filter(None, [degrees, _passable_line(summary)])
+    yield unknown_line(result, config)
+    yield from filter(None, [ground_line(result), lines])
     if result.skipped:
         were = "was" if len(result.skipped) == 1 else "were"
-        print_line(f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons")
+        yield f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons"
     names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
     if result.sheets:
         sheets = f"{count_text(result.sheets, 'sheet')} in {config.out / SHEET_FOLDER}"
-        print_line(f"Layers of {sheets}; over all of them, in {config.out}: {names}")
+        yield f"Layers of {sheets}; over all of them, in {config.out}: {names}"
     else:
-        print_line(f"Layers in {config.out}: {names}")
+        yield f"Layers in {config.out}: {names}"
 
 
 def _passable_line(summary: MapSummary) -> str:
@@ -85,7 +76,8 @@ def _steps(result: MapResult, config: MapConfig) -> str:
     return as_options(describe_lines(result.lines, config.align))
 
 
-def _record(result: MapResult, config: MapConfig) -> dict[str, object]:
+def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
+    """Return the result of a run as an object of JSON."""
     return {
         "out": str(config.out),
         "sheets": result.sheets,

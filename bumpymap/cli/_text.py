@@ -8,7 +8,6 @@ prints one line.
 """
 
 import errno
-import io
 import json
 import logging
 import os
@@ -18,18 +17,23 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any, TextIO
+from shutil import get_terminal_size
+from textwrap import wrap
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TextIO
+
+import click
 
 from bumpymap.core import OutputError, escape_controls
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
 
 __all__ = [
+    "ALREADY_DONE",
     "DRIVES_KEPT",
     "LostOutputError",
+    "Styled",
+    "Table",
     "about",
     "as_options",
     "emit",
@@ -40,8 +44,8 @@ __all__ = [
     "option_name",
     "print_error",
     "print_json",
-    "print_labelled",
     "print_line",
+    "print_lines",
     "print_table",
     "restored_logging",
     "set_up_logging",
@@ -101,44 +105,59 @@ def _as_shown(text: str) -> str:
     return escape_controls(as_options(text))
 
 
-def print_line(text: str = "", style: str = "") -> None:
-    """Print one line to standard output; ``style`` is a style of rich, used on terminals."""
-    if is_plain():
-        _write(_as_shown(text) + "\n")
-        return
-    from rich.text import Text
-
-    _print(Text(_as_shown(text), style))
+Style = Literal["", "bold", "yellow"]
 
 
-def print_labelled(label: str, text: str, style: str) -> None:
-    """Print a line that begins with a styled label."""
-    from rich.text import Text
+class Styled(NamedTuple):
+    """A line of which a terminal shows the label in a style, or all of it if there is no label."""
 
-    _print(Text(escape_controls(label), style).append(_as_shown(text), "default"))
+    text: str
+    style: Style
+    label: str = ""
+
+
+class Table(NamedTuple):
+    """A table with titles and right-aligned numbers; without titles, indented names and their values."""
+
+    rows: Iterable[Sequence[str]]
+    titles: Sequence[str] = ()
+
+
+def print_lines(lines: Iterable[str | Styled | Table]) -> None:
+    """Print lines and tables to standard output."""
+    for line in lines:
+        if isinstance(line, Table):
+            print_table(*line)
+        else:
+            print_line(*([line] if isinstance(line, str) else line))
+
+
+def print_line(text: str = "", style: Style = "", label: str = "") -> None:
+    """Print one line to standard output, see `Styled`."""
+    shown = _in_style(label, style) + _as_shown(text) if label else _in_style(text, style)
+    _write(f"{shown}\n")
+
+
+def _in_style(text: str, style: Style) -> str:
+    shown = _as_shown(text)
+    if not style or is_plain() or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
+        return shown
+    return click.style(shown, bold=style == "bold", fg=None if style == "bold" else style)
 
 
 def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> None:
-    """Print a table with titles and right-aligned numbers; without titles, indented names and their values."""
-    if titles and is_plain():
-        lines = _laid_out([titles, *([_as_shown(cell) for cell in row] for row in rows)])
-        _write("".join(f"{line}\n" for line in lines))
-        return
-    from rich.table import Table
-    from rich.text import Text
-
-    if titles:
-        table = Table(box=None, pad_edge=False)
-        for column, title in enumerate(titles):
-            table.add_column(title, justify="right" if column else "left")
-    else:
-        table = Table.grid(padding=(0, 2))
-        table.add_column(style="cyan", no_wrap=True)
-        table.add_column(overflow="fold")
-    for row in rows:
-        first, *others = (Text(_as_shown(cell)) for cell in row)
-        table.add_row(first if titles else Text("  ").append_text(first), *others)
-    _print(table)
+    """Print a table, see `Table`. On a terminal, values that follow a name are wrapped."""
+    shown = [[_as_shown(cell) for cell in row] for row in ([titles, *rows] if titles else rows)]
+    widths = [max(map(len, column)) for column in zip(*shown, strict=True)]
+    for place, (first, *others) in enumerate(shown):
+        if titles:
+            cells = [first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(others, widths[1:], strict=True))]
+            print_line("  ".join(cells), "" if place else "bold")
+        else:
+            room = max(get_terminal_size().columns - widths[0] - 4, 20)
+            lines = others if is_plain() else wrap(others[0], room, break_on_hyphens=False) or others
+            for line in lines:
+                print_line(f"  {(first if line is lines[0] else '').ljust(widths[0])}  {line}")
 
 
 def print_json(record: Any, indent: int | None = None) -> None:
@@ -168,21 +187,11 @@ def flush() -> None:
 
 
 def is_plain(*, error: bool = False) -> bool:
-    """Return whether standard output (or error) is no terminal, nor to be treated as one: no colours, no bars.
-
-    Then rich, which takes as long to import as the command line itself, is not needed.
-    """
+    """Return whether standard output (or error) is no terminal, nor to be treated as one: no colours, no bars."""
     stream = sys.stderr if error else sys.stdout
-    return not (any(map(os.environ.get, _AS_TERMINAL)) or (stream is not None and stream.isatty()))
-
-
-def _laid_out(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table: the first column to the left, the others to the right."""
-    first, *others = (max(map(len, column)) for column in zip(*rows, strict=True))
-    return [
-        "  ".join([row[0].ljust(first), *(cell.rjust(width) for cell, width in zip(row[1:], others, strict=True))])
-        for row in rows
-    ]
+    return not (
+        any(os.environ.get(name, "0") != "0" for name in _AS_TERMINAL) or (stream is not None and stream.isatty())
+    )
 
 
 def error_console() -> "Console":
@@ -190,23 +199,6 @@ def error_console() -> "Console":
     from rich.console import Console
 
     return Console(stderr=True, highlight=False, markup=False, emoji=False)
-
-
-class _Rendered(io.StringIO):
-    """Receives the text that rich renders for standard output."""
-
-    def isatty(self) -> bool:
-        """Return whether standard output is a terminal, so that rich uses colours."""
-        return sys.stdout is not None and sys.stdout.isatty()
-
-
-def _print(what: "Text | Table") -> None:
-    from rich.console import Console
-    from rich.text import Text
-
-    rendered = _Rendered()
-    Console(file=rendered, highlight=False).print(what, soft_wrap=isinstance(what, Text))
-    _write(rendered.getvalue())
 
 
 def _write(text: str) -> None:
@@ -296,6 +288,7 @@ def set_up_logging(*, as_json: bool) -> None:
         logger.propagate = False
 
 
+ALREADY_DONE = "holds a complete run of these inputs and settings. Nothing was written; --overwrite replaces it"
 DRIVES_KEPT = "The driven patches are kept: give the same command again to continue."
 
 

@@ -1,22 +1,15 @@
 """``bumpymap batch``: map many surveys, each to a folder of its own."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    PATH,
-    GroupedCommand,
-    config_options,
-    given_options,
-    merge_settings,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import as_options, interrupt_note, print_json, print_line
-from bumpymap.core import CLASHES, MapConfig, count_text
+from bumpymap.cli._options import PATH, Run, job, settings_options
+from bumpymap.cli._progress import CommandProgress
+from bumpymap.cli._text import as_options, interrupt_note
+from bumpymap.core import CLASHES, MapConfig, count_text, override_settings
 from bumpymap.survey import BatchConfig
 
 if TYPE_CHECKING:
@@ -31,32 +24,22 @@ _MOST_LISTED = 20
 """Messages and warnings that the summary lists at most."""
 
 
-@click.command("batch", cls=GroupedCommand)
-@click.argument("source", type=PATH)
-@settings_options(BatchConfig, required=("out",))
-@settings_options(
-    MapConfig,
-    without=("out",),
-    moved=("z_unit", "local", "skip_bad", "align", "speed", "sheets"),
-    threads="Number of threads, shared by --jobs",
-    memory="Memory, shared by --jobs",
-    overwrite="Replace layers of other inputs or settings",
+@job(
+    "batch",
+    settings_options(BatchConfig, required=("out",)),
+    settings_options(
+        MapConfig,
+        without=("out",),
+        moved=("z_unit", "local", "skip_bad", "align", "speed", "sheets"),
+        threads="Number of threads, shared by --jobs",
+        memory="Memory, shared by --jobs",
+        overwrite="Replace layers of other inputs or settings",
+    ),
+    owners=(MapConfig,),
+    clashes=CLASHES,
 )
-@config_options(MapConfig, clashes=CLASHES, apart=True)
-@output_options()
-@click.pass_context
-def command(
-    ctx: click.Context,
-    /,
-    source: Path,
-    out: Path | str,
-    *,
-    stored: dict[str, Any],
-    assigned: dict[str, Any],
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
-) -> None:
+@click.argument("source", type=PATH)
+def command(run: Run, source: Path) -> None:
     """Map the surveys of SOURCE, each to a folder of its own. The same command continues an interrupted batch.
 
     SOURCE is a folder, a .txt file with a path in each line, or a .csv file with the column "survey"; its other columns
@@ -68,15 +51,14 @@ def command(
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.survey import run_batch
 
-    settings = merge_settings(assigned, given_options(given), CLASHES)
-    own = {name: settings.pop(name) for name in ("survey_per", "jobs") if name in settings}
-    config = BatchConfig(source, out, settings, stored, **own)
-    with interrupt_note(_CONTINUE), show_progress(quiet=quiet, as_json=log_json) as progress:
+    given = override_settings(run.assigned, run.given, CLASHES)
+    own = {name: given.pop(name) for name in ("out", "survey_per", "jobs") if name in given}
+    config = BatchConfig(source, given=given, defaults=run.stored, **own)
+    with interrupt_note(_CONTINUE), run.progress() as progress:
         result = run_batch(config, _reporter(progress), lambda total: progress.start("surveys", total), as_options)
-    if not quiet:
-        _show(result, out, as_json=log_json)
+    run.show(_record(result, config.out), _lines(result, config.out))
     if result.exit_code:
-        ctx.exit(result.exit_code)
+        run.ctx.exit(result.exit_code)
 
 
 def _reporter(progress: CommandProgress) -> "BatchReport":
@@ -94,23 +76,30 @@ def _reporter(progress: CommandProgress) -> "BatchReport":
     return report
 
 
-def _show(result: "BatchResult", out: Path | str, *, as_json: bool) -> None:
-    """Print how many surveys are done, and which are not."""
-    counts = {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
-    bad = result.with_status(*_BAD)
-    if as_json:
-        failed = {row.name: row.message for row in bad}
-        warnings = {row.name: list(row.warnings) for row in result.rows if row.warnings}
-        record = {"out": str(out), "surveys": len(result.rows), "counts": counts}
-        print_json({**record, "failed": failed, "warnings": warnings})
-        return
+def _counts(result: "BatchResult") -> dict["SurveyStatus", int]:
+    return {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
+
+
+def _record(result: "BatchResult", out: Path | str) -> dict[str, Any]:
+    return {
+        "out": str(out),
+        "surveys": len(result.rows),
+        "counts": _counts(result),
+        "failed": {row.name: row.message for row in result.with_status(*_BAD)},
+        "warnings": {row.name: list(row.warnings) for row in result.rows if row.warnings},
+    }
+
+
+def _lines(result: "BatchResult", out: Path | str) -> Iterator[str]:
+    """Say how many surveys are done, and which are not."""
     warned = sum(bool(row.warnings) for row in result.rows)
-    listed = [f"{count} {status}" for status, count in counts.items()] + [f"{warned} with warnings"] * bool(warned)
-    print_line(f"{count_text(len(result.rows), 'survey')}: {', '.join(listed)}")
-    lines = [f"  {row.name} {row.status}: {row.message}" for row in bad]
+    listed = [f"{count} {status}" for status, count in _counts(result).items()] + [f"{warned} with warnings"] * bool(
+        warned
+    )
+    yield (f"{count_text(len(result.rows), 'survey')}: {', '.join(listed)}")
+    lines = [f"  {row.name} {row.status}: {row.message}" for row in result.with_status(*_BAD)]
     lines += [f"  {row.name}, warning: {warning}" for row in result.rows for warning in row.warnings]
-    for line in lines[:_MOST_LISTED]:
-        print_line(line)
+    yield from lines[:_MOST_LISTED]
     if len(lines) > _MOST_LISTED:
-        print_line(f"  and {len(lines) - _MOST_LISTED} more")
-    print_line(f"Look at {str(out).rstrip('/')}/index.html; the table is summary.csv, events are in log.jsonl")
+        yield (f"  and {len(lines) - _MOST_LISTED} more")
+    yield (f"Look at {str(out).rstrip('/')}/index.html; the table is summary.csv, events are in log.jsonl")

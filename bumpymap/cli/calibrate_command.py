@@ -4,26 +4,17 @@ import os
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from bumpymap.cli._options import (
-    FILE,
-    GroupedCommand,
-    config_options,
-    given_options,
-    grouped_option,
-    jobs_option,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, option_name, print_error, print_json, print_line
+from bumpymap.cli._options import FILE, JOBS, Run, grouped_option, job
+from bumpymap.cli._progress import CommandProgress
+from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, option_name, print_error, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
 from bumpymap.lab import CalibrationSettings
 
@@ -34,26 +25,14 @@ if TYPE_CHECKING:
 _NO_OUT = "calibrate needs a file to write: --out FILE.json (or --check)"
 
 
-@click.command("calibrate", cls=GroupedCommand)
+@job("calibrate", CalibrationSettings, [JOBS])
 @grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
 @grouped_option("--out", type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output")
-@settings_options(CalibrationSettings)
-@jobs_option
 @click.option("--quick", is_flag=True, help="Rough calibration in minutes: fewer drives and z ranges.")
 @grouped_option("--overwrite", is_flag=True, help="Replace the file, and drives of other settings.", group="Output")
 @click.option("--check", is_flag=True, help="Only check the simulation against formulas; write no file.")
-@config_options(CalibrationSettings)
-@output_options()
 def command(
-    *,
-    vehicle: str | None,
-    out: Path | None,
-    quick: bool,
-    check: bool,
-    stored: dict[str, Any],
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
+    run: Run, vehicle: str | None, out: Path | None, jobs: int | None, quick: bool, overwrite: bool, check: bool
 ) -> None:
     """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.
 
@@ -63,25 +42,24 @@ def command(
 
     vehicle = vehicle or _default_vehicle(out, check=check)
     profile = load_profile(vehicle)
-    workers, overwrite = given.pop("jobs") or os.cpu_count() or 1, given.pop("overwrite")
+    workers = jobs or os.cpu_count() or 1
     settings = CalibrationSettings(profile)
-    settings = replace(settings.quick() if quick else settings, **{**stored, **given_options(given)})
+    settings = replace(settings.quick() if quick else settings, **run.settings)
     if check:
-        _refuse_beside_check(stored)
+        for name in sorted({*run.named()} - {"check", "vehicle", "seed"}):
+            raise UsageError(
+                f"--check makes no calibration and writes nothing: leave out {option_name(name)} or --check"
+            )
         _check(profile, settings.seed)
         return
     if out is None:
         raise UsageError(_NO_OUT)
     again = _command_line(settings, vehicle, out, quick)
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
-        announce = print_line if not (quiet or log_json) else (lambda _text: None)
+    with run.progress() as progress:
+        announce = print_line if not (run.quiet or run.as_json) else (lambda _text: None)
         calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce)
-    if quiet:
-        return
-    if log_json:
-        print_json({"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits})
-        return
-    _summary(calibration, out)
+    record = {"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits}
+    run.show(record, _lines(calibration, out))
 
 
 def _default_vehicle(out: Path | None, *, check: bool) -> str:
@@ -97,13 +75,6 @@ def _default_vehicle(out: Path | None, *, check: bool) -> str:
         f"{', '.join(shipped_profiles())}; they have calibrations already. For your own, write a profile: bumpymap "
         "vehicle new my_robot.toml, fill it in, and give --vehicle my_robot.toml"
     )
-
-
-def _refuse_beside_check(stored: dict[str, Any]) -> None:
-    """Raise UsageError for options that have no effect on a check."""
-    given = {*given_options(click.get_current_context().params), *stored}
-    for name in sorted(given - {"check", "vehicle", "seed", "quiet", "log_json", "config_file", "assigned"}):
-        raise UsageError(f"--check makes no calibration and writes nothing: leave out {option_name(name)} or --check")
 
 
 def _calibrate(
@@ -191,24 +162,24 @@ def _command_line(settings: CalibrationSettings, vehicle: str, out: Path, quick:
     return shlex.join(words)
 
 
-def _summary(calibration: "Calibration", out: Path) -> None:
+def _lines(calibration: "Calibration", out: Path) -> Iterator[str]:
     from bumpymap.core import CLASS_NAMES
     from bumpymap.lab import library_terrains
 
     pairs = zip(sum(calibration.p_fail, ()), sum(calibration.drives, ()), strict=True)
     drives, failed = sum(map(sum, calibration.drives)), sum(share * count for share, count in pairs)
-    print_line(f"calibration {calibration.id} of {calibration.vehicle['name']}")
-    print_line(f"  {drives} drives over textures, {failed:.0f} failed")
+    yield f"calibration {calibration.id} of {calibration.vehicle['name']}"
+    yield f"  {drives} drives over textures, {failed:.0f} failed"
     library = library_terrains(calibration)
     drives, failed = sum(t.drives for t in library), sum(t.failed for t in library)
-    print_line(f"  {drives} drives over {len(library)} terrains of the library, {failed} failed")
+    yield f"  {drives} drives over {len(library)} terrains of the library, {failed} failed"
     limits = (0.0, *calibration.class_limits)
     for class_id, (name, low, mean) in enumerate(zip(CLASS_NAMES, limits, calibration.class_c_r, strict=True)):
-        print_line(
+        yield (
             f"  class {class_id} {name:10s} from {low:.3f} rad/m ({degrees(low):4.1f} deg/m), "
             f"mean {mean:.3f} rad/m ({degrees(mean):4.1f} deg/m)"
         )
-    print_line(f"wrote {out}")
+    yield f"wrote {out}"
 
 
 def _check(profile: "Vehicle", seed: int) -> None:

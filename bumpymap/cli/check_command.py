@@ -1,26 +1,17 @@
 """``bumpymap check``: a map against real drives over it."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from bumpymap.check import CheckConfig
-from bumpymap.cli._options import (
-    FILE,
-    PATH,
-    GroupedCommand,
-    config_options,
-    given_options,
-    grouped_option,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._progress import show_progress
-from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.cli._options import FILE, PATH, Run, grouped_option, job, settings_options
+from bumpymap.cli._text import Styled, Table
 from bumpymap.core import (
     BadInputError,
     BumpymapError,
@@ -37,33 +28,22 @@ if TYPE_CHECKING:
     from bumpymap.layers import MapReader
     from bumpymap.rating import Calibration, DriveUpdate
 
-__all__ = ["Refit", "command", "prepare_refit", "show"]
+__all__ = ["Refit", "command", "prepare_refit"]
 
 
-def show(
-    result: "CheckResult",
-    files: Sequence[Path],
-    config: CheckConfig,
-    refit: Mapping[str, Any] | None = None,
-    *,
-    as_json: bool,
-) -> None:
-    """Print what was found, or one JSON object, with what was done to the calibration."""
-    if as_json:
-        print_json(_record(result, files, config) | ({} if refit is None else {"refit": refit}))
-        return
+def _lines(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> Iterator[str | Styled | Table]:
     from bumpymap.views import check_headline, warnings_of
 
     for drive in result.drives:
-        for line in _drive_lines(drive):
-            print_line(line)
-    print_line(check_headline(result))
+        yield from _drive_lines(drive)
+    yield check_headline(result)
     if result.by_class:
-        print_table(_classes(result), ("class of the map", "way", "map / measured", "typical error", "in the interval"))
+        titles = ("class of the map", "way", "map / measured", "typical error", "in the interval")
+        yield Table(_classes(result), titles)
     for warning in warnings_of(result):
-        print_line(f"Warning: {warning}", "yellow")
+        yield Styled(f"Warning: {warning}", "yellow")
     if config.out is not None:
-        print_line(f"Files in {config.out}: {', '.join(path.name for path in files)}")
+        yield f"Files in {config.out}: {', '.join(path.name for path in files)}"
 
 
 def _drive_lines(drive: "CheckedDrive") -> Iterator[str]:
@@ -187,11 +167,10 @@ class Refit:
                 beside.write_text(moved.to_json(), encoding="utf-8")
         return update
 
-    def show(self, update: "DriveUpdate") -> None:
-        """Print what was found, in words."""
-        for line in _words(update):
-            print_line(line)
-        print_line(f"Calibration: {self.out}. Map with it: bumpymap map SURVEY --out DIR --calibration {self.out}")
+    def lines(self, update: "DriveUpdate") -> Iterator[str]:
+        """Say what was found, in words."""
+        yield from _words(update)
+        yield f"Calibration: {self.out}. Map with it: bumpymap map SURVEY --out DIR --calibration {self.out}"
 
     def record(self, update: "DriveUpdate") -> dict[str, Any]:
         """Return what was found, as plain JSON."""
@@ -320,12 +299,8 @@ def _refit_percent(share: float) -> str:
     return f"{100 * share:.0f} %"
 
 
-_PARTLY_DONE = 4
-
-
-@click.command("check", cls=GroupedCommand)
+@job("check", settings_options(CheckConfig, required=("drives",)), owners=(CheckConfig,))
 @click.argument("layers", type=PATH, metavar="[LAYERS]", required=False)
-@settings_options(CheckConfig, required=("drives",))
 @grouped_option(
     "--columns", metavar="LIST", help="Of the log: rate_y=GyrY[deg/s],time=t [guessed and shown].", group="Input"
 )
@@ -335,20 +310,7 @@ _PARTLY_DONE = 4
 @grouped_option(
     "--calibration", type=FILE, metavar="FILE", help="With --refit: that of the map [its own].", group="Vehicle"
 )
-@config_options(CheckConfig)
-@output_options()
-@click.pass_context
-def command(
-    ctx: click.Context,
-    /,
-    layers: Path | None,
-    *,
-    stored: dict[str, Any],
-    quiet: bool,
-    log_json: bool,
-    columns: str | None,
-    **given: Any,
-) -> None:
+def command(run: Run, refit: Path | None, calibration: Path | None) -> None:
     """Compare a map with real drives: LAYERS is a folder of `bumpymap map`; without it drives are measured alone.
 
     Drives that cannot be used are left out and named (exit code 4).
@@ -362,30 +324,26 @@ def command(
     from bumpymap.check import run_check
     from bumpymap.readers import parse_columns
 
-    refit = _refit(layers, given.pop("refit"), given.pop("calibration"), overwrite=given["overwrite"])
-    named = None if columns is None else parse_columns(columns)
-    config = CheckConfig(**{**stored, **given_options(given), "layers": layers, "columns": named})
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
+    settings = run.settings
+    if settings.get("columns") is not None:
+        settings["columns"] = parse_columns(settings["columns"])
+    if calibration is not None and refit is None:
+        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
+    moved = None  # found before drives are measured
+    if refit is not None:
+        moved = prepare_refit(settings.get("layers"), calibration, refit, overwrite="overwrite" in run.given)
+    config = CheckConfig(**settings)
+    with run.progress() as progress:
         result, files = run_check(config, progress)
-    update, refused = _moved(refit, result)
-    if not quiet:
-        refitted = None if refit is None or update is None else refit.record(update)
-        show(result, files, config, refitted, as_json=log_json)
-        if refit is not None and update is not None and not log_json:
-            refit.show(update)
+    update, refused = _moved(moved, result)
+    record, lines = _record(result, files, config), _lines(result, files, config)
+    if moved is not None and update is not None:
+        record, lines = record | {"refit": moved.record(update)}, chain(lines, moved.lines(update))
+    run.show(record, lines)
     if refused is not None:
         raise refused
     if result.skipped:
-        ctx.exit(_PARTLY_DONE)
-
-
-def _refit(layers: Path | None, out: Path | None, calibration: Path | None, *, overwrite: bool) -> "Refit | None":
-    """Find the calibration to move, before drives are measured; None if none is to be moved."""
-    if out is not None:
-        return prepare_refit(layers, calibration, out, overwrite=overwrite)
-    if calibration is not None:
-        raise UsageError("`calibration` is the one that `refit` moves: give `refit` too, or leave it out")
-    return None
+        run.end_partly_done()
 
 
 def _moved(refit: "Refit | None", result: "CheckResult") -> "tuple[DriveUpdate | None, BumpymapError | None]":

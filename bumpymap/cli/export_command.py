@@ -7,17 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    PATH,
-    GroupedCommand,
-    changed_settings,
-    config_options,
-    given_options,
-    grouped_option,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._text import option_name, print_json, print_line
+from bumpymap.cli._options import PATH, Run, grouped_option, job, settings_options
+from bumpymap.cli._text import option_name
 from bumpymap.core import UsageError
 from bumpymap.views import ExportFormat, ExportSettings
 
@@ -46,27 +37,15 @@ _LOCAL_DATUM_M = 1e6
 """The same for a map without a CRS, whose frame may begin anywhere."""
 
 
-@click.command("export", cls=GroupedCommand)
+@job("export", settings_options(ExportSettings, required=("to",)), owners=(ExportSettings,), quiet="Print no summary.")
 @click.argument("layers", nargs=-1, required=True, type=PATH, metavar="LAYERS...")
 @grouped_option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.", group="Output")
 @grouped_option(
     "--around", metavar="POINT", help="Tiles around lon,lat or x,y in the survey's CRS [all].", group="Input"
 )
 @grouped_option("--datum", metavar="POINT", help="Origin of the frame [a corner of a middle tile].", group="Output")
-@settings_options(ExportSettings, required=("to",))
 @grouped_option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.", group="Output")
-@config_options(ExportSettings)
-@output_options("Print no summary.")
-def command(
-    layers: tuple[Path, ...],
-    out: Path,
-    *,
-    stored: dict[str, Any],
-    overwrite: bool,
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
-) -> None:
+def command(run: Run, layers: tuple[Path, ...], out: Path, overwrite: bool) -> None:
     """Write the map in LAYERS, folders of `bumpymap map`, in a format that robots read.
 
     \b
@@ -80,24 +59,17 @@ def command(
     bumpymap export site_layers --to nav2 --out site_nav2
     bumpymap export site_layers --to plan --route route.geojson --out site_plan
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    options = {**changed_settings(stored, ExportSettings), **given_options(given)}
-    _refuse_idle(options, given["to"])
+    _refuse_idle(run.changed(), run.given["to"])
     from bumpymap.layers import open_map
     from bumpymap.views import export_map
 
     # Settings that need no map are checked before it is opened.
-    own = {name: value for name, value in given_options(given).items() if name not in _POINTS}
-    settings = ExportSettings(**{**stored, **own})
+    points = {name: run.given.pop(name) for name in _POINTS if name in run.given}
+    settings = ExportSettings(**run.settings)
     route_map = open_map(layers)
-    done = export_map(route_map, out, _placed(settings, given, route_map), overwrite=overwrite)
-    if quiet:
-        return
-    if log_json:
-        print_json({"out": str(out), "files": [path.name for path in done.files], **done.record})
-        return
-    for line in _summary(done):
-        print_line(line)
-    print_line(f"Files in {out}: {', '.join(path.name for path in done.files)}")
+    done = export_map(route_map, out, _placed(settings, points, route_map), overwrite=overwrite)
+    files = [path.name for path in done.files]
+    run.show({"out": str(out), "files": files, **done.record}, [*_summary(done), f"Files in {out}: {', '.join(files)}"])
 
 
 def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
@@ -109,14 +81,13 @@ def _refuse_idle(given: Mapping[str, Any], to: str) -> None:
         raise UsageError("--radius has no effect without --around POINT")
 
 
-def _placed(settings: ExportSettings, given: Mapping[str, Any], route_map: "MapReader") -> ExportSettings:
+def _placed(settings: ExportSettings, points: Mapping[str, str], route_map: "MapReader") -> ExportSettings:
     """Add the points, as places on the map."""
     from bumpymap.route import parse_point
 
     beyond = {"around": settings.radius, "datum": _DATUM_M if route_map.has_crs else _LOCAL_DATUM_M}
-    found = {name: given[name] for name in _POINTS if given[name] is not None}
     places: dict[str, Any] = {
-        name: tuple(parse_point(text, route_map, beyond_m=beyond[name])) for name, text in found.items()
+        name: tuple(parse_point(text, route_map, beyond_m=beyond[name])) for name, text in points.items()
     }
     return replace(settings, **places)
 

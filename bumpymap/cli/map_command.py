@@ -4,22 +4,11 @@ import threading
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import click
 
-from bumpymap.cli._options import (
-    LOCATION,
-    GroupedCommand,
-    config_options,
-    given_options,
-    merge_settings,
-    output_options,
-    resume_option,
-    settings_options,
-)
-from bumpymap.cli._progress import show_progress
-from bumpymap.core import CLASHES, MapConfig, Progress, UsageError
+from bumpymap.cli._options import LOCATION, RESUME, Run, job
+from bumpymap.core import CLASHES, MapConfig, Progress
 
 __all__ = ["ImportsAhead", "command", "start_ahead"]
 
@@ -63,17 +52,9 @@ def _import() -> None:
         import_without_pandas("pyogrio.raw", "bumpymap.layers.folder")
 
 
-_PARTLY_DONE = 4
-
-
-@click.command("map", cls=GroupedCommand)
+@job("map", MapConfig, [RESUME], clashes=CLASHES)
 @click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@settings_options(MapConfig)
-@config_options(MapConfig, clashes=CLASHES)
-@resume_option
-@output_options()
-@click.pass_context
-def command(ctx: click.Context, /, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:
+def command(run: Run) -> None:
     """Make roughness layers and a cost map from SURVEY files or folders (LAS, LAZ, COPC, PLY, PCD).
 
     \b
@@ -81,21 +62,16 @@ def command(ctx: click.Context, /, *, stored: dict[str, Any], quiet: bool, log_j
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     bumpymap map site.laz --out layers --vehicle my_robot.toml --set pixels=21
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    settings = merge_settings(stored, given_options(given), CLASHES)
-    for name, example in (("surveys", "site.laz"), ("out", "--out DIR")):
-        if name not in settings:
-            raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
-    config = MapConfig(**settings)
-    if ctx.obj:  # this process runs nothing else
+    config = MapConfig(**run.required(surveys="site.laz", out="--out DIR"))
+    if run.ctx.obj:  # this process runs nothing else
         start_ahead(config.surveys)
     from bumpymap.survey import map_surveys, require_known
 
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
-        result = map_surveys(config, ImportsAhead(progress) if ctx.obj else progress)
-    if not quiet:
-        from bumpymap.cli._summary import show
+    with run.progress() as progress:
+        result = map_surveys(config, ImportsAhead(progress) if run.ctx.obj else progress)
+    from bumpymap.cli._summary import map_lines, map_record
 
-        show(result, config, as_json=log_json)
-    require_known(result, config, explain=quiet or log_json)
+    run.show(map_record(result, config), map_lines(result, config))
+    require_known(result, config, explain=run.quiet or run.as_json)
     if result.skipped:
-        ctx.exit(_PARTLY_DONE)
+        run.end_partly_done()

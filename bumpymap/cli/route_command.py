@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, GroupedCommand, config_options, given_options, output_options, settings_options
-from bumpymap.cli._progress import show_progress
-from bumpymap.cli._text import print_json, print_line, print_table
+from bumpymap.cli._options import PATH, Run, job, settings_options
+from bumpymap.cli._text import Table
 from bumpymap.core import UsageError, count_text
 from bumpymap.route import CostSettings, RouteConfig
 
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from bumpymap.core import Route
     from bumpymap.route import Reach, RouteResult
 
-__all__ = ["command", "show"]
+__all__ = ["command"]
 
 _TIGHT_DEG = 10.0
 """Tight turns from which on they are mentioned."""
@@ -35,22 +34,16 @@ _TITLES = (
 )
 
 
-def show(result: "RouteResult", config: RouteConfig, *, as_json: bool) -> None:
-    """Print the ways as a table, or as one JSON object."""
-    if as_json:
-        print_json(_record(result, config))
-        return
+def _lines(result: "RouteResult", config: RouteConfig) -> Iterator[str | Table]:
     if result.routes:
-        print_table(map(_row, result.routes), _TITLES)
-        for line in _remarks(result, config):
-            print_line(line)
+        yield Table(map(_row, result.routes), _TITLES)
+        yield from _remarks(result, config)
     if result.reach is not None:
-        print_line(_reached(result.reach))
-        for note in result.notes:
-            print_line(f"Note: {note}")
+        yield _reached(result.reach)
+        yield from (f"Note: {note}" for note in result.notes)
     if config.out is not None:
         folder = result.files[0].parent if result.files else config.out
-        print_line(f"Files in {folder}: {', '.join(path.name for path in result.files)}")
+        yield f"Files in {folder}: {', '.join(path.name for path in result.files)}"
 
 
 def _reached(reach: "Reach") -> str:
@@ -136,20 +129,16 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     }
 
 
-@click.command("route", cls=GroupedCommand)
+@job("route", RouteConfig, settings_options(CostSettings, table="cost"))
 @click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
-@settings_options(RouteConfig)
-@settings_options(CostSettings, table="cost")
-@config_options(RouteConfig)
-@output_options()
-def command(*, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any) -> None:
+def command(run: Run) -> None:
     """Find the cheapest way over the ground that `bumpymap map` wrote to LAYERS.
 
     \b
     bumpymap route layers --from 11.5001,48.2003 --to 11.5034,48.2011 --out way
     bumpymap route layers --from 434100,5411200 --out reach --isochrones 1,2,5
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    settings = {**stored, **given_options(given)}
+    settings = run.settings
     if not settings.get("layers"):
         raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
     from bumpymap.route import plan_routes
@@ -157,7 +146,6 @@ def command(*, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any
     own = {name: settings.pop(name) for name in CostSettings.__dataclass_fields__ if name in settings}
     cost = replace(settings.pop("cost", CostSettings()), **own)
     config = RouteConfig(cost=cost, **settings)
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
+    with run.progress() as progress:
         result = plan_routes(config, progress)
-    if not quiet:
-        show(result, config, as_json=log_json)
+    run.show(_record(result, config), _lines(result, config))

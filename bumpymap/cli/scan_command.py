@@ -1,65 +1,44 @@
 """``bumpymap scan``: classify the ground in scans of a robot; with poses, map its drive."""
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import (
-    PATH,
-    GroupedCommand,
-    config_options,
-    given_options,
-    grouped_option,
-    merge_settings,
-    output_options,
-    resume_option,
-    settings_options,
-)
-from bumpymap.cli._progress import show_progress
-from bumpymap.cli._text import option_name, print_json, print_line, print_table
+from bumpymap.cli._options import PATH, RESUME, Run, gone_option, grouped_option, job, settings_options
+from bumpymap.cli._text import ALREADY_DONE, Table
 from bumpymap.core import (
     VEHICLE_OR_CALIBRATION,
     PolarSettings,
     Robot,
-    UsageError,
     count_text,
-    settings_with_options,
     shares_text,
 )
 from bumpymap.scan import ScanConfig
 
 if TYPE_CHECKING:
-    from bumpymap.scan import ScanRun, StripeModel
+    from bumpymap.scan import ScanRun
 
-__all__ = ["command", "show", "show_fit"]
+__all__ = ["command"]
 
 
-def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
-    """Print the result of a run as a table, or as one JSON object."""
+def _lines(result: "ScanRun", record: Mapping[str, Any], config: ScanConfig) -> Iterator[str | Table]:
     from statistics import median
 
-    record = _record(result, config)
-    if as_json:
-        print_json(record)
-        return
     if result.already_done:
-        from bumpymap.cli._summary import ALREADY_DONE
-
-        print_line(f"Already done: {config.out} {ALREADY_DONE}")
-    print_line(
+        yield f"Already done: {config.out} {ALREADY_DONE}"
+    yield (
         f"frames: {record['frames']:,}, {record['points']:,} points, method {result.method}, "
         f"{median(frame.seconds for frame in result.frames) * 1000.0:.0f} ms per frame (median), "
         f"{sum(result.seconds.values()):.1f} s in total"
     )
     dropped = record["dropped"]
-    print_line(
+    yield (
         f"excluded: {dropped['no_return']:,} returns at (0, 0, 0) or NaN, {dropped['not_finite']:,} not finite, "
         f"{dropped['on_robot']:,} on the robot"
     )
     states = record["sector_states"]
-    print_line(
+    yield (
         f"sectors: {states['free']:,} free (class 0 or 1), {states['obstacle']:,} with an obstacle, "
         f"{states['rough']:,} rough, {states['not ground']:,} not ground"
     )
@@ -67,18 +46,19 @@ def show(result: "ScanRun", config: ScanConfig, *, as_json: bool) -> None:
         *rated, unknown = record["sectors_by_ride"].values()
         classes = ", ".join(f"{count:,} of class {number}" for number, count in enumerate(rated))
         name = config.vehicle if config.calibration is None else config.calibration
-        print_line(f"ride of {name}: {classes}; unknown in {unknown:,} of {unknown + sum(rated):,} sectors")
-    print_table(_rows(record["sectors"], record["points_by_class"]), ("class", "sectors", "share", "points"))
+        yield f"ride of {name}: {classes}; unknown in {unknown:,} of {unknown + sum(rated):,} sectors"
+    titles = ("class", "sectors", "share", "points")
+    yield Table(_rows(record["sectors"], record["points_by_class"]), titles)
     if result.skipped:
-        print_line(f"skipped frames: {len(result.skipped)}; scan.json lists the reasons")
-    print_line(f"Output in {config.out}: {', '.join(result.files)}")
+        yield f"skipped frames: {len(result.skipped)}; scan.json lists the reasons"
+    yield f"Output in {config.out}: {', '.join(result.files)}"
     if result.merged is not None:
-        print_line(_merged_line(result.merged))
+        yield _merged_line(result.merged)
     if config.bag is not None:
-        print_line(f"Grids of the frames in {config.bag}")
+        yield f"Grids of the frames in {config.bag}"
     if result.drive is not None:
         tiles = result.drive.summary
-        print_line(
+        yield (
             f"Map of the drive in {result.drive.files[0].parent}: {count_text(tiles.tiles, 'tile')}, "
             f"{tiles.unknown:,} of them unknown"
         )
@@ -95,20 +75,6 @@ def _merged_line(merged: Mapping[str, Any]) -> str:
         )
     kept = f"{merged['points']:,} of {merged['seen']:,} points, without {merged['moving']:,} of moving things"
     return f"Merged: {kept}; {agree}"
-
-
-def show_fit(model: "StripeModel", config: ScanConfig, skipped: dict[str, str], *, as_json: bool) -> None:
-    """Print the result of a fit."""
-    if as_json:
-        found = {"out": str(config.out), "centres": model.centres, "scans": model.scans, "sectors": model.sectors}
-        print_json(found | {"skipped": skipped})
-        return
-    centres = ", ".join(f"{centre:.2f}" for centre in model.centres)
-    print_line(
-        f"class 0 to 2: {centres} stripes, from {count_text(model.sectors, 'sector')} of "
-        f"{count_text(model.scans, 'frame')}"
-    )
-    print_line(f"wrote {config.out}; use it with: bumpymap scan FRAME --out DIR --set stripes={config.out}")
 
 
 def _rows(sectors: dict[str, int], points: dict[str, int]) -> Iterator[tuple[str, ...]]:
@@ -140,11 +106,6 @@ def _sum(frames: list[dict[str, Any]], name: str) -> dict[str, int]:
     return {part: sum(frame[name][part] for frame in frames) for part in frames[0][name]}
 
 
-_PARTLY_DONE = 4
-_OF_A_FIT = ("topic", "columns", "labels", "skip_bad", "overwrite")
-_NOT_OF_A_FIT = ["pictures", *(each.name for each in settings_with_options(ScanConfig) if each.name not in _OF_A_FIT)]
-
-
 class _EveryNth(click.types.IntParamType):
     """A whole number that may be left out, which a FRAME that follows is taken for."""
 
@@ -156,14 +117,15 @@ class _EveryNth(click.types.IntParamType):
             self.fail(f"'{value}' is not a whole number. Name the frames first, or write --pictures 1", param, ctx)
 
 
-@click.command("scan", cls=GroupedCommand)
-@click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
-@settings_options(ScanConfig)
-@settings_options(PolarSettings, table="polar")
-@settings_options(Robot, table="robot")
-@grouped_option(
-    "--fit", type=PATH, metavar="FILE", help="Fit the filter's stripe classes and write only them.", group="Output"
+@job(
+    "scan",
+    ScanConfig,
+    settings_options(PolarSettings, table="polar"),
+    settings_options(Robot, table="robot"),
+    [RESUME, gone_option("--fit", "train a network of your own with: bumpymap train --scans DIR --out FILE.onnx")],
+    clashes=[VEHICLE_OR_CALIBRATION],
 )
+@click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")
 @grouped_option(
     "--pictures",
     type=_EveryNth(),
@@ -173,50 +135,23 @@ class _EveryNth(click.types.IntParamType):
     help="Draw all frames, or every Nth one.",
     group="Output",
 )
-@config_options(ScanConfig, clashes=[VEHICLE_OR_CALIBRATION])
-@resume_option
-@output_options()
-@click.pass_context
-def command(
-    ctx: click.Context, /, fit: Path | None, *, stored: dict[str, Any], quiet: bool, log_json: bool, **given: Any
-) -> None:
+def command(run: Run) -> None:
     """Classify the ground around a robot in LiDAR scans: FRAME files or folders (PLY, PCD, KITTI .bin, ROS 2 bags).
 
     \b
     bumpymap scan frame.pcd --out out
     bumpymap scan drive --poses poses.txt --out out
     bumpymap scan drive.mcap --out out --bag grids.mcap
-    bumpymap scan drive --fit stripes.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.layers import import_without_pandas
-    from bumpymap.scan import fit_frames, scan_frames
+    from bumpymap.scan import scan_frames
 
-    config = _config(stored, fit, given)
-    if ctx.obj:
+    config = ScanConfig(**run.required(frames="a file or a folder of scans", out="--out DIR"))
+    if run.ctx.obj:
         import_without_pandas(*["pyogrio.raw"] if config.may_have_poses else [])
-    with show_progress(quiet=quiet, as_json=log_json) as progress:
-        if fit is None:
-            result = scan_frames(config, progress)
-            skipped = result.skipped
-        else:
-            model, skipped = fit_frames(config, progress)
-    if not quiet and fit is None:
-        show(result, config, as_json=log_json)
-    elif not quiet:
-        show_fit(model, config, skipped, as_json=log_json)
-    if skipped:
-        ctx.exit(_PARTLY_DONE)
-
-
-def _config(stored: dict[str, Any], fit: Path | None, given: dict[str, Any]) -> ScanConfig:
-    """Merge the settings of the file and of the command line, which override them."""
-    options = given_options(given)
-    if fit is not None and (wrong := [name for name in _NOT_OF_A_FIT if name in options]):
-        raise UsageError(f"--fit writes stripe classes and nothing else: leave out {option_name(wrong[0])}")
-    settings = merge_settings(stored, options, [VEHICLE_OR_CALIBRATION])
-    if fit is not None:
-        settings = {name: value for name, value in settings.items() if name not in _NOT_OF_A_FIT} | {"out": fit}
-    for name, example in (("frames", "a file or a folder of scans"), ("out", "--out DIR")):
-        if not settings.get(name):
-            raise UsageError(f"no {name} given: add {example}, or set {name} in a file for --config")
-    return ScanConfig(**settings)
+    with run.progress() as progress:
+        result = scan_frames(config, progress)
+    record = _record(result, config)
+    run.show(record, _lines(result, record, config))
+    if result.skipped:
+        run.end_partly_done()

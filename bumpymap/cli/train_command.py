@@ -1,26 +1,14 @@
 """``bumpymap train``: train the texture network, or with ``--scans`` the network for the sectors of scans."""
 
-import logging
 from collections.abc import Callable
 from dataclasses import asdict, fields
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from bumpymap.cli._options import (
-    FILE,
-    GroupedCommand,
-    changed_settings,
-    config_options,
-    given_options,
-    grouped_option,
-    output_options,
-    settings_options,
-)
-from bumpymap.cli._progress import CommandProgress, show_progress
-from bumpymap.cli._text import interrupt_note, option_name, print_json, print_line
+from bumpymap.cli._options import FILE, Run, grouped_option, job, settings_options
+from bumpymap.cli._progress import CommandProgress
+from bumpymap.cli._text import interrupt_note, option_name
 from bumpymap.core import OutputError, Progress, UsageError
 from bumpymap.lab import LoopSettings, NetworkSettings, ScanTrainSettings, TrainSettings
 
@@ -29,36 +17,24 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_log = logging.getLogger(__name__)
 
-_SIMULATED = "simulated"
-
-
-@click.command("train", cls=GroupedCommand)
+@job(
+    "train",
+    settings_options(LoopSettings),
+    settings_options(TrainSettings, "patches_per_texture", "tile_size"),
+    settings_options(NetworkSettings, "pixels", table="network"),
+    settings_options(ScanTrainSettings, "sectors_per_class"),
+    owners=(TrainSettings, ScanTrainSettings),
+)
 @grouped_option("--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output")
 @grouped_option(
     "--scans",
-    metavar="simulated|DIR",
-    help="Train the network of `bumpymap scan`: on simulated scenes, or on a folder in the layout of RELLIS-3D.",
+    metavar="DIR",
+    help="Train the network of `bumpymap scan` on labelled frames: a folder in the layout of RELLIS-3D.",
     group="Input",
 )
-@settings_options(LoopSettings)
-@settings_options(TrainSettings, "patches_per_texture", "tile_size")
-@settings_options(NetworkSettings, "pixels", table="network")
-@settings_options(ScanTrainSettings, "scenes", "sectors_per_class")
 @grouped_option("--overwrite", is_flag=True, help="Replace the network of an earlier training.", group="Output")
-@config_options(TrainSettings, ScanTrainSettings)
-@output_options()
-def command(
-    *,
-    out: Path,
-    scans: str | None,
-    stored: dict[str, Any],
-    overwrite: bool,
-    quiet: bool,
-    log_json: bool,
-    **given: Any,
-) -> None:
+def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain and write it as ONNX; no survey is needed.
 
     With --scans, train the scan network instead. To resume an interrupted training after its last complete epoch, give
@@ -66,30 +42,22 @@ def command(
 
     \b
     bumpymap train --out textures.onnx
-    bumpymap train --scans simulated --out scan.onnx
     bumpymap train --scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    owners = (TrainSettings, ScanTrainSettings) if scans is None else (ScanTrainSettings, TrainSettings)
-    options = {**changed_settings(stored, *owners), **given_options(given)}
+    options = run.changed(TrainSettings if scans is None else ScanTrainSettings, *run.owners)
     _refuse_other_options(options, scans)
-    _require(simulates=scans == _SIMULATED)
+    _require_libraries()
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
     if out.exists() and not overwrite:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     note = "Give the same command again to continue after the last complete epoch."
-    with interrupt_note(note), show_progress(quiet=quiet, as_json=log_json) as progress:
+    with interrupt_note(note), run.progress() as progress:
         if scans is None:
             lines, made = _train_textures(options, out, progress)
         else:
-            lines, made = _train_scans(options, out, None if scans == _SIMULATED else Path(scans), progress)
-    if quiet:
-        return
-    if log_json:
-        print_json({"out": str(made.model), "card": str(made.card), "parameters": made.parameters})
-        return
-    for line in lines:
-        print_line(line)
+            lines, made = _train_scans(options, out, Path(scans), progress)
+    run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
 
 
 def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
@@ -98,13 +66,11 @@ def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
     own = names if scans is None else names - {"network"}  # the file's table is that of the texture network
     foreign = [option_name(name) for name in options if name not in own]
     if foreign and scans is None:
-        raise UsageError(f"{foreign[0]} applies to scans: add --scans simulated or --scans DIR, or leave it out")
+        raise UsageError(f"{foreign[0]} applies to scans: add --scans DIR, or leave it out")
     if foreign:
         raise UsageError(f"{foreign[0]} applies to the texture network and has no effect with --scans: leave it out")
     if scans is not None and not scans.strip():
-        raise UsageError(
-            "--scans is empty; is a variable unset? Give simulated, or a folder in the layout of RELLIS-3D"
-        )
+        raise UsageError("--scans is empty; is a variable unset? Give a folder in the layout of RELLIS-3D")
 
 
 def _train_textures(
@@ -124,14 +90,10 @@ def _train_textures(
 
 
 def _train_scans(
-    options: dict[str, Any], out: Path, folder: Path | None, progress: CommandProgress
+    options: dict[str, Any], out: Path, folder: Path, progress: CommandProgress
 ) -> "tuple[list[str], TrainedModel[Any]]":
-    from bumpymap.lab import load_open3d, make_scan_model
+    from bumpymap.lab import make_scan_model
 
-    if folder is None:
-        load_open3d("--scans simulated")
-    elif "scenes" in options:
-        _log.warning("scenes applies to simulated scenes: it has no effect, because %s contains frames", folder)
     made = make_scan_model(ScanTrainSettings(**options), out, folder, _Epochs(progress), _show_sectors(progress))
     scores = made.evaluation
     even = 100 * scores.every.balanced_accuracy
@@ -175,12 +137,7 @@ class _Epochs:
         self._progress.note(text, "epoch", **asdict(report))
 
 
-def _require(*, simulates: bool) -> None:
+def _require_libraries() -> None:
     """Raise UsageError if a library is missing, before the hours of work."""
-    wanted = ("torch", "onnx", "open3d") if simulates else ("torch", "onnx")
-    missing = [name for name in wanted if find_spec(name) is None]
-    if missing:
-        *first, last = missing
-        named = f"{', '.join(first)} and {last}" if first else last
-        extras = ",".join(["learn"] * bool({"torch", "onnx"} & set(missing)) + ["o3d"] * ("open3d" in missing))
-        raise UsageError(f"training needs {named}. Install with: pip install 'bumpymap[{extras}]'")
+    if missing := [name for name in ("torch", "onnx") if find_spec(name) is None]:
+        raise UsageError(f"training needs {' and '.join(missing)}. Install with: pip install 'bumpymap[learn]'")

@@ -46,7 +46,6 @@ from .drive_types import (
     CheckResult as CheckResult,
     DriveLog as DriveLog,
     DrivenStretches as DrivenStretches,
-    DrivenTiles as DrivenTiles,
     ImuTrack as ImuTrack,
     MapAgreement as MapAgreement,
     PlaceKind as PlaceKind,
@@ -88,6 +87,7 @@ from .files import (
     without_keys as without_keys,
     write_csv as write_csv,
     write_together as write_together,
+    writing_to as writing_to,
 )
 from .interrupts import (
     Progress as Progress,
@@ -152,7 +152,6 @@ from .run_folder import (
     locked as locked,
     read_record as read_record,
     what_to_keep as what_to_keep,
-    writing_to as writing_to,
 )
 from .run_spec import (
     CHECKSUM_METHOD as CHECKSUM_METHOD,
@@ -176,11 +175,13 @@ from .scan_types import (
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
     FrameSource as FrameSource,
+    PolarCells as PolarCells,
     PoseTrack as PoseTrack,
     Scan as Scan,
     SectorBounds as SectorBounds,
     SectorRide as SectorRide,
     SectorStack as SectorStack,
+    cell_numbers as cell_numbers,
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
@@ -230,6 +231,7 @@ from .types import (
     NO_CLASS as NO_CLASS,
     OBJECT_NAMES as OBJECT_NAMES,
     OBSTACLE as OBSTACLE,
+    OBSTACLE_MARGIN_M as OBSTACLE_MARGIN_M,
     OPEN_THROUGH as OPEN_THROUGH,
     POINT_BUILDING as POINT_BUILDING,
     POINT_GROUND as POINT_GROUND,

@@ -38,7 +38,7 @@ def serve(socket: int, memory: int) -> None:
         sys.path[:] = folders if replace else sys.path + folders
         functions = import_module(module)
         while True:
-            link.send_bytes(_handle(link, shared, functions, link.recv_bytes()))
+            link.send_bytes(_handle(shared, functions, link.recv_bytes()))
     except (EOFError, ConnectionError):
         os._exit(0)
 
@@ -65,19 +65,18 @@ def _end_with_parent(socket: int) -> None:
     os._exit(0)
 
 
-def _handle(link: Connection, shared: _Shared, functions: Any, request: bytes) -> bytes:
+def _handle(shared: _Shared, functions: Any, request: bytes) -> bytes:
     """Call one function; return its pickled result, or the text of the exception that it raised."""
     try:
-        name, arguments, places, size, limits, takes_read_at = pickle.loads(request)  # noqa: S301 (from the parent)
+        name, arguments, places, size, limits = pickle.loads(request)  # noqa: S301 (from the parent)
         seconds, memory = limits
         views = shared.views(places, size)
-        callbacks = [_read_at_parent(link)] * takes_read_at
         # The system ends a call that takes too long, even inside native code. CPU time is measured, since wall time
         # would depend on other programs.
         signal.setitimer(signal.ITIMER_PROF, seconds)
         before = _limit_memory(memory)
         try:
-            result = getattr(functions, name)(*callbacks, *arguments, *views)
+            result = getattr(functions, name)(*arguments, *views)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
             resource.setrlimit(resource.RLIMIT_DATA, before)
@@ -92,16 +91,6 @@ def _limit_memory(most: int) -> tuple[int, int]:
     if most and (soft == resource.RLIM_INFINITY or most < soft):
         resource.setrlimit(resource.RLIMIT_DATA, (most, hard))
     return soft, hard
-
-
-def _read_at_parent(link: Connection) -> Any:
-    """Return a function that asks the parent to read bytes from an offset into a buffer."""
-
-    def read_at(start: int, buffer: memoryview) -> int:
-        link.send(("question", (start, len(buffer))))
-        return link.recv_bytes_into(buffer)
-
-    return read_at
 
 
 if __name__ == "__main__":

@@ -71,33 +71,6 @@ CLASHES = (VEHICLE_OR_CALIBRATION, Clash("compat", "rating", "the paper has a ra
 
 
 @dataclass(frozen=True, slots=True)
-class NumberRange:
-    """The numbers that a setting can be, given in the ``Annotated`` type of its field."""
-
-    low: float
-    high: float = math.inf
-    unit: str = ""
-    whole: bool = False
-    """True: only whole numbers are allowed."""
-
-    @property
-    def allowed(self) -> str:
-        """Description of the allowed numbers; continues *it must be*."""
-        kind = "a whole number" if self.whole else "a number"
-        if self.high == math.inf:
-            return f"{kind}, at least {self.low:g}"
-        return f"{kind} from {self.low:g} to {self.high:g} {self.unit}".rstrip()
-
-    def fault(self, value: Any) -> str:
-        """Return what is wrong with a value; empty if nothing is."""
-        is_number = isinstance(value, int if self.whole else int | float) and not isinstance(value, bool)
-        return "" if is_number and self.low <= value <= self.high else f"it must be {self.allowed}"
-
-
-_SPEED = NumberRange(0.01, 100.0, "m/s")
-
-
-@dataclass(frozen=True, slots=True)
 class FeatureSettings:
     """How tiles are measured, and when a heightmap cannot be rated.
 

@@ -19,7 +19,6 @@ __all__ = [
     "CheckedMap",
     "DriveLog",
     "DrivenStretches",
-    "DrivenTiles",
     "ImuTrack",
     "MapAgreement",
     "PlaceKind",
@@ -166,27 +165,6 @@ class DrivenStretches:
 
 
 @dataclass(frozen=True, slots=True)
-class DrivenTiles:
-    """Tiles that were driven over, one row each."""
-
-    __repr__ = brief_repr
-
-    col: NDArray[np.int64]
-    row: NDArray[np.int64]
-    way_m: Floats
-    """(n,) length of all passes."""
-    measured: Floats
-    """(n,) C_r of all passes, rad/m."""
-    measured_sd: Floats
-    """(n,) standard error of it, with the share that may belong to neighbouring tiles."""
-    c_r: Floats
-    """(n,) of the map, rad/m."""
-    c_r_low: Floats
-    c_r_high: Floats
-    class_id: NDArray[np.uint8]
-
-
-@dataclass(frozen=True, slots=True)
 class MapAgreement:
     """How well map and drives agree over some stretches."""
 
@@ -227,7 +205,6 @@ class CheckResult:
     """None: drives were measured without a map."""
     drives: tuple[CheckedDrive, ...]
     stretches: DrivenStretches
-    tiles: DrivenTiles | None
     agreement: MapAgreement | None
     """Over all stretches on the map; None without a map."""
     by_class: Mapping[int, MapAgreement]

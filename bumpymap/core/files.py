@@ -42,6 +42,7 @@ __all__ = [
     "without_keys",
     "write_csv",
     "write_together",
+    "writing_to",
 ]
 
 _MOST_SHOWN = 200
@@ -256,7 +257,8 @@ def write_together(folder: Path, last: str) -> Iterator[Path]:
     """
     staged = folder / f"{STAGED}{uuid4().hex}"
     try:
-        _make_folder(staged)
+        with writing_to(folder):
+            staged.mkdir(mode=0o700)
         with utf8_path(staged) as path:
             yield path
         move_together(staged, folder, last)
@@ -315,11 +317,15 @@ def utf8_path(folder: Path) -> Iterator[Path]:
         yield folder
 
 
-def _make_folder(folder: Path) -> None:
+@contextmanager
+def writing_to(folder: Path, options: str = "`out`") -> Iterator[None]:
+    """Turn an OSError in the body into an OutputError; ``options`` are the settings that choose another folder."""
     try:
-        folder.mkdir(mode=0o700)
+        yield
     except OSError as error:
-        raise OutputError(f"cannot write to the folder {folder.parent}: {error}. Choose another with `out`") from error
+        raise OutputError(
+            f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with {options}"
+        ) from error
 
 
 def move_together(staged: Path, folder: Path, last: str) -> None:

@@ -118,9 +118,6 @@ class SharedMemory:
         return at
 
 
-ReadAt = Callable[[int, memoryview], int]
-"""Called with a byte offset and a buffer: reads bytes from there into the buffer and returns how many there were."""
-
 _SCRIPT = Path(__file__).with_name("_child.py")
 _FROM_OUTSIDE = ("SIGKILL", "SIGTERM", "SIGHUP", "SIGINT")
 _MOST_WAIT_S = 10.0
@@ -244,12 +241,10 @@ class Child:
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
         memory: int = 0,
-        read_at: ReadAt | None = None,
     ) -> Any:
         """Call a function in the child and return its result; see `begin` for the parameters."""
-        takes = read_at is not None
-        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory, takes_read_at=takes)
-        return self.finish(read_at)
+        self.begin(function, *arguments, shared=shared, seconds=seconds, memory=memory)
+        return self.finish()
 
     def begin(
         self,
@@ -258,7 +253,6 @@ class Child:
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
         memory: int = 0,
-        takes_read_at: bool = False,
     ) -> None:
         """Start a function call in the child and return at once.
 
@@ -274,16 +268,14 @@ class Child:
             CPU time after which the system ends the child (SIGPROF); 0: no limit.
         memory : int
             Bytes that the child may hold during the call, on Linux; what asks for more raises MemoryError. 0: no limit.
-        takes_read_at : bool
-            Whether the function's first argument is a function that calls the `read_at` of `finish` in this process.
         """
         places = [(each.start, each.data.size) for each in shared]
         try:
-            self.link.send((function, arguments, places, MEMORY.size, (seconds, memory), takes_read_at))
+            self.link.send((function, arguments, places, MEMORY.size, (seconds, memory)))
         except OSError:
             self._raise_child_died()
 
-    def finish(self, read_at: ReadAt | None = None) -> Any:
+    def finish(self) -> Any:
         """Wait for the result of the call that `begin` started.
 
         Raises
@@ -293,21 +285,13 @@ class Child:
         ChildDiedError
             The child has ended.
         """
-        while True:
-            try:
-                kind, value = self.link.recv()
-            except (EOFError, OSError):
-                self._raise_child_died()
-            if kind == "question" and read_at is not None:
-                start, size = value
-                buffer = memoryview(bytearray(size))
-                found = read_at(start, buffer)
-                with suppress(OSError):  # the next `recv` reports that it died
-                    self.link.send_bytes(buffer[:found])
-            elif kind == "error":
-                raise ChildError(value)
-            else:
-                return value
+        try:
+            kind, value = self.link.recv()
+        except (EOFError, OSError):
+            self._raise_child_died()
+        if kind == "error":
+            raise ChildError(value)
+        return value
 
     def close(self) -> None:
         """Kill the child process."""
@@ -357,7 +341,6 @@ class Guard:
         shared: Sequence[SharedBytes] = (),
         seconds: float = 0.0,
         memory: int = 0,
-        read_at: Callable[[int, memoryview], int] | None = None,
     ) -> Any:
         """Call a function in the child and return its result; see `Child.begin` for the parameters.
 
@@ -369,8 +352,7 @@ class Guard:
             The child cannot be started, or was killed.
         """
         try:
-            child = self.live_child()
-            return child.call(function, *arguments, shared=shared, seconds=seconds, memory=memory, read_at=read_at)
+            return self.live_child().call(function, *arguments, shared=shared, seconds=seconds, memory=memory)
         except ChildError as error:
             raise DecoderError(str(error)) from error
         except ChildDiedError as error:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.types import CostRule, Georeference
+from bumpymap.core.types import OBSTACLE_MARGIN_M, CostRule, Georeference
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -35,6 +35,11 @@ class RouteVehicle:
     """Full width, m."""
     speed_mps: float
     """Speed of the profile, m/s."""
+
+    @property
+    def reach_m(self) -> float:
+        """Distance that the middle of the vehicle keeps from obstacles, m: half its width and `OBSTACLE_MARGIN_M`."""
+        return 0.5 * self.width_m + OBSTACLE_MARGIN_M
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,17 @@ from typing import Any
 from uuid import uuid4
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.files import STAGED, Each, Number, atomic, parse_json, read_regular, remove_path, shape_fault
+from bumpymap.core.files import (
+    STAGED,
+    Each,
+    Number,
+    atomic,
+    parse_json,
+    read_regular,
+    remove_path,
+    shape_fault,
+    writing_to,
+)
 from bumpymap.core.run_spec import differences
 
 __all__ = [
@@ -40,7 +50,6 @@ __all__ = [
     "read_record",
     "what_to_keep",
     "work_folder",
-    "writing_to",
 ]
 
 LOCK = ".bumpymap-lock"
@@ -126,26 +135,24 @@ def _acquire(folder: Path, name: str) -> tuple[int, int]:
 
 
 def _open_folder(folder: Path) -> int:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
+    with writing_to(folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except FileExistsError as error:
+            raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`") from error
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    except FileExistsError as error:
-        raise OutputError(f"cannot write to the folder {folder}: it is a file. Choose another `out`") from error
-    except OSError as error:
-        raise _no_folder(folder, error) from error
 
 
 def _open_lock(place: int, name: str, folder: Path) -> tuple[int | None, bool]:
     """Open or create the lock file; return its descriptor (None if it was removed meanwhile) and whether it is new."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK
-    try:
-        return os.open(name, flags | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=place), True
-    except FileExistsError:
-        pass
-    except FileNotFoundError:  # the folder is gone too
-        return None, False
-    except OSError as error:
-        raise _no_folder(folder, error) from error
+    with writing_to(folder):
+        try:
+            return os.open(name, flags | os.O_CREAT | os.O_EXCL, 0o600, dir_fd=place), True
+        except FileExistsError:
+            pass
+        except FileNotFoundError:  # the folder is gone too
+            return None, False
     try:
         descriptor = os.open(name, flags, dir_fd=place)
     except FileNotFoundError:
@@ -202,12 +209,6 @@ def _held(descriptor: int, path: Path) -> str:
     except (OSError, ValueError, KeyError, TypeError):  # the holder has not written its record yet
         who = ""
     return f"another run is writing to {path.parent}{who}. Wait until it has ended, or choose another `out`"
-
-
-def _no_folder(folder: Path, error: OSError) -> OutputError:
-    return OutputError(
-        f"cannot write to the folder {folder}: {error.strerror or error}. Choose one that can be written, with `out`"
-    )
 
 
 def _no_lock(path: Path) -> OutputError:
@@ -402,14 +403,3 @@ def _remove(path: Path) -> None:
     with suppress(OSError):
         path.rename(renamed)
         remove_path(renamed)
-
-
-@contextmanager
-def writing_to(folder: Path, options: str = "`out`") -> Iterator[None]:
-    """Turn an OSError in the body into an OutputError; ``options`` are the settings that choose another folder."""
-    try:
-        yield
-    except OSError as error:
-        raise OutputError(
-            f"cannot write to the folder {folder}: {error.strerror or error}. Choose another with {options}"
-        ) from error

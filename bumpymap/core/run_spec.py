@@ -5,14 +5,13 @@ order. A plain BLAKE3 needs all bytes in order, so a file that is read in anothe
 several workers, what a resumed run has left to read) would have to be read again for it. BLAKE3 takes a quarter of the
 time of SHA-256, even on a processor with SHA instructions (measured).
 
-Of a piece that is read in parts, the beginning is hashed as it grows; a part for which bytes before it are missing is
-copied until they come. The copies are limited: beyond that, the piece that was begun first is forgotten and read again
-at the end, as are bytes that no reader has asked for.
+Parts of a piece are kept until the piece is whole, up to a limit. Beyond that, the piece that was begun first is
+forgotten and read again at the end, as are bytes that no reader has asked for.
 """
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -41,29 +40,13 @@ _SET_METHOD = "blake3-set"
 PieceRuns = tuple[tuple[int, bytes], ...]
 """Digests of consecutive pieces, joined, each with the number of the first piece."""
 
-_PIECE = 1 << 20
+PIECE = 1 << 20
 _DIGEST = 32
-MOST_COPIED = 1 << 24
-"""Limit for the copies of parts of a file, bytes."""
+MOST_PARTS = 16
+"""Pieces at most of which parts are kept, for each file."""
 
 Buffer = Any
 """Any object with the buffer protocol: bytes, memoryview, array of uint8."""
-
-
-@dataclass(slots=True)
-class _Part:
-    """A piece of which some bytes have been read."""
-
-    digest: Any = field(default_factory=blake3)
-    """Of the first ``done`` bytes."""
-    done: int = 0
-    copies: dict[int, bytes] = field(default_factory=dict)
-    """Bytes that cannot be hashed yet, by their offset in the piece."""
-
-    def take(self, at: int, data: memoryview) -> None:
-        """Hash what follows on the first ``done`` bytes."""
-        self.digest.update(data[self.done - at :])
-        self.done = max(self.done, at + len(data))
 
 
 class FileHash:
@@ -74,11 +57,10 @@ class FileHash:
     """
 
     def __init__(self, size: int) -> None:
-        self._size, self._count = size, -(-size // _PIECE)
+        self._size, self._count = size, -(-size // PIECE)
         self._lock = Lock()
         self._digests, self._known = bytearray(), bytearray()
-        self._parts: dict[int, _Part] = {}
-        self._copied = 0
+        self._parts: dict[int, dict[int, bytes]] = {}
         self._fresh: list[int] = []
         self._checksum: str | None = None
 
@@ -92,11 +74,11 @@ class FileHash:
         if self._checksum is not None:
             return
         view = memoryview(data).cast("B")
-        for piece in range(start // _PIECE, -(-(start + len(view)) // _PIECE)):
-            first = max(piece * _PIECE - start, 0)
-            part = view[first : (piece + 1) * _PIECE - start]
+        for piece in range(start // PIECE, -(-(start + len(view)) // PIECE)):
+            first = max(piece * PIECE - start, 0)
+            part = view[first : (piece + 1) * PIECE - start]
             if not self._is_known(piece):
-                self._add_part(piece, start + first - piece * _PIECE, part)
+                self._add_part(piece, start + first - piece * PIECE, part)
 
     def take(self) -> PieceRuns:
         """Return the digests of the pieces that were completed since the last call, except those from `put`."""
@@ -118,7 +100,7 @@ class FileHash:
         for first, digests in runs:
             for number in range(len(digests) // _DIGEST):
                 if self._checksum is None and first + number < self._count:
-                    self._store(first + number, digests[number * _DIGEST : (number + 1) * _DIGEST], fresh=False)
+                    self._store_digest(first + number, digests[number * _DIGEST : (number + 1) * _DIGEST], fresh=False)
 
     def finish(self, read: Callable[[int, int], Buffer]) -> str:
         """Read the bytes that are missing, and return the checksum.
@@ -136,50 +118,46 @@ class FileHash:
         if self._checksum is None:
             for piece in range(self._count):
                 if not self._is_known(piece):
-                    self._complete(piece, read)
+                    content = memoryview(read(piece * PIECE, self._length(piece))).cast("B")
+                    if len(content) < self._length(piece):
+                        raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
+                    self._store(piece, content)
             self._checksum = f"{CHECKSUM_METHOD}:{blake3(self._digests).hexdigest()}"
         return self._checksum
 
-    def drop_copies(self) -> None:
-        """Free the copies of parts; they are read again by `finish`."""
+    def forget_parts(self) -> None:
+        """Free the parts of pieces, which are read again by `finish`."""
         with self._lock:
-            for part in self._parts.values():
-                part.copies.clear()
-            self._copied = 0
+            self._parts.clear()
 
     def _is_known(self, piece: int) -> bool:
         return bool(self._known and self._known[piece])
 
     def _length(self, piece: int) -> int:
-        return min(self._size - piece * _PIECE, _PIECE)
+        return min(self._size - piece * PIECE, PIECE)
 
     def _add_part(self, piece: int, at: int, data: memoryview) -> None:
-        if at == 0 and len(data) == self._length(piece):
-            self._store(piece, blake3(data).digest())
+        """Hash a piece if this is all of it, or the last part; else keep the part by its offset in the piece."""
+        length = self._length(piece)
+        if len(data) == length:
+            self._store(piece, data)
             return
         with self._lock:
-            if self._is_known(piece):
-                return
-            part = self._parts.setdefault(piece, _Part())
-            if at <= part.done:
-                part.take(at, data)
-                self._take_copies(part)
-            elif at not in part.copies:
-                part.copies[at] = bytes(data)
-                self._copied += len(data)
-                while self._copied > MOST_COPIED:
-                    self._forget(next(iter(self._parts)))
-        if part.done == self._length(piece):
-            self._store(piece, part.digest.digest())
+            parts = self._parts.setdefault(piece, {})
+            parts[at] = bytes(data)
+            if len(self._parts) > MOST_PARTS:
+                del self._parts[next(iter(self._parts))]
+            size = sum(map(len, parts.values()))
+            if size > length:  # they overlap: the piece is read again
+                self._parts.pop(piece, None)
+            ends = [begin + len(part) for begin, part in sorted(parts.items())]
+        if size == length and [0, *ends[:-1]] == sorted(parts):
+            self._store(piece, b"".join(part for _, part in sorted(parts.items())))
 
-    def _take_copies(self, part: _Part) -> None:
-        """Hash the copies that follow on what is hashed; the caller holds the lock."""
-        while (at := next((at for at in part.copies if at <= part.done), None)) is not None:
-            data = part.copies.pop(at)
-            self._copied -= len(data)
-            part.take(at, memoryview(data))
+    def _store(self, piece: int, content: Buffer) -> None:
+        self._store_digest(piece, blake3(content).digest(), fresh=True)
 
-    def _store(self, piece: int, digest: bytes, *, fresh: bool = True) -> None:
+    def _store_digest(self, piece: int, digest: bytes, *, fresh: bool) -> None:
         with self._lock:
             if not self._known:
                 self._digests, self._known = bytearray(self._count * _DIGEST), bytearray(self._count)
@@ -187,26 +165,7 @@ class FileHash:
                 self._digests[piece * _DIGEST : (piece + 1) * _DIGEST] = digest
                 self._known[piece] = 1
                 self._fresh += [piece] * fresh
-            self._forget(piece)
-
-    def _forget(self, piece: int) -> None:
-        """Forget the parts of a piece, if there are any; the caller holds the lock."""
-        part = self._parts.pop(piece, None)
-        if part is not None:
-            self._copied -= sum(map(len, part.copies.values()))
-
-    def _complete(self, piece: int, read: Callable[[int, int], Buffer]) -> None:
-        """Read what is missing of a piece."""
-        part, length = self._parts.get(piece) or _Part(), self._length(piece)
-        while part.done < length:
-            stop = min(part.copies, default=length)  # what follows is there already
-            data = memoryview(read(piece * _PIECE + part.done, stop - part.done)).cast("B")
-            if not len(data):
-                raise BadInputError(f"the file ends before byte {self._size:,}, its size when it was opened")
-            part.take(part.done, data)
-            with self._lock:
-                self._take_copies(part)
-        self._store(piece, part.digest.digest())
+            self._parts.pop(piece, None)
 
 
 def hash_file(path: Path) -> str:
@@ -233,7 +192,7 @@ _MOST_LISTED = 8
 """Differences that a message lists at most."""
 _LONGEST = 80
 """Characters of a value that a message shows at most."""
-_FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method": ("method", "model", "stripes")}
+_FROM = {"calibration": ("vehicle", "calibration"), "model": ("model",), "method": ("method", "model")}
 """Settings that select something with an id of its own: they count as different only if the id differs."""
 
 
@@ -359,15 +318,11 @@ def _inputs(
             found.append(f"{path} was an input, but is not given now")
         elif path not in before:
             found.append(f"{path} is given now, but was not an input")
-        elif not _is_same(path, before[path], now[path], same):
+        elif before[path] is None or now[path] is None or same is None:
+            found += [f"{path} has changed since"] * (before[path] != now[path])
+        elif not same(path, before[path], now[path]):
             found.append(f"{path} has changed since")
     return found
-
-
-def _is_same(path: str, old: Any, new: Any, same: Callable[..., bool] | None) -> bool:
-    if old is None or new is None or same is None:
-        return bool(old == new)
-    return same(path, old, new)
 
 
 def _plain(value: Any) -> Any:

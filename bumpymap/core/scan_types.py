@@ -25,11 +25,13 @@ __all__ = [
     "ClassedSectors",
     "Dropped",
     "FrameSource",
+    "PolarCells",
     "PoseTrack",
     "Scan",
     "SectorBounds",
     "SectorRide",
     "SectorStack",
+    "cell_numbers",
     "point_classes",
     "sector_bounds",
 ]
@@ -358,3 +360,47 @@ def sector_bounds(stack: SectorStack) -> SectorBounds:
     near = edges[stack.zone] + stack.ring * depth[stack.zone]
     right = (stack.azimuth_start_rad + stack.sector * width[stack.zone]) % (2.0 * math.pi)
     return SectorBounds(near, near + depth[stack.zone], right, right + width[stack.zone])
+
+
+def cell_numbers(stack: SectorStack) -> NDArray[np.int64]:
+    """Return the numbers of sectors among all cells of their grid, (n,), counted in zone, ring, sector order."""
+    sectors, rings = np.array(stack.settings.sectors), np.array(stack.settings.rings)
+    before = np.cumsum(sectors * rings) - sectors * rings
+    return np.asarray(before[stack.zone] + stack.ring * sectors[stack.zone] + stack.sector)
+
+
+@dataclass(frozen=True, slots=True)
+class PolarCells:
+    """Places around the sensor, such as pixels, in a polar grid; arrays have any one shape."""
+
+    settings: PolarSettings
+    first: NDArray[np.int32]
+    """Number of the first cell in the ring of each place, counted as by `cell_numbers`; outside, that of all cells."""
+    sectors: NDArray[np.floating]
+    """Sectors around its zone; 0 outside."""
+    turn: NDArray[np.floating]
+    """Its azimuth as a fraction of a turn."""
+
+    @classmethod
+    def of(cls, settings: PolarSettings, distance: NDArray[np.floating], turn: NDArray[np.floating]) -> "PolarCells":
+        """Find the rings of places at some distances from the sensor, m."""
+        edges = np.array([*settings.zone_starts_m, settings.end_m], distance.dtype)
+        sectors, rings = np.array(settings.sectors), np.array(settings.rings)
+        zone = np.searchsorted(edges, distance, side="right") - 1
+        inside = (zone >= 0) & (zone < len(sectors))
+        zone = np.where(inside, zone, 0)
+        ring = ((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone]).astype(np.int64)
+        before = np.cumsum(sectors * rings) - sectors * rings
+        first = before[zone] + np.clip(ring, 0, rings[zone] - 1) * sectors[zone]
+        around = np.where(inside, sectors[zone], 0).astype(distance.dtype)
+        return cls(settings, np.where(inside, first, int(sectors @ rings)).astype(np.int32), around, turn)
+
+    def share(self, azimuth_start_rad: float) -> NDArray[np.floating]:
+        """Return the azimuths from the start of sector 0, as fractions of a turn."""
+        share = self.turn - self.turn.dtype.type(azimuth_start_rad / (2.0 * math.pi))
+        return np.asarray(share - np.floor(share))
+
+    def cells(self, azimuth_start_rad: float) -> NDArray[np.int32]:
+        """Return the number of the cell of each place; outside of the grid, the number of all cells."""
+        sector = np.minimum(self.share(azimuth_start_rad) * self.sectors, np.maximum(self.sectors - 1, 0))
+        return np.asarray(self.first + sector.astype(np.int32))

@@ -56,15 +56,10 @@ __all__ = [
 _MOST_BYTES = 256 * 1024
 _MOST_PARTS = 16
 """Parts of a dotted key; no setting has more than two."""
-_STRINGS_AND_COMMENTS = re.compile(
-    r'"""(?:[^"\\]|\\.|"{1,2}(?!"))*+(?:"{3,5})?'
-    r"|'''(?:[^']|'{1,2}(?!'))*+(?:'{3,5})?"
-    r'|"(?:[^"\\\n]|\\.)*+"?'
-    r"|'[^'\n]*+'?"
-    r"|#[^\n]*+",
-    re.DOTALL,
+_LONG_KEY = re.compile(
+    r"""(?<![\w\\-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS  # noqa: UP031
 )
-"""Strings and comments. An unterminated one matches as far as it can, in linear time; the parser then rejects it."""
+"""A key with more parts; in a text or a comment, so many words with dots between them would do too."""
 _MESSAGE_CHARACTERS = 300
 """Characters of the parser's message that are shown at most: it may quote a key in full."""
 _NAMED = 8
@@ -130,16 +125,11 @@ def _text(path: Path) -> str:
 
 
 def _checked(text: str) -> str:
-    """Reject keys with so many parts that parsing would take minutes; dots in strings and comments do not count."""
-    for number, line in enumerate(_STRINGS_AND_COMMENTS.sub(_line_breaks, text).split("\n"), 1):
-        most = max(part.count(".") for part in re.split("[=,]", line)) + 1
-        if most > _MOST_PARTS:
-            raise ValueError(f"the key in line {number} has {most} parts; at most {_MOST_PARTS} are read")
+    """Reject keys with so many parts that parsing would take minutes."""
+    if found := _LONG_KEY.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise ValueError(f"the key in line {line} has more than {_MOST_PARTS} parts")
     return text
-
-
-def _line_breaks(found: re.Match[str]) -> str:
-    return "\n" * found[0].count("\n")
 
 
 UNFILLED = "?"
@@ -613,7 +603,8 @@ class _Parser:
         items = get_args(kind)
         if is_dataclass(kind) and isinstance(value, dict):
             return self._built(value, kind, name)
-        if get_origin(kind) is tuple and _fits(value, items):
+        fits = isinstance(value, list | tuple) and get_origin(kind) is tuple
+        if fits and (items[-1] is Ellipsis or len(items) == len(value)):
             return tuple(
                 self._value(item, items[0], f"value {number} of {name}") for number, item in enumerate(value, 1)
             )
@@ -682,10 +673,6 @@ def _is_optional(kind: Any) -> bool:
     return get_origin(base) in (Union, UnionType) and NoneType in get_args(base)
 
 
-def _fits(value: Any, items: tuple[Any, ...]) -> bool:
-    return isinstance(value, list | tuple) and (items[-1] is Ellipsis or len(items) == len(value))
-
-
 def _is_required(field: "Field[Any]") -> bool:
     return field.default is MISSING and field.default_factory is MISSING
 
@@ -695,17 +682,17 @@ def _fields_of(owners: tuple[type, ...]) -> "dict[str, Field[Any]]":
     return {field.name: field for owner in reversed(owners) for field in fields(owner)}
 
 
-def _names(owner: Any) -> str:
-    return ", ".join(field.name for field in fields(owner))
-
-
 def _allowed(kind: Any, name: str) -> str:
     """Describe the values that a field can have."""
     if rule := field_rule(kind):
         return rule.allowed
     setting = _setting_of(kind)
     kind = _plain_type(kind)
-    return f"a table, [{name}], with {_names(kind)}" if is_dataclass(kind) else _allowed_of(kind, setting)
+    return (
+        f"a table, [{name}], with {', '.join(each.name for each in fields(kind))}"
+        if is_dataclass(kind)
+        else _allowed_of(kind, setting)
+    )
 
 
 def _allowed_of(kind: Any, setting: Setting | None) -> str:

@@ -33,6 +33,7 @@ __all__ = [
     "NO_CLASS",
     "OBJECT_NAMES",
     "OBSTACLE",
+    "OBSTACLE_MARGIN_M",
     "OPEN_THROUGH",
     "POINT_BUILDING",
     "POINT_GROUND",
@@ -372,6 +373,10 @@ class VehicleBody:
     def lowest_obstacle_m(self) -> float:
         """Height above ground from which a thing is an obstacle, m: it reaches the belly and is not brushed aside."""
         return max(self.clearance_m, self.brush_stem_m)
+
+
+OBSTACLE_MARGIN_M = 0.1
+"""Room between vehicle and obstacle, m: half a pixel of 0.2 m, for an obstacle fills its pixel only in part."""
 
 
 def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:

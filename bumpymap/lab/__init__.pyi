@@ -13,7 +13,6 @@ from .evaluate.scans import (
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
     read_frames as read_frames,
-    simulated_scans as simulated_scans,
 )
 from .evaluate.survey_trial import (
     Findings as Findings,
@@ -43,4 +42,3 @@ from .simulate.ride_fit import fit_ride as fit_ride, fit_thin_surveys as fit_thi
 from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
 from .train.scan_net import make_scan_model as make_scan_model
 from .train.textures import make_model as make_model
-from .worlds.scans.lidar import load_open3d as load_open3d

@@ -178,12 +178,7 @@ class EvaluateSettings:
 class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
-    scenes: Annotated[int, Setting("With --scans: number of simulated scenes", "N", 1, rare=True)] = 44
-    """Number of synthetic scenes if no scans are given; none of them is used in training."""
-    seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
-    """Seed of the scenes."""
     model: Annotated[Path | None, Setting("With --scans: your own scan network", "FILE", rare=True)] = None
-    stripes: Annotated[Path | None, Setting("With --scans: your own stripe classes", "FILE", rare=True)] = None
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -272,8 +267,6 @@ class ScanTrainSettings(LoopSettings):
     """All settings that affect a training; the scans come in addition."""
 
     epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)] = 20
-    scenes: Annotated[int, Setting("With --scans simulated: training scenes", "N", 1, rare=True)] = 440
-    """Number of synthetic training scenes; not used with a data set on disk."""
     turns: Annotated[int, Setting(low=0)] = 2
     """Number of additional cuts of each scan, each after a random rotation."""
     sectors_per_class: Annotated[int, Setting("With --scans: sectors per class and epoch", "N", 1, rare=True)] = 10_000
@@ -287,5 +280,5 @@ class ScanTrainSettings(LoopSettings):
     @property
     def options(self) -> str:
         """The options of the command that repeats this training."""
-        names = ("seed", "epochs", "scenes", "sectors_per_class")
+        names = ("seed", "epochs", "sectors_per_class")
         return " ".join(f"--set {name}={getattr(self, name)}" for name in names) + f" --threads {self.threads}"

@@ -32,11 +32,11 @@ from .check_record import (
     read_check as read_check,
 )
 from .check_vectors import (
+    NORMAL_80 as NORMAL_80,
     OFF_KINDS as OFF_KINDS,
     CheckGround as CheckGround,
     CheckPlaces as CheckPlaces,
     MapOffset as MapOffset,
-    write_driven_tiles as write_driven_tiles,
     write_stretch_table as write_stretch_table,
     write_stretches as write_stretches,
 )
@@ -168,7 +168,6 @@ from .scan_folder import (
     point_styles as point_styles,
     remove_stale_products as remove_stale_products,
     report_frame as report_frame,
-    sample_evenly as sample_evenly,
     save_part as save_part,
     sync_to_disk as sync_to_disk,
     write_scan_manifest as write_scan_manifest,

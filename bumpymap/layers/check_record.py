@@ -16,7 +16,6 @@ from bumpymap.core import (
     CheckedMap,
     CheckResult,
     DrivenStretches,
-    DrivenTiles,
     MapAgreement,
     UsageError,
     parse_json,
@@ -37,12 +36,9 @@ __all__ = [
 
 CHECK_MANIFEST_NAME = "check.json"
 CHECK_FILES = OutputFolder(
-    (
-        *("check.html", "stretches.csv", "check.geojson", "check_tiles.geojson", CHECK_MANIFEST_NAME),
-        *("check.qml", "check_tiles.qml"),
-    ),
+    ("check.html", "stretches.csv", "check.geojson", CHECK_MANIFEST_NAME, "check.qml"),
     CHECK_MANIFEST_NAME,
-    views=("check.qml", "check_tiles.qml"),
+    views=("check.qml",),
 )
 
 
@@ -63,7 +59,6 @@ def check_check_out(out: Path, *, overwrite: bool) -> None:
 
 CHECK_FORMAT = "bumpymap-check"
 _Record = TypeVar("_Record", CheckedDrive, CheckedMap, MapAgreement)
-_COUNTS = {"drive", "col", "row"}
 _CLASSES = {"class_id", "measured_class"}
 _MOST = 1e12
 """Largest number that a check may hold: no length, angle or time of a drive comes near it."""
@@ -73,7 +68,7 @@ _REMEDY = "Give the folder that `bumpymap check` wrote, as `check`"
 def check_entries(result: CheckResult) -> dict[str, Any]:
     """Return the entries of check.json that hold the findings, as plain JSON: what is not known is null.
 
-    Arrays become lists of numbers, one for each stretch or tile; `result_of` is the way back.
+    Arrays become lists of numbers, one for each stretch; `result_of` is the way back.
     """
     found = {
         "map": result.ground,
@@ -86,7 +81,6 @@ def check_entries(result: CheckResult) -> dict[str, Any]:
         ],
         "drives": [_entries(drive) for drive in result.drives],
         "stretches": _columns(result.stretches),
-        "tiles": None if result.tiles is None else _columns(result.tiles),
     }
     return plain_manifest(found)
 
@@ -113,7 +107,7 @@ def read_check(folder: Path) -> tuple[CheckResult, dict[str, Any]]:
 
 def result_of(record: Mapping[str, Any]) -> CheckResult:
     """Return the findings that `check_entries` wrote; ValueError, OverflowError, KeyError or TypeError if damaged."""
-    ground, tiles, whole = record["map"], record["tiles"], record["agreement"]
+    ground, whole = record["map"], record["agreement"]
     stretches = DrivenStretches(**_arrays(DrivenStretches, record["stretches"]))
     drives = tuple(_read(CheckedDrive, entry) for entry in record["drives"])
     if len(stretches.drive) and not 0 <= stretches.drive.min() <= stretches.drive.max() < len(drives):
@@ -122,7 +116,6 @@ def result_of(record: Mapping[str, Any]) -> CheckResult:
         ground=None if ground is None else _read(CheckedMap, ground),
         drives=drives,
         stretches=stretches,
-        tiles=None if tiles is None else DrivenTiles(**_arrays(DrivenTiles, tiles)),
         agreement=None if whole is None else _read(MapAgreement, whole),
         by_class={_class_of(entry["class"]): _read(MapAgreement, entry) for entry in record["by_class"]},
         warnings=_texts(record["warnings"]),
@@ -149,7 +142,7 @@ def _arrays(kind: Any, columns: Mapping[str, Sequence[Any]]) -> dict[str, NDArra
         if field.name in _CLASSES:
             codes = [NO_CLASS if code is None else _class_of(code) for code in values]
             found[field.name] = np.array(codes, np.uint8)
-        elif field.name in _COUNTS:
+        elif field.name == "drive":
             found[field.name] = np.array(values, np.int64)
         else:
             found[field.name] = np.array(values, np.float64)  # None becomes NaN

@@ -1,6 +1,6 @@
-"""How far a map is off the drives over it, by stretch and tile: check.geojson, check_tiles.geojson, stretches.csv."""
+"""How far a map is off the drives over it, by stretch: check.geojson, stretches.csv."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +15,6 @@ from bumpymap.core import (
     NO_CLASS,
     CheckResult,
     DrivenStretches,
-    DrivenTiles,
     Georeference,
     write_csv,
 )
@@ -26,13 +25,13 @@ from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, wri
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
+    "NORMAL_80",
     "NOT_COMPARED",
     "OFF_KINDS",
     "CheckGround",
     "CheckPlaces",
     "MapOffset",
     "stretch_properties",
-    "write_driven_tiles",
     "write_stretch_table",
     "write_stretches",
 ]
@@ -50,7 +49,7 @@ OFF_KINDS = (
 )
 """Meaning of each code of ``MapOffset.kind``, from too smooth to too rough."""
 NOT_COMPARED = len(OFF_KINDS) - 1
-_NORMAL_80 = 1.2815515655446004
+NORMAL_80 = 1.2815515655446004
 """Half width of the 80 % interval of a normal variable, in standard deviations."""
 if set(OFF_COLOURS) != set(range(len(OFF_KINDS))):
     raise ValueError("every kind has a colour")
@@ -58,7 +57,7 @@ if set(OFF_COLOURS) != set(range(len(OFF_KINDS))):
 
 @dataclass(frozen=True, slots=True)
 class MapOffset:
-    """How far the map is off on some stretches or tiles; (n,) each."""
+    """How far the map is off on some stretches; (n,) each."""
 
     ratio: NDArray[np.float64]
     """C_r of the map / measured; NaN where one is not known, or nothing was measured above the sensor's floor."""
@@ -68,7 +67,7 @@ class MapOffset:
     """Difference of map and drive over the largest that errors explain; above 1, they do not. NaN as ``ratio``."""
 
     @classmethod
-    def of(cls, driven: DrivenStretches | DrivenTiles) -> "MapOffset":
+    def of(cls, driven: DrivenStretches) -> "MapOffset":
         """Compare.
 
         Errors explain a measurement in the map's 80 % interval, of which each end has been moved outwards, in
@@ -79,8 +78,7 @@ class MapOffset:
         ratio = c_r / measured
         kind = np.where(known, np.digitize(ratio, _EDGES), NOT_COMPARED).astype(np.uint8)
         side = np.where(measured > c_r, driven.c_r_high - c_r, c_r - driven.c_r_low)
-        place = np.nan_to_num(getattr(driven, "place_sd", np.zeros(len(ratio))))
-        error = _NORMAL_80 * np.hypot(np.nan_to_num(driven.measured_sd), place)
+        error = NORMAL_80 * np.hypot(np.nan_to_num(driven.measured_sd), np.nan_to_num(driven.place_sd))
         most = np.hypot(np.nan_to_num(side, posinf=np.inf), error)
         with np.errstate(invalid="ignore", divide="ignore"):
             beyond = np.where(most > 0.0, np.abs(measured - c_r) / most, np.inf)
@@ -113,22 +111,20 @@ class CheckGround(MapSource, Protocol):
 
 @dataclass(frozen=True, slots=True)
 class CheckPlaces:
-    """Where the stretches and tiles of a check lie, for its files."""
+    """Where the stretches of a check lie, for its files."""
 
     placement: Placement
     points: NDArray[np.float64]
     """(n, 2) easting and northing of the middles of the stretches, m; NaN where not known."""
 
     @classmethod
-    def of(cls, stretches: DrivenStretches, tiles: DrivenTiles | None, ground: CheckGround) -> "CheckPlaces | None":
+    def of(cls, stretches: DrivenStretches, ground: CheckGround) -> "CheckPlaces | None":
         """Return the places; None if no position of a stretch is known."""
         points = np.column_stack([stretches.easting, stretches.northing])
         known = points[np.isfinite(points).all(axis=1)]
         if not len(known):
             return None
         col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
-        if tiles is not None:
-            col, row = np.concatenate([col, tiles.col]), np.concatenate([row, tiles.row])
         return cls(Placement(ground.georeference, ground.grid, TileWindow.around(col, row)), points)
 
     @property
@@ -210,21 +206,14 @@ def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> Non
     """
     properties = stretch_properties(result)
     shown = np.flatnonzero(places.is_known)
-    points = zip(shown.tolist(), shapely.points(places.in_file()[shown]), strict=True)
-    _write(path, "check", places, properties, dict(points))
-
-
-def write_driven_tiles(tiles: DrivenTiles, places: CheckPlaces, path: Path) -> None:
-    """Write the tiles as squares; coordinates and errors as in `write_stretches`."""
-    properties = {
-        "col": tiles.col.tolist(),
-        "row": tiles.row.tolist(),
-        **_numbers(tiles, ("way_m", "measured", "measured_sd", "c_r", "c_r_low", "c_r_high")),
-        **_offset(MapOffset.of(tiles)),
-        **_class("class", tiles.class_id),
-    }
-    squares = places.files.polygons(shapely.box(tiles.col, tiles.row, tiles.col + 1, tiles.row + 1))
-    _write(path, "check_tiles", places, properties, dict(enumerate(squares)))
+    points = shapely.points(places.in_file()[shown])
+    features = [
+        feature({key: values[at] for key, values in properties.items()}, point, at + 1)
+        for at, point in zip(shown.tolist(), points, strict=True)
+    ]
+    box = BoundingBox()
+    box.add(points)
+    write_features(path, "check", places.files, features, box)
 
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
@@ -241,7 +230,7 @@ def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:
     }
 
 
-def _numbers(record: DrivenStretches | DrivenTiles, names: Sequence[str]) -> dict[str, list[float | None]]:
+def _numbers(record: DrivenStretches, names: Sequence[str]) -> dict[str, list[float | None]]:
     return {name: _rounded(getattr(record, name), _DECIMALS.get(name, _OTHER_DECIMALS)) for name in names}
 
 
@@ -261,14 +250,3 @@ def _offset(offset: MapOffset) -> dict[str, list[Any]]:
 def _class(name: str, codes: NDArray[np.uint8]) -> dict[str, list[Any]]:
     plain = [None if code == NO_CLASS else code for code in codes.tolist()]
     return {name: plain, f"{name}_name": [None if code is None else CLASS_NAMES[code] for code in plain]}
-
-
-def _write(
-    path: Path, name: str, places: CheckPlaces, properties: Mapping[str, Sequence[Any]], shown: Mapping[int, Any]
-) -> None:
-    """Write one feature for each row that is shown, by its position: its number from 1, properties and geometry."""
-    rows = {at: {key: values[at] for key, values in properties.items()} for at in shown}
-    features = [feature(rows[at], geometry, at + 1) for at, geometry in shown.items()]
-    box = BoundingBox()
-    box.add(np.array(list(shown.values()), dtype=object))
-    write_features(path, name, places.files, features, box)

@@ -6,7 +6,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,7 @@ __all__ = ["MapReader", "map_differences", "open_map"]
 
 
 def _shares(
-    sheets: Sequence[SheetReader], window: TileWindow, shape: tuple[int, int]
+    sheets: Sequence[SheetReader], window: TileWindow, shape: tuple[int, ...]
 ) -> Iterator[tuple[SheetReader, TileWindow, tuple[slice, slice]]]:
     """Yield each sheet in a window that spans ``shape`` pixels, the tiles of it, and their pixels, where it has any."""
     for sheet in sheets:
@@ -55,6 +55,7 @@ def _shares(
 
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
+_Merge: TypeAlias = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
 
@@ -186,13 +187,7 @@ class MapReader:
         """
         return self._merged("heightmap.tif", window, np.float32(np.nan), np.fmax)
 
-    def _merged(
-        self,
-        raster: str,
-        window: TileWindow,
-        nothing: np.generic,
-        merge: Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]],
-    ) -> NDArray[Any]:
+    def _merged(self, raster: str, window: TileWindow, nothing: np.generic, merge: _Merge) -> NDArray[Any]:
         """Read pixels of a window, (rows * pixels, cols * pixels); ``merge`` says which of two sheets counts."""
         pixels = self.grid.pixels
         out = np.full((window.rows * pixels, window.cols * pixels), nothing)
@@ -224,10 +219,13 @@ class MapReader:
         BadInputError
             A file is missing or damaged.
         """
-        out = np.full(shape, np.nan, np.float32)
-        for sheet, part, place in _shares(self.sheets, window, shape):
-            size = place[0].stop - place[0].start, place[1].stop - place[1].start
-            out[place] = np.fmax(out[place], sheet.read_relief(part, size))
+        return self._shown("heightmap.tif", window, np.full(shape, np.nan, np.float32), np.fmax)
+
+    def _shown(self, raster: str, window: TileWindow, out: NDArray[Any], merge: _Merge) -> NDArray[Any]:
+        """Fill pixels that span a window; ``merge`` says which of two sheets counts."""
+        for sheet, part, place in _shares(self.sheets, window, out.shape):
+            shape = place[0].stop - place[0].start, place[1].stop - place[1].start
+            out[place] = merge(out[place], sheet.read_shrunk(raster, part, shape))
         return out
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
@@ -249,10 +247,7 @@ class MapReader:
 
     def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        out = np.full(shape, NO_TILE, np.uint8)
-        for sheet, part, place in _shares(self.sheets, window, shape):
-            size = place[0].stop - place[0].start, place[1].stop - place[1].start
-            out[place] = np.minimum(out[place], sheet.read_passage(part, size))
+        out = self._shown("passage.tif", window, np.full(shape, NO_TILE, np.uint8), np.minimum)
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:

@@ -26,7 +26,6 @@ __all__ = [
     "NO_MOVE",
     "ReachField",
     "reach_dataset",
-    "reach_polygons",
     "write_isochrones",
     "write_reach",
     "write_reach_back",
@@ -174,21 +173,15 @@ def write_isochrones(
         inside = values <= level  # NaN is never inside
         geometry = None
         if inside.any():
-            polygons = place.polygons(reach_polygons(reach, inside))
+            # Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
+            labels, first, _ = label(inside.astype(np.uint8))
+            numbers = range(1, len(first) + 1)
+            polygons = place.polygons(trace_labels(labels, reach.window, slice(0, reach.window.rows), numbers))
             box.add(polygons)
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.grid.tile_size**2
         features.append(feature({"within": level, "of": by, "unit": _UNITS[by], "area_m2": area}, geometry))
     write_features(path, "isochrones", place, features, box, about)
-
-
-def reach_polygons(reach: ReachField, inside: NDArray[np.bool_]) -> NDArray[np.object_]:
-    """Return the outlines of the tiles that are inside, (m,) valid polygons in grid coordinates (1 is one tile).
-
-    Tiles that touch at a corner only are polygons apart: nothing drives over a corner.
-    """
-    labels, first, _ = label(inside.astype(np.uint8))
-    return trace_labels(labels, reach.window, slice(0, reach.window.rows), range(1, len(first) + 1))
 
 
 def reach_dataset(reach: ReachField) -> "xarray.Dataset":

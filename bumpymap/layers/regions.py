@@ -24,7 +24,7 @@ from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTa
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
 
-__all__ = ["REGION_WINDOW", "Regions", "add_up", "dissolve", "label", "shared_corners", "trace_labels"]
+__all__ = ["REGION_WINDOW", "Regions", "dissolve", "label", "shared_corners", "trace_labels"]
 
 
 def label(keys: NDArray[np.uint8]) -> tuple[NDArray[np.int32], NDArray[np.int64], NDArray[np.int64]]:
@@ -118,17 +118,6 @@ def _find_ends(
             last[area] = pixel
             if first[area] < 0:
                 first[area] = pixel
-
-
-@kernel
-def add_up(
-    area: Annotated[NDArray[np.int32], 1],
-    values: Annotated[NDArray[np.float32], 1],
-    total: Annotated[NDArray[np.float64], 1],
-) -> None:
-    """Add (n,) values to the (m,) totals of their areas, one after the other."""
-    for n in range(len(area)):
-        total[area[n]] += values[n]
 
 
 def shared_corners(areas: NDArray[np.integer]) -> NDArray[np.bool_]:
@@ -394,7 +383,7 @@ def _sum_values(table: CostTable, window: RasterWindow, labels: NDArray[np.int32
     for strip in table.tiles.strips(_STRIP, window.tiles):
         found = table.tiles.read(_VALUES, strip)
         area = labels[window.pixel_indices(found)] - 1
-        for total, name in zip(totals, _VALUES, strict=False):
-            add_up(area, found[name], total)
-        add_up(area, table.rule.hazard(found["p_fail"]).astype(np.float32), totals[-1])
+        values = [*(found[name] for name in _VALUES), table.rule.hazard(found["p_fail"]).astype(np.float32)]
+        for total, own in zip(totals, values, strict=True):
+            np.add.at(total, area, own.astype(np.float64))
     return totals

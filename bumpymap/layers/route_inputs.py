@@ -214,11 +214,12 @@ def _read_table(path: Path) -> VectorLayer:
 
 
 def _layer(geometry: NDArray[np.object_], names: Sequence[Any] | NDArray[np.object_], crs: CRS | None) -> VectorLayer:
-    held = ~(shapely.is_missing(geometry) | shapely.is_empty(geometry))
-    if not np.isfinite(shapely.get_coordinates(geometry[held])).all():
+    has_shape = ~(shapely.is_missing(geometry) | shapely.is_empty(geometry))
+    if not np.isfinite(shapely.get_coordinates(geometry[has_shape])).all():
         raise ValueError("a coordinate is not a finite number")
     texts = [str(name).strip() if isinstance(name, str | int) else "" for name in names]
-    return VectorLayer(geometry[held], tuple(text for text, kept in zip(texts, held, strict=True) if kept), crs)
+    kept = tuple(text for text, known in zip(texts, has_shape, strict=True) if known)
+    return VectorLayer(geometry[has_shape], kept, crs)
 
 
 _log = logging.getLogger(__name__)
@@ -399,8 +400,8 @@ def read_areas(
     layer = read_vectors(path)
     kinds = shapely.get_type_id(layer.geometry)
     if not len(kinds) or not np.isin(kinds, _POLYGONS).all():
-        held = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
-        raise BadInputError(f"{path} holds {held.lower()}; areas must be polygons. Draw polygons and save them alone")
+        kind = "nothing" if not len(kinds) else shapely.GeometryType(int(kinds[~np.isin(kinds, _POLYGONS)][0])).name
+        raise BadInputError(f"{path} holds {kind.lower()}; areas must be polygons. Draw polygons and save them alone")
     areas, is_on = _on_map(path, layer.geometry, layer.crs, route_map)
     if not is_on.all():
         said = f"{_beside(path, layer, is_on, route_map)}. {_hint(layer.geometry[~is_on], layer.crs, route_map)}"
@@ -458,10 +459,10 @@ def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: MapReade
 
 
 def _system(crs: CRS | None, route_map: MapReader) -> str:
-    own = route_map.georeference.crs
-    if own is None:
+    map_crs = route_map.georeference.crs
+    if map_crs is None:
         return "the survey's own coordinates"
-    return describe_crs(own.to_2d()) if crs is None else crs.name
+    return describe_crs(map_crs.to_2d()) if crs is None else crs.name
 
 
 def tiles_in(areas: NDArray[np.object_], window: TileWindow, grid: Grid) -> NDArray[np.bool_]:
@@ -543,8 +544,8 @@ def _outline(route_map: MapReader) -> shapely.Geometry:
 
 def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:
     """Convert geometries of a file to metres on the grid."""
-    own, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
-    if own is None:
+    map_crs, unit = route_map.georeference.crs, route_map.georeference.metres_per_unit
+    if map_crs is None:
         if crs is not None and path.suffix.lower() not in _GEOJSON:  # a GeoJSON can only state longitude and latitude
             raise BadInputError(
                 f"{path} is in {crs.name}, and the map has no CRS. Save the areas in the survey's own coordinates and "
@@ -552,15 +553,15 @@ def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_m
             )
         return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     if crs is None and path.suffix.lower() in _GEOJSON:
-        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(own.to_2d()))
+        _log.warning("the numbers of %s cannot be degrees: they are read in %s", path, describe_crs(map_crs.to_2d()))
         return np.asarray(shapely.transform(geometry, lambda xy: xy * unit), object)
     if crs is None:
         raise BadInputError(
             f"{path} states no CRS, so its place on the map is not known. Save it with the CRS "
-            f"{describe_crs(own.to_2d())}, or as GeoJSON in longitude and latitude"
+            f"{describe_crs(map_crs.to_2d())}, or as GeoJSON in longitude and latitude"
         )
     try:
-        transformer = Transformer.from_crs(crs, own.to_2d(), always_xy=True)
+        transformer = Transformer.from_crs(crs, map_crs.to_2d(), always_xy=True)
     except ProjError as error:
         raise BadInputError(f"{path} is in {crs.name}, which cannot be converted to the CRS of the map") from error
     near, step = _around(route_map, transformer)
@@ -586,7 +587,7 @@ def _around(route_map: MapReader, transformer: Transformer) -> tuple[shapely.Geo
     if not (np.isfinite(side) and side > 0.0):
         degrees = transformer.source_crs is not None and transformer.source_crs.is_geographic
         return None, 1e-3 if degrees else 100.0
-    far = _BEYOND * side
-    spans = [(west - far, 180.0), (-180.0, east + far)] if is_cut else [(west - far, east + far)]
-    boxes = [shapely.box(low, south - far, high, north + far) for low, high in spans]
+    pad = _BEYOND * side
+    spans = [(west - pad, 180.0), (-180.0, east + pad)] if is_cut else [(west - pad, east + pad)]
+    boxes = [shapely.box(low, south - pad, high, north + pad) for low, high in spans]
     return shapely.union_all(boxes), side / _STEPS

@@ -64,7 +64,6 @@ __all__ = [
     "point_styles",
     "remove_stale_products",
     "report_frame",
-    "sample_evenly",
     "save_part",
     "sector_states",
     "sync_to_disk",
@@ -171,13 +170,6 @@ def _stem(source: FrameSource) -> str:
     except UnicodeEncodeError:
         return "".join(chr(byte) if byte < 128 else f"%{byte:02X}" for byte in os.fsencode(stem))
     return stem
-
-
-def sample_evenly(frames: Sequence[Frame], most: int) -> list[Frame]:
-    """Return at most ``most`` frames at even intervals, including the first and the last."""
-    if len(frames) <= most:
-        return list(frames)
-    return [frames[place] for place in np.linspace(0, len(frames) - 1, most).round().astype(int)]
 
 
 _RIDE_CLASSES = ("0", "1", "2", "3", "unknown")

@@ -126,13 +126,14 @@ class SectorTable:
 @contextmanager
 def open_table(path: Path) -> Iterator[SectorTable]:
     """Open sectors.parquet for writing."""
-    with pq.ParquetWriter(path, _schema(), compression="zstd") as writer:
+    with pq.ParquetWriter(path, sector_schema(), compression="zstd") as writer:
         table = SectorTable(writer)
         yield table
         table.flush()
 
 
-def _schema() -> pa.Schema:
+def sector_schema() -> pa.Schema:
+    """Return the columns of sectors.parquet, with what describes each."""
     nullable = {"obstacle_height", "clearance", "stripes", "class", "label", "variance", "residual", *RIDE_COLUMNS}
     return pa.schema(
         [
@@ -167,6 +168,6 @@ def sector_rows(name: str, classed: ClassedSectors) -> pa.Table:
         columns["ride_class"] = pa.array(class_id, pa.int8(), mask=class_id == NO_CLASS)
     columns |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
     columns |= {side: getattr(bounds, side).astype(np.float32) for side in ("near", "far", "right", "left")}
-    schema = _schema()
+    schema = sector_schema()
     columns |= {name: getattr(stack, name) for name in schema.names if name not in columns}
     return pa.table([typed_array(columns[field.name], field) for field in schema], schema=schema)

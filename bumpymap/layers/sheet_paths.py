@@ -22,7 +22,6 @@ from bumpymap.layers.products import (
 )
 
 __all__ = [
-    "in_sheets",
     "make_sheet_folder",
     "raster_in",
     "remove_manifest",
@@ -48,11 +47,6 @@ def raster_in(folder: Path, name: str) -> Path:
     """Return the path of a raster of a map: that of the virtual one if only the sheets hold such a raster."""
     virtual = folder / virtual_name(name)
     return virtual if virtual.is_file() and not (folder / name).exists() else folder / name
-
-
-def in_sheets(folder: Path) -> bool:
-    """Return whether a folder holds a complete map in sheets."""
-    return (read_record(folder / MANIFEST_NAME) or {}).get("format") == SHEETS_FORMAT
 
 
 def sheet_folders(path: str | os.PathLike[str]) -> list[Path]:

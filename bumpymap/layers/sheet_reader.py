@@ -182,22 +182,15 @@ class SheetReader:
                 for array, values in zip(out, file.read(numbers, window=part), strict=True):
                     array[_moved(lines, top), _moved(columns, left)] = values
 
-    def read_relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
-        """Read the mean heights of a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
-        return self._shrunk("heightmap.tif", window, shape, averaged=True)
-
-    def read_passage(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.uint8]:
-        """Read passage.tif in a window that lies inside the sheet in ``shape`` pixels, from the overviews."""
-        return self._shrunk("passage.tif", window, shape, averaged=False)
-
-    def _shrunk(self, name: str, window: TileWindow, shape: tuple[int, int], *, averaged: bool) -> NDArray[Any]:
+    def read_shrunk(self, name: str, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
+        """Read a window that lies inside the sheet in ``shape`` pixels, from the overviews: numbers as means."""
         own, scale = self.window, self.grid.pixels
         top = (own.row + own.rows - window.row - window.rows) * scale
         left = (window.col - own.col) * scale
         part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
-            if averaged:
+            if _DTYPES[name] == "float32":
                 return read_averaged(file, shape, part)
             found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
             return found

@@ -148,7 +148,7 @@ class SheetLayout:
 
     def places(self, tiles: TileTable) -> list[SheetPlace]:
         """Return the sheets that hold tiles, west column first, then south row first."""
-        keys = np.array(list(tiles.pack_of), np.int64) // (self.side // BLOCK_TILES)
+        keys = np.array(tiles.keys, np.int64) // (self.side // BLOCK_TILES)
         return [(col, row) for col, row in np.unique(keys[:, ::-1], axis=0).tolist()]
 
     def window(self, place: SheetPlace) -> TileWindow:

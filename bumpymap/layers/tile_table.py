@@ -54,7 +54,8 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
         The extent is too large for a raster.
     """
     place = Placement.of(table)
-    schema = _schema(place, about or {}, table.speeds)
+    fields = tile_fields(place.grid.pixels, table.speeds)
+    schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
         pq.ParquetWriter(
@@ -91,10 +92,11 @@ def _join(held: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {name: np.concatenate([part.pop(name) for part in parts]) for name in list(parts[0])}
 
 
-def _schema(place: Placement, about: Mapping[str, str], speeds: tuple[float, ...]) -> pa.Schema:
-    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(place.grid.pixels)}
+def tile_fields(pixels: int, speeds: tuple[float, ...]) -> list[pa.Field]:
+    """Return the columns of tiles.parquet for tiles of pixels x pixels, with what describes each."""
+    kinds = {column.name: pa.from_numpy_dtype(column.dtype) for column in tile_columns(pixels)}
     kinds["passable"] = pa.bool_()
-    fields = [
+    return [
         _field("col", pa.int32(), "tile column: floor(x / tile_size), x in metres", nullable=False),
         _field("row", pa.int32(), "tile row: floor(y / tile_size), y in metres; grows to the north", nullable=False),
         _field("geometry", pa.binary(), "the tile, in the survey's CRS", nullable=False),
@@ -112,9 +114,8 @@ def _schema(place: Placement, about: Mapping[str, str], speeds: tuple[float, ...
         _field("reason", pa.int8(), "why there is no class; 0 where there is one", nullable=False),
         _field("reason_text", pa.string(), "the reason in words", nullable=False),
         *(_field(band.name, pa.float32(), band.description, band.unit) for band in speed_bands(speeds)),
-        _field("heights", pa.list_(pa.float32(), place.grid.pixels**2), "mean z of each pixel, north row first", "m"),
+        _field("heights", pa.list_(pa.float32(), pixels**2), "mean z of each pixel, north row first", "m"),
     ]
-    return pa.schema(fields, metadata={**about, "geo": json.dumps(_geo(place))})
 
 
 def _field(name: str, kind: pa.DataType, text: str, unit: str = "", *, nullable: bool = True) -> pa.Field:

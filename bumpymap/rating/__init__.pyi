@@ -79,7 +79,9 @@ from .textures import (
     remove_plane as remove_plane,
 )
 from .vehicle_profile import (
+    KEYS as KEYS,
     Vehicle as Vehicle,
+    estimated_values as estimated_values,
     find_calibration as find_calibration,
     load_profile as load_profile,
     shipped_profiles as shipped_profiles,

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, VehicleBody, corners_join
+from bumpymap.core import OBSTACLE_MARGIN_M, Barred, VehicleBody, corners_join
 from bumpymap.rating._passable_kernels import (
     InnerTiles,
     Mosaic,
@@ -15,10 +15,7 @@ from bumpymap.rating._passable_kernels import (
     settle,
 )
 
-__all__ = ["MARGIN_M", "close_split_tiles", "find_passable", "free_areas", "settle_objects"]
-
-MARGIN_M = 0.1
-"""Room between vehicle and obstacle, m: half a pixel of 0.2 m, for an obstacle fills its pixel only in part."""
+__all__ = ["close_split_tiles", "find_passable", "free_areas", "settle_objects"]
 
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
@@ -86,7 +83,7 @@ def find_passable(
     found = InnerTiles(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
-    radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
+    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
     mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, _by_corners(body, tile_size / pixels))
     rows, cols = objects.shape
     find_ways(mosaic, found, grow_scratch(rows, cols, pixels, radius))
@@ -119,7 +116,7 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
+    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
     scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
     corners = _by_corners(body, tile_size / pixels)
     grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
@@ -160,7 +157,7 @@ def close_split_tiles(
     split = np.zeros(barred.shape, np.bool_)
     corners = _by_corners(body, tile_size / pixels)
     close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
-    radius = (0.5 * body.width_m + MARGIN_M) * pixels / tile_size
+    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
     near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
@@ -169,7 +166,7 @@ def close_split_tiles(
 
 def _by_corners(body: VehicleBody, pixel: float) -> bool:
     """Say whether free pixels hang together by their corners too; ``pixel``: their side, m."""
-    return corners_join(body.width_m, 0.5 * body.width_m + MARGIN_M, pixel)
+    return corners_join(body.width_m, 0.5 * body.width_m + OBSTACLE_MARGIN_M, pixel)
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:

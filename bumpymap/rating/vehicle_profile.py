@@ -21,28 +21,22 @@ from bumpymap.core import (
     short_repr,
 )
 from bumpymap.rating.calibration import DEFAULT_FAIL_WEIGHT, Calibration, shipped_calibrations
-from bumpymap.rating.vehicle_body import (
-    Body,
-    Floor,
-    OneLine,
-    ProfileKey,
-    Quantity,
-    body_table,
-    plain_lists,
-    profile_keys,
-)
+from bumpymap.rating.vehicle_body import Body, Floor, OneLine, Quantity, body_table, plain_lists, profile_keys
+from bumpymap.rating.vehicle_estimate import ESTIMATED, SUSPENSION, Whole, estimate_profile
 
 __all__ = [
     "KEYS",
     "Vehicle",
     "calibration_beside",
+    "estimated_values",
     "find_calibration",
     "load_profile",
     "shipped_profiles",
     "write_profile_template",
 ]
 
-_SCHEMA = "`bumpymap vehicle new NAME` writes a file with every key, its unit and its range"
+_SHORT = "; or give mass_kg and suspension, from which most other values are estimated"
+_SCHEMA = "`bumpymap vehicle new NAME` writes a file to fill in, with units and ranges"
 _LONGEST_BELLY = 4.0
 """Longest belly in wheelbases; a bus with its overhangs has about two."""
 _LIGHTEST, _HEAVIEST = 5.0, 3000.0
@@ -126,7 +120,7 @@ class Vehicle:
     ride_weight: Annotated[
         float,
         Quantity("m/rad", 0, 1000, "the detour that is acceptable to avoid one radian of pitch motion; a preference"),
-    ]
+    ] = field(default=5.0, kw_only=True)
     """cost = 1 + ride_weight * c_r + fail_weight * hazard."""
     fail_weight: Annotated[
         float, Quantity("m", 0, 100_000, "the detour that is acceptable to avoid one failure; a preference")
@@ -194,15 +188,20 @@ class Vehicle:
         BadInputError
             A key is unknown or missing, or a value is of the wrong type or not plausible; the message lists all faults.
         """
-        arguments, faults = parse_record(record, cls, Path(), complete=True)
+        estimate = estimate_profile(record)
+        arguments, faults = parse_record(estimate.record, cls, Path(), complete=True)
+        if estimate.record is not record:  # a short profile does not lack what would be estimated
+            estimated = tuple(f"missing {name}:" for name in ESTIMATED)
+            faults = estimate.faults + [fault for fault in faults if not fault.startswith(estimated)]
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
             found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
             found += [_height(profile), _width(profile)]
-            found += [_density(profile), *(_gyration(profile, table) for table in _GYRATION)]
+            found += [_parts(profile, record), _density(profile), *(_gyration(profile, table) for table in _GYRATION)]
             faults = [fault for fault in found if fault]
-        refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}")
+        lacking = estimate.record is record and any(fault.startswith("missing") for fault in faults)
+        refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
 
 
@@ -220,11 +219,14 @@ def load_profile(name_or_path: str | Path) -> Vehicle:
     BadInputError
         The file is not TOML, or a value is missing or not plausible.
     """
+    return Vehicle.from_dict(*_profile_record(name_or_path))
+
+
+def _profile_record(name_or_path: str | Path) -> tuple[dict[str, Any], str]:
+    """Return a profile as its file has it, and what to call it in messages."""
     if str(name_or_path) in shipped_profiles():
         with as_file(files("bumpymap.rating") / "data" / "vehicles" / f"{name_or_path}.toml") as shipped:
-            return Vehicle.from_dict(
-                read_toml(shipped, "the vehicle profile", BadInputError), f"vehicle profile {name_or_path}"
-            )
+            return read_toml(shipped, "the vehicle profile", BadInputError), f"vehicle profile {name_or_path}"
     path = Path(path_of_call("the vehicle", name_or_path))
     if not path.exists():
         raise UsageError(
@@ -232,13 +234,26 @@ def load_profile(name_or_path: str | Path) -> Vehicle:
             f"({', '.join(shipped_profiles())}). Give one of these names, or a TOML file; "
             "bumpymap vehicle new NAME writes a template"
         )
-    return Vehicle.from_dict(read_toml(path, "the vehicle profile", BadInputError), str(path))
+    return read_toml(path, "the vehicle profile", BadInputError), str(path)
 
 
 def shipped_profiles() -> list[str]:
     """Return the names of the included vehicle profiles."""
     folder = files("bumpymap.rating") / "data" / "vehicles"
     return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))
+
+
+def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
+    """Return what a short profile leaves out and `load_profile` estimates, by key, such as ``chassis.com_height_m``."""
+    return estimate_profile(_profile_record(name_or_path)[0]).values
+
+
+def _parts(profile: Vehicle, record: dict[str, Any]) -> str:
+    whole = record.get("mass_kg", profile.mass_kg)
+    if math.isclose(whole, profile.mass_kg, rel_tol=0.01):
+        return ""
+    parts = f"chassis, rockers and wheels weigh {profile.mass_kg:g} together"
+    return f"mass_kg is {whole:g}, and {parts}: leave one of them out"
 
 
 def _wheels(profile: Vehicle) -> str:
@@ -368,7 +383,7 @@ def _fill(file: TextIO, path: Path, text: str) -> None:
 
 
 def profile_template(name: str, like: str | None) -> str:
-    """Return the text of a profile to edit.
+    """Return the text of a profile to edit: a short one, or with every value of another vehicle.
 
     Parameters
     ----------
@@ -377,35 +392,37 @@ def profile_template(name: str, like: str | None) -> str:
     like : str or None
         A vehicle (name or TOML file) to copy the numbers from; None: put a placeholder that `vehicle check` reports.
     """
-    model: dict[str, Any] = {} if like is None else load_profile(like).to_dict()
     lines = ["# A vehicle profile for bumpymap. Check it with: bumpymap vehicle check FILE"]
     if like is None:
-        lines.append(f'# Replace each "{UNFILLED}" by a value.')
+        lines += [
+            f'# Replace each "{UNFILLED}" by a value. Inertia, centre of mass, springs, belly, outline are estimated',
+            "# from these values: the check shows them, and each may be set.",
+        ]
+        keys = tuple(key for key in KEYS if key.default is None and key.name not in ESTIMATED)
+        values, description = {key.name: UNFILLED for key in keys}, UNFILLED
     else:
+        model = load_profile(like).to_dict()
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
+        keys, description = KEYS, f"like {model['name']}"
+        values = {key.name: (model[key.table] if key.table else model)[key.short] for key in KEYS}
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
-    lines.append(f"description = {json.dumps('like ' + model['name'] if model else UNFILLED, ensure_ascii=False)}")
+    lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
+    if like is None:
+        (mass,) = (key.quantity for key in profile_keys(Whole))
+        lines += [_about(mass), f'mass_kg = "{UNFILLED}"', f"# {SUSPENSION}", f'suspension = "{UNFILLED}"']
     table = ""
-    for key in KEYS:
+    for key in keys:
         if key.table != table:
             table = key.table
             lines += ["", f"[{table}]"]
-        what = key.quantity.what.replace("`", "")
-        lines += [f"# {what[0].upper()}{what[1:]} ({key.quantity.allowed}).", _line(key, model)]
+        lines += [_about(key.quantity), f"{key.short} = {json.dumps(values[key.name])}"]
     return "\n".join(lines) + "\n"
 
 
-def _line(key: ProfileKey, model: dict[str, Any]) -> str:
-    """Return the line of a key, as a comment if its default follows from the others."""
-    if not model and key.default is not None and math.isnan(key.default):
-        return f"# {key.short} =   (if left out, it follows from the keys above)"
-    return f"{key.short} = {_value(key, model)}"
-
-
-def _value(key: ProfileKey, model: dict[str, Any]) -> str:
-    if not model:
-        return json.dumps(UNFILLED if key.default is None else key.default)
-    return json.dumps((model[key.table] if key.table else model)[key.short])
+def _about(quantity: Quantity) -> str:
+    """Return the comment above a value."""
+    what = quantity.what.replace("`", "")
+    return f"# {what[0].upper()}{what[1:]} ({quantity.allowed})."
 
 
 def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibration:

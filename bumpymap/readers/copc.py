@@ -8,7 +8,7 @@ laspy is not used: it follows cyclic pages forever, and creates a Python object 
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -25,15 +25,15 @@ __all__ = [
     "ChunkTable",
     "check_layers",
     "count_points_outside_node",
-    "is_chunked",
     "laz_record",
     "read_octree",
     "read_table",
-    "refuse_density",
 ]
 
 _NOT_CHUNKED = 1
-"""Value of the "compressor" word of the LASzip record for data without a chunk table."""
+"""Value of the "compressor" word of the LASzip record for data without a chunk table (LASzip 1)."""
+_LARGEST_CHUNK = 1 << 28
+"""Decoded bytes of a LAZ chunk at most."""
 _ITEMS = (
     (6, 20, 0, range(6)),
     (7, 8, 0, (1, 3, 4, 5)),
@@ -53,6 +53,7 @@ _ANY_SIZE = 0xFFFFFFFF
 _ENTRY_BYTES = 16
 """Limit of a chunk table entry: two numbers, which take less than eight bytes each when encoded."""
 _TRUNCATED = "truncated? Copy or download it again"
+_WRITE_AGAIN = "Write it again with the usual codec, such as with: pdal translate IN OUT.laz"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,28 +85,20 @@ def laz_record(path: Location, header: RawHeader) -> bytes:
     layered, extra = header.point_format >= LAYERED, header.extra_bytes
     wanted = [(kind, size) for kind, size, _, formats in _ITEMS if header.point_format in formats]
     wanted += [(_EXTRA_LAYERED if layered else _EXTRA, extra)] * (extra > 0)
-    if items != wanted or (layered and not is_chunked(record)):
+    if items != wanted:
         raise BadInputError(
             f"the LASzip record of {path} does not go with its points of format {header.point_format} and "
             f"{header.point_size} bytes: the file is damaged. Copy or download it again"
         )
-    if not is_chunked(record):
-        # The chunk size is not used here, but lazrs panics if it is 0 or the value for "any size".
-        record = record[:12] + struct.pack("<I", _ANY_SIZE - 1) + record[16:]
+    if struct.unpack_from("<H", record)[0] == _NOT_CHUNKED:
+        raise BadInputError(f"{path} is compressed in one stream without chunks, which is not read. {_WRITE_AGAIN}")
     try:
         decoder().check(record)
     except DecoderError as error:
         raise BadInputError(
-            f"{path} is compressed in a way that cannot be decoded here ({error}). Write it again with the usual "
-            "codec, such as with: pdal translate IN OUT.laz"
+            f"{path} is compressed in a way that cannot be decoded here ({error}). {_WRITE_AGAIN}"
         ) from error
     return record
-
-
-def is_chunked(record: bytes) -> bool:
-    """Return whether there is a chunk table; old files may have none."""
-    word: int = struct.unpack_from("<H", record)[0]
-    return word != _NOT_CHUNKED
 
 
 def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: bytes) -> ChunkTable:
@@ -133,32 +126,41 @@ def read_table(stream: BinaryIO, path: Location, header: RawHeader, record: byte
     ends = np.cumsum([min(count, header.point_count) for count in counts], dtype=np.int64)
     held = np.diff(np.minimum(ends, header.point_count), prepend=0)
     found = ChunkTable(held, starts, sizes).rows(held > 0)
-    refuse_density(path, found.counts, found.sizes)
+    _refuse_sizes(path, header, found)
     return found
 
 
-def refuse_density(path: Location, counts: NDArray[np.int64], sizes: NDArray[np.int64]) -> None:
-    """Raise BadInputError if LAZ chunks declare more points than could be compressed into their bytes."""
-    if (counts > _DENSEST * sizes).any():
-        worst = int(np.argmax(counts - _DENSEST * sizes))
+def _refuse_sizes(path: Location, header: RawHeader, table: ChunkTable) -> None:
+    """Refuse LAZ chunks that declare more points than their bytes can hold, or than can be decoded at once."""
+    dense = table.counts - _DENSEST * table.sizes
+    if (dense > 0).any():
+        worst = int(np.argmax(dense))
         raise BadInputError(
-            f"{path} declares {counts[worst]:,} points in {sizes[worst]:,} compressed bytes, which is impossible: "
-            f"damaged or {_TRUNCATED}"
+            f"{path} declares {table.counts[worst]:,} points in {table.sizes[worst]:,} compressed bytes, which is "
+            f"impossible: damaged or {_TRUNCATED}"
+        )
+    largest = int(table.counts.max(initial=0))
+    decoded = largest * header.point_size
+    if decoded > _LARGEST_CHUNK:
+        raise BadInputError(
+            f"a LAZ chunk of {path} holds {largest:,} points, {decoded / 1e6:,.0f} MB when decoded; "
+            f"at most {_LARGEST_CHUNK / 1e6:,.0f} MB are decoded at once. {_WRITE_AGAIN}"
         )
 
 
-def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], size: int, points: int) -> None:
+def check_layers(path: Location, header: RawHeader, chunk: NDArray[np.uint8], points: int) -> None:
     """Check the head of a layered LAZ chunk against its size in bytes and its points in the chunk table.
 
     A layered chunk starts with its first point, its number of points and the sizes of its layers, which fill the rest:
     a layer with a wrong size would be skipped, or include bytes of the next. Chunks of point formats 0 to 5 have no
-    such head. ``chunk`` is the beginning of the LAZ chunk, or all of it.
+    such head.
     """
     if header.point_format < LAYERED:
         return
     layers = header.extra_bytes + sum(count for *_, count, formats in _ITEMS if header.point_format in formats)
     head = header.point_size + 4 * (layers + 1)
-    if min(size, chunk.size) < head:
+    size = chunk.size
+    if size < head:
         raise BadInputError(f"a LAZ chunk of {path} takes {size:,} bytes and must take at least {head:,}: {_TRUNCATED}")
     held, *layer_bytes = struct.unpack(f"<{layers + 1}I", chunk[header.point_size : head].tobytes())
     refuse_count(path, points, held, "points in a LAZ chunk")
@@ -228,15 +230,15 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_
             f"{_REBUILD}"
         )
     nodes = nodes[_depth_first_order(nodes)]
-    sizes, counts = nodes["size"].astype(np.int64), nodes["points"].astype(np.int64)
-    refuse_density(path, counts, sizes)
-    starts = nodes["offset"].astype(np.int64)
+    counts, starts, sizes = (nodes[name].astype(np.int64) for name in ("points", "offset", "size"))
+    table = ChunkTable(counts, starts, sizes)
+    _refuse_sizes(path, header, table)
     if metres_per_unit is None:
-        return ChunkTable(counts, starts, sizes)
+        return table
     side = 2 * half / np.exp2(nodes["level"])
     west, south = x - half + nodes["x"] * side, y - half + nodes["y"] * side
     boxes = np.column_stack([west, south, west + side, south + side]) * metres_per_unit
-    return ChunkTable(counts, starts, sizes, boxes)
+    return replace(table, boxes=boxes)
 
 
 def _read_nodes(

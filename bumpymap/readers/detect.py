@@ -15,7 +15,6 @@ from bumpymap.core import BadInputError
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
     Location,
-    OpenFile,
     is_folder,
     is_url,
     list_folder,
@@ -94,18 +93,18 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
     return TableSurvey(path, options, partial(_open_table, kind))
 
 
-def _open_table(kind: Kind, file: OpenFile, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
+def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
     if kind == "ply":
         from bumpymap.readers.ply import PlyTable
 
-        return PlyTable(file, wanted)
+        return PlyTable(path, wanted)
     from bumpymap.readers.pcd import PcdTable
 
-    return PcdTable(file, wanted, memory, text_type)
+    return PcdTable(path, wanted, memory, text_type)
 
 
 def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
-    """Read all points of a PLY or PCD file, opening it once.
+    """Read all points of a PLY or PCD file.
 
     Parameters
     ----------
@@ -123,15 +122,14 @@ def read_columns(path: Path, wanted: "Wanted") -> dict[str, NDArray[Any]]:
     BadInputError
         The file cannot be read, is neither PLY nor PCD, declares more than it holds, or is damaged.
     """
-    with open_source(path) as stream:
-        kind, file = _format_of(path, stream.read(_HEAD)), OpenFile(path, stream)
-        if kind == "las":
-            raise BadInputError(
-                f"{path} is a survey (LAS) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin files. "
-                "Map a survey with: bumpymap map"
-            )
-        table = _open_table(kind, file, wanted, ReadOptions().memory, np.float64)
-        rows = table.whole()
+    kind = detect_format(path)
+    if kind == "las":
+        raise BadInputError(
+            f"{path} is a survey (LAS) and not a scan of a robot; scans are PLY, PCD or KITTI-style .bin files. "
+            "Map a survey with: bumpymap map"
+        )
+    table = _open_table(kind, path, wanted, ReadOptions().memory, np.float64)
+    rows = table.whole()
     return {what: rows[name] for what, name in table.info.find(wanted).items()}
 
 
@@ -144,10 +142,7 @@ def detect_format(path: Location) -> Kind:
         The file cannot be read, is empty, or is not a point cloud; the message says what it looks like.
     """
     with open_source(path) as stream:
-        return _format_of(path, stream.read(_HEAD))
-
-
-def _format_of(path: Location, head: bytes) -> Kind:
+        head = stream.read(_HEAD)
     if not head:
         raise BadInputError(f"{path} is empty (0 bytes). Copy or download it again")
     if head.startswith(b"LASF"):

@@ -2,7 +2,6 @@
 
 import math
 import threading
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import BinaryIO
@@ -23,13 +22,11 @@ from bumpymap.readers.copc import (
     ChunkTable,
     check_layers,
     count_points_outside_node,
-    is_chunked,
     laz_record,
     read_octree,
     read_table,
-    refuse_density,
 )
-from bumpymap.readers.decoder import StreamLostError, decoder
+from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
 from bumpymap.readers.point_stats import KINDS, OUTSIDE, LineRules, PointStats
 from bumpymap.readers.protocol import (
@@ -57,14 +54,8 @@ __all__ = ["LasSurvey"]
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
-HUGE_CHUNK = 1 << 28
-"""A LAZ chunk of more decoded bytes than this is read sequentially, in parts."""
-_CHUNK_HEAD = 1 << 19
-"""Upper limit of the head of a LAZ chunk, bytes: the longest point, and four bytes for each of its layers."""
 _PIECE_BYTES = 1 << 20
 """Bytes of uncompressed points that are read at a time, at most."""
-_SKIPPED = 100_000
-"""Points that are decoded at a time to skip them."""
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 
 
@@ -77,25 +68,6 @@ def _buffer(size: int) -> NDArray[np.uint8]:
     if held is None or held.size < size:
         held = _buffers.held = np.empty(size, np.uint8)
     return held
-
-
-class RecordSource(ABC):
-    """Splits the points of a file into chunks and reads them."""
-
-    def __init__(self, path: Location, header: RawHeader) -> None:
-        self._path, self._header = path, header
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Split between any two points."""
-        return split_rows(self._header.point_count, points, self._header.point_size)
-
-    @abstractmethod
-    def fetch(self, chunk: Chunk) -> "Records | PlainRecords":
-        """Read and decode a chunk."""
-
-    def nodes(self, chunk: Chunk) -> ChunkTable | None:
-        """Return the octree nodes that hold the chunk's points, in the order of `fetch`; None if there is no octree."""
-        return None
 
 
 class PlainRecords:
@@ -130,8 +102,18 @@ class PlainRecords:
             held = rest
 
 
-class PlainPoints(RecordSource):
+class PlainPoints:
     """Uncompressed points."""
+
+    def __init__(self, path: Location, header: RawHeader) -> None:
+        self._path, self._header = path, header
+
+    def chunks(self, points: int) -> Sequence[Chunk]:
+        """Split between any two points."""
+        return split_rows(self._header.point_count, points, self._header.point_size)
+
+    def nodes(self, chunk: Chunk) -> None:
+        """Return None: there is no octree."""
 
     def fetch(self, chunk: Chunk) -> Records | PlainRecords:
         """Return the records of a chunk: to be read when they are used, or from a server at once."""
@@ -146,11 +128,11 @@ class PlainPoints(RecordSource):
         return data.reshape(held, header.point_size)
 
 
-class LazChunks(RecordSource):
-    """LAZ with a chunk table: LAZ chunks (octree nodes are such too) are decoded independently, on all cores."""
+class LazChunks:
+    """LAZ chunks (octree nodes are such too), which are decoded independently, on all cores."""
 
     def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
-        super().__init__(path, header)
+        self._path, self._header = path, header
         self._record, self._table, self._ends = record, table, np.cumsum(table.counts)
 
     def chunks(self, points: int) -> Sequence[Chunk]:
@@ -169,14 +151,14 @@ class LazChunks(RecordSource):
         table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
         at = 0
         for points, size in table:
-            check_layers(self._path, self._header, compressed.data[at : at + size], size, points)
+            check_layers(self._path, self._header, compressed.data[at : at + size], points)
             at += size
         with decoding(self._path, "LAZ chunks"):
             records = decoder().chunks(self._record, table, compressed, chunk.points * self._header.point_size)
         return records.reshape(chunk.points, self._header.point_size)
 
     def nodes(self, chunk: Chunk) -> ChunkTable | None:
-        """See ``RecordSource.nodes``."""
+        """Return the octree nodes that hold the chunk's points, in the order of `fetch`; None if there is no octree."""
         return None if self._table.boxes is None else self._part(chunk)
 
     def _part(self, chunk: Chunk) -> ChunkTable:
@@ -184,67 +166,6 @@ class LazChunks(RecordSource):
         last = chunk.first + chunk.points - 1
         first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
         return self._table.rows(first + np.argsort(self._table.starts[first : end + 1], kind="stable"))
-
-
-class LazStream(RecordSource):
-    """LAZ without a chunk table, or with LAZ chunks too large to decode at once: decoded from the start in order."""
-
-    def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable | None) -> None:
-        super().__init__(path, header)
-        self._record, self._next = record, 0
-        self._stream: int | None = None
-        if table is None:
-            size = header.size - header.offset_to_points
-            refuse_density(path, np.array([header.point_count]), np.array([size]))
-            return
-        for points, start, size in zip(table.counts.tolist(), table.starts.tolist(), table.sizes.tolist(), strict=True):
-            check_layers(path, header, read_range(path, start, min(size, _CHUNK_HEAD)), size, points)
-
-    def fetch(self, chunk: Chunk) -> Records:
-        """Decode the points of a chunk, skipping those before it if necessary."""
-        try:
-            with decoding(self._path, f"points from {chunk.first:,} on"):
-                data = self._read(chunk)
-        except BaseException:
-            self._close()
-            raise
-        if self._next == self._header.point_count:
-            self._close()
-        return data.reshape(chunk.points, self._header.point_size)
-
-    def _read(self, chunk: Chunk) -> Records:
-        while True:
-            try:
-                return self._read_once(chunk)
-            except StreamLostError:
-                # The decoder process was restarted because of another file.
-                self._stream = None
-
-    def _read_once(self, chunk: Chunk) -> Records:
-        stream = self._stream
-        if stream is None or chunk.first < self._next:
-            self._close()
-            start, size = self._header.offset_to_points, self._header.size
-            stream = self._stream = decoder().open_stream(self._record, self._supply, start, size)
-            self._next = 0
-        while self._next < chunk.first:
-            skipped = min(_SKIPPED, chunk.first - self._next)
-            decoder().read_stream(stream, self._supply, skipped * self._header.point_size)
-            self._next += skipped
-        data = decoder().read_stream(stream, self._supply, chunk.points * self._header.point_size)
-        self._next += chunk.points
-        return data
-
-    def _supply(self, start: int, buffer: NDArray[np.uint8]) -> int:
-        """Read bytes into a buffer that is used again, so that threads cannot hash what is in it; see `read_into`."""
-        data = read_range(self._path, start, buffer.size)
-        buffer[: data.size] = data
-        return data.size
-
-    def _close(self) -> None:
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            decoder().close_stream(stream)
 
 
 def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds | None) -> RecordRules:
@@ -377,9 +298,8 @@ class LasSurvey(SurveyReader):
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
-        sequential, parallel = isinstance(self._source, LazStream), isinstance(self._source, LazChunks)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
-        return replace(info, sequential=sequential, parallel=parallel, header_date=raw.created)
+        return replace(info, parallel=raw.compressed, header_date=raw.created)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree."""
@@ -402,25 +322,13 @@ class LasSurvey(SurveyReader):
         return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
 
 
-def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> RecordSource:
+def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> PlainPoints | LazChunks:
     """Choose how to read the points; ``metres_per_unit`` is None if the bounds of octree nodes are to be ignored."""
     if not raw.compressed:
         return PlainPoints(path, raw)
     record = laz_record(path, raw)
-    if not is_chunked(record):
-        return LazStream(path, raw, record, None)
-    if raw.is_copc:
-        nodes = read_octree(stream, path, raw, metres_per_unit)
-        if not _has_huge_chunks(nodes, raw):
-            return LazChunks(path, raw, record, nodes)
-    table = read_table(stream, path, raw, record)
-    source = LazStream if _has_huge_chunks(table, raw) else LazChunks
-    return source(path, raw, record, table)
-
-
-def _has_huge_chunks(table: ChunkTable, header: RawHeader) -> bool:
-    """Return whether a LAZ chunk is too large to be decoded at once."""
-    return bool((table.counts * header.point_size > HUGE_CHUNK).any())
+    table = read_octree(stream, path, raw, metres_per_unit) if raw.is_copc else read_table(stream, path, raw, record)
+    return LazChunks(path, raw, record, table)
 
 
 def _refuse_scales(path: Location, raw: RawHeader) -> None:

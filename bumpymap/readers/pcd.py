@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted, read_rows
-from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
+from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
+from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PcdTable"]
 
@@ -32,7 +32,7 @@ class PcdTable(PointTable):
 
     Parameters
     ----------
-    file : OpenFile
+    path : Path or str
     wanted : dict of str to tuple of str
         See `Wanted`.
     memory : int
@@ -44,25 +44,27 @@ class PcdTable(PointTable):
     nan_is_no_return, searched = True, 100_000
 
     def __init__(
-        self, file: OpenFile, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
+        self, path: Location, wanted: Wanted, memory: int, text_type: type[np.float64] | None = None
     ) -> None:  # fmt: skip
-        path, self._file = file.path, file
-        with decoding(path, "the header"), file.open() as stream:
+        with decoding(path, "the header"), open_source(path) as stream:
             size = stream.seek(0, io.SEEK_END)
             stream.seek(0)
             self._head = head = _read_header(stream, path)
-            self._data_at = stream.tell()
-            self._dtype: np.dtype[np.void] = head.build_dtype()
-            _refuse_columns(head, self._dtype, path)
-            _refuse_size(stream, path, head, size - self._data_at)
-            _refuse_unpacking(stream, path, self._data_at, head, memory)
-        types = {name: self._dtype[name] for name in self._dtype.names or ()}
+            data_at = stream.tell()
+            row: np.dtype[np.void] = head.build_dtype()
+            _refuse_columns(head, row, path)
+            _refuse_size(stream, path, head, size - data_at)
+            _refuse_unpacking(stream, path, data_at, head, memory)
         is_text = head.data is Encoding.ASCII
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
-        super().__init__(path, TableInfo(kind, size, head.points, self._dtype.itemsize, types, is_text, notes))
-        self._text = self._text_rows(wanted, text_type) if is_text else None
+        info, text = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes), None
+        if is_text:
+            names, places = list(info.find(wanted).values()), list(info.types)
+            dtype = np.dtype([(name, text_type or row[name]) for name in names])
+            text = TextRows(path, data_at, 0, dtype, [places.index(name) for name in names])
+        super().__init__(path, info, data_at, text)
 
     @property
     def sequential(self) -> bool:
@@ -71,31 +73,19 @@ class PcdTable(PointTable):
 
     def rows(self, first: int, count: int) -> Any:
         """See ``PointTable.rows``."""
-        if self._text is not None:
-            return self._text.read(first, count)
-        if self._head.data is Encoding.BINARY:
-            return read_rows(self._file, self._data_at, self._dtype, first, count)
+        if self._head.data in {Encoding.ASCII, Encoding.BINARY}:
+            return super().rows(first, count)
         return self._unpacked[first : first + count]
-
-    def close(self) -> None:
-        """See ``PointTable.close``."""
-        if self._text is not None:
-            self._text.close()
 
     @cached_property
     def _unpacked(self) -> NDArray[np.void]:
         """All rows; cached, since they are compressed column by column."""
-        with decoding(self.path, "the points"), self._file.open() as stream:
+        with decoding(self.path, "the points"), open_source(self.path) as stream:
             stream.seek(self._data_at)
             # Pass the header that was checked, not that of the file, which pypcd4 might parse differently.
             whole = io.BytesIO(self._head.compose_header().encode() + stream.read())
             rows: NDArray[np.void] = PointCloud.from_fileobj(whole).pc_data
             return rows
-
-    def _text_rows(self, wanted: Wanted, text_type: type[np.float64] | None) -> TextRows:
-        names, places = list(self.info.find(wanted).values()), list(self.info.types)
-        dtype = np.dtype([(name, text_type or self._dtype[name]) for name in names])
-        return TextRows(self._file, self._data_at, 0, dtype, [places.index(name) for name in names])
 
 
 def _read_header(stream: BinaryIO, path: Location) -> Any:

@@ -2,10 +2,9 @@
 
 import io
 import warnings
-from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any, ClassVar
 
@@ -23,20 +22,18 @@ from bumpymap.readers.protocol import (
     SurveyReader,
     split_rows,
 )
-from bumpymap.readers.source import Location, OpenFile, decoding, refuse_count
+from bumpymap.readers.source import Location, decoding, open_source, read_range, refuse_count
 from bumpytiles import DECIMALS
 
 __all__ = [
     "CLASS_COLUMNS",
     "PointTable",
-    "SerialRows",
     "TableInfo",
     "TableSurvey",
     "TextRows",
     "Wanted",
     "convert_points",
     "precision_note",
-    "read_rows",
 ]
 
 _BLOCK = 100_000
@@ -44,26 +41,41 @@ _BLOCK = 100_000
 Floats = NDArray[np.float64]
 
 
-@dataclass(slots=True)
-class SerialRows(ABC):
-    """Sequential reader of rows; subclasses parse them."""
+class TextRows:
+    """Lines of numbers separated by whitespace, read one after the other; empty lines are skipped.
 
-    file: OpenFile
-    data_at: int
-    """Offset of the data, bytes."""
-    _stream: Any = field(init=False, default=None)
-    _next: int = field(init=False, default=0)
+    Parameters
+    ----------
+    path : Path or str
+    data_at : int
+        Offset of the first line, bytes.
+    skipped : int
+        Lines before the first row.
+    dtype : dtype
+        Type of a row; only these columns are read.
+    columns : list of int
+        Place of each of its fields in a line.
+    """
+
+    def __init__(
+        self, path: Location, data_at: int, skipped: int, dtype: np.dtype[np.void], columns: list[int]
+    ) -> None:  # fmt: skip
+        self._path, self._data_at, self._skipped, self._dtype, self._columns = path, data_at, skipped, dtype, columns
+        self._stream: Any = None
+        self._next = 0
 
     def read(self, first: int, count: int) -> NDArray[np.void]:
         """Return ``count`` rows from row ``first``; fewer at the end of the file."""
-        with decoding(self.file.path, f"the points from {first:,} on"):
+        with decoding(self._path, f"the points from {first:,} on"):
             if self._stream is None or first < self._next:
                 self.close()
-                self._open()
-                self._next = 0
-            while self._next < first and self._advance(min(_BLOCK, first - self._next)).size:
+                binary: Any = open_source(self._path)
+                binary.seek(self._data_at)
+                self._stream, self._next = io.TextIOWrapper(binary, "ascii", errors="replace"), 0
+                deque(islice(self._stream, self._skipped), maxlen=0)
+            while self._next < first and self._load(min(_BLOCK, first - self._next)).size:
                 pass
-            return self._advance(count)
+            return self._load(count)
 
     def close(self) -> None:
         """Close the file until the next ``read``."""
@@ -71,70 +83,16 @@ class SerialRows(ABC):
             self._stream.close()
             self._stream = None
 
-    def _advance(self, count: int) -> NDArray[np.void]:
-        rows = self._load(count)
-        self._next += len(rows)
-        return rows
-
-    @abstractmethod
-    def _open(self) -> None:
-        """Open ``_stream`` at the start of the rows."""
-
-    @abstractmethod
     def _load(self, count: int) -> NDArray[np.void]:
         """Read the next rows; fewer at the end of the file."""
-
-
-@dataclass(slots=True)
-class TextRows(SerialRows):
-    """Lines of numbers separated by whitespace; empty lines are skipped."""
-
-    skipped: int
-    """Lines before the first row."""
-    dtype: np.dtype[np.void]
-    """Type of a row; only these columns are read."""
-    columns: list[int]
-    """Index of each of its fields in a line, without lists."""
-    lists: tuple[bool, ...] = ()
-    """True if each entry of a line is a list, which starts with its length; empty: there are no lists."""
-    _lines: Any = field(init=False, default=None)
-
-    def _open(self) -> None:
-        binary: Any = self.file.open()
-        binary.seek(self.data_at)
-        self._stream = io.TextIOWrapper(binary, "ascii", errors="replace")
-        deque(islice(self._stream, self.skipped), maxlen=0)
-        self._lines = self._without_lists() if any(self.lists) else self._stream
-
-    def _load(self, count: int) -> NDArray[np.void]:
         with warnings.catch_warnings():
             # "no data": the point count is checked at the end.
             warnings.simplefilter("ignore", UserWarning)
             rows: NDArray[np.void] = np.loadtxt(
-                self._lines, dtype=self.dtype, comments=None, usecols=self.columns, max_rows=count, ndmin=1
+                self._stream, dtype=self._dtype, comments=None, usecols=self._columns, max_rows=count, ndmin=1
             )
+        self._next += len(rows)
         return rows
-
-    def _without_lists(self) -> Iterator[str]:
-        for line in self._stream:
-            yield " ".join(_scalars(line.split(), self.lists))
-
-
-def _scalars(words: list[str], lists: tuple[bool, ...]) -> list[str]:
-    """Return the words of a line that are not in a list."""
-    kept, at = [], 0
-    for is_list in lists if words else ():
-        word = words[at] if at < len(words) else ""
-        at += 1
-        if not is_list:
-            kept.append(word)
-        elif word.isdecimal():
-            at += int(word)
-        else:
-            raise ValueError(f"a row of {len(words)} words has {word[:20]!r} instead of the length of a list")
-    if at != len(words):
-        raise ValueError(f"a row has {len(words)} words but its lists require {at}")
-    return kept
 
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
@@ -193,12 +151,6 @@ def convert_points(
     return ChunkPoints(PointCloud(*axes, KINDS[codes]), stats, classes=classes)
 
 
-def read_rows(file: OpenFile, data_at: int, dtype: np.dtype[np.void], first: int, count: int) -> NDArray[np.void]:
-    """Read ``count`` rows of a binary table from row ``first``; fewer at the end of the file."""
-    data = file.read(data_at + first * dtype.itemsize, count * dtype.itemsize)
-    return data[: data.size // dtype.itemsize * dtype.itemsize].view(dtype)
-
-
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
     # Rounded like LAS coordinates, so that a point is identical in a LAS and a PLY file. Overflow becomes infinity;
     # infinity and NaN are rejected later.
@@ -248,13 +200,18 @@ class TableInfo:
     size: int
     """Size of the file, bytes."""
     count: int
+    row: np.dtype[np.void]
+    """Type of a row, as declared."""
     row_bytes: int
     """Size of a row in memory, bytes."""
-    types: dict[str, np.dtype[Any]]
-    """Name -> type of each column, in order, without lists."""
     is_text: bool
     notes: tuple[str, ...] = ()
     """Notes for the user."""
+
+    @property
+    def types(self) -> dict[str, np.dtype[Any]]:
+        """Name -> type of each column, in order."""
+        return {name: self.row[name] for name in self.row.names or ()}
 
     def find(self, wanted: Wanted) -> dict[str, str]:
         """Return the column names of x, y, z and of those wanted quantities that the table has."""
@@ -265,29 +222,44 @@ class TableInfo:
         return {what: names[0] for what, names in held.items() if names}
 
 
-class PointTable(ABC):
-    """An open table; subclasses for the formats read its header and rows."""
+class PointTable:
+    """An open table; subclasses for the formats read its header.
+
+    Parameters
+    ----------
+    path : Path or str
+    info : TableInfo
+    data_at : int
+        Offset of the first row of a binary table, bytes.
+    text : TextRows or None
+        The rows of a table of text.
+    """
 
     nan_is_no_return: ClassVar[bool]
     """True if a row with NaN coordinates is a beam without return, rather than an error."""
     searched: ClassVar[int]
     """Rows that are searched for the first valid point."""
 
-    def __init__(self, path: Location, info: TableInfo) -> None:
-        self.path, self.info = path, info
+    def __init__(self, path: Location, info: TableInfo, data_at: int, text: TextRows | None) -> None:
+        self.path, self.info, self._data_at, self._text = path, info, data_at, text
 
     @property
-    @abstractmethod
     def sequential(self) -> bool:
         """True if rows can only be read sequentially from the start of the file."""
+        return self._text is not None
 
-    @abstractmethod
     def rows(self, first: int, count: int) -> Any:
         """Return a structured array of ``count`` rows from row ``first``; fewer at the end of the file."""
+        if self._text is not None:
+            return self._text.read(first, count)
+        size = self.info.row.itemsize
+        data = read_range(self.path, self._data_at + first * size, count * size)
+        return data[: data.size // size * size].view(self.info.row)
 
-    @abstractmethod
     def close(self) -> None:
         """Close the file until rows are read again."""
+        if self._text is not None:
+            self._text.close()
 
     def whole(self) -> Any:
         """Return all rows. Raises BadInputError if there are fewer than the header declares."""
@@ -301,13 +273,13 @@ class TableSurvey(SurveyReader):
     """A survey in a table. These formats have neither CRS nor units: metres are assumed, unless ``--crs`` is given."""
 
     def __init__(
-        self, path: Location, options: ReadOptions, open_table: Callable[[OpenFile, Wanted, int], PointTable]
+        self, path: Location, options: ReadOptions, open_table: Callable[[Location, Wanted, int], PointTable]
     ) -> None:
         self._open_table = open_table
         super().__init__(path, options)
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
-        self._table = table = self._open_table(OpenFile(self._path), _CLASSES, options.memory)
+        self._table = table = self._open_table(self._path, _CLASSES, options.memory)
         head, names = table.info, table.info.find(_CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
         first = self._first()

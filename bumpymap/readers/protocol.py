@@ -150,10 +150,8 @@ class SurveyReader(ABC):
     def __init__(self, path: Location, options: ReadOptions) -> None:
         self._path, self._version = path, version_of(path)
         self._hash = FileHash(self._version["size"]) if options.checksum and not is_url(path) else None
-        with pinned_version(path, self._version, None if self._hash is None else self._hash.add):
+        with pinned_version(path, self._version):
             self._info = replace(self._open(options), version=self._version)
-        if self._hash is not None:
-            self._hash.drop_copies()  # thousands of files may be open
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
         self._classes = np.zeros(256, np.int64)
 
@@ -236,13 +234,12 @@ class SurveyReader(ABC):
         BadInputError
             The header and the points disagree, or points are not on Earth.
         """
-        with self._may_be_bad():
+        require_unchanged(self._path, self._version)
+        verify(stats, self._info.path, self._info.point_count, self._info.bounds)
+        if self._hash is not None and self._hash.checksum is None:
+            with pinned_version(self._path, self._version):
+                self._hash.finish(lambda start, size: read_range(self._path, start, size))
             require_unchanged(self._path, self._version)
-            verify(stats, self._info.path, self._info.point_count, self._info.bounds)
-            if self._hash is not None and self._hash.checksum is None:
-                with pinned_version(self._path, self._version):
-                    self._hash.finish(lambda start, size: read_range(self._path, start, size))
-                require_unchanged(self._path, self._version)
 
     def take_hashed(self) -> PieceRuns:
         """Return what of the checksum is new since the last call, for a reader of the same file elsewhere or later."""
@@ -281,20 +278,15 @@ class SurveyReader(ABC):
 
         A URL is checked with every response; to ask for its version would cost one more request for each chunk.
         """
-        with self._may_be_bad(), pinned_version(self._path, self._version, hashed):
-            yield
-        if not is_url(self._path):
-            require_unchanged(self._path, self._version)
-
-    @contextmanager
-    def _may_be_bad(self) -> Iterator[None]:
-        """Free memory if the file turns out to be bad."""
         try:
-            yield
+            with pinned_version(self._path, self._version, hashed):
+                yield
         except BadInputError:
             if self._hash is not None:
-                self._hash.drop_copies()
+                self._hash.forget_parts()
             raise
+        if not is_url(self._path):
+            require_unchanged(self._path, self._version)
 
 
 class _Unhashed:

@@ -21,13 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_resource, refused_write, remote_files
-from bumpymap.readers._decoder_child import CallbackFile
 from bumpytiles import Bounds
 
 __all__ = [
     "TRUST",
     "Location",
-    "OpenFile",
     "Version",
     "asks_too_much",
     "box_text",
@@ -77,36 +75,6 @@ PINNED: ContextVar[PinnedFile | None] = ContextVar("PINNED", default=None)
 """See `bumpymap.readers.source.pinned_version`."""
 
 
-class HashedFile(io.FileIO):
-    """A file whose bytes are hashed as they are read, see `pinned_version`."""
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
-        self._path = path
-
-    def readinto(self, buffer: Any) -> int | None:
-        """Read bytes into a buffer; return how many."""
-        start = self.tell()
-        got = super().readinto(buffer)
-        # Copied: the caller reads the next bytes into the same buffer.
-        add_to_hash(self._path, start, bytes(memoryview(buffer)[:got]))
-        return got
-
-    def readall(self) -> bytes:
-        """Read the rest of the file."""
-        start = self.tell()
-        data = super().readall()
-        add_to_hash(self._path, start, data)
-        return data
-
-
-def add_to_hash(path: Path, start: int, data: bytes | NDArray[np.uint8]) -> None:
-    """Add bytes of a file to the hash of `pinned_version`."""
-    pinned = PINNED.get()
-    if pinned is not None and pinned.hashed is not None and pinned.location == path:
-        pinned.hashed(start, data)
-
-
 def file_changed(location: Location, how: str) -> BadInputError:
     """Return the error to raise for a file that changed while it was read; ``how`` continues the message."""
     return BadInputError(
@@ -154,6 +122,38 @@ def is_url(location: object) -> bool:
     return isinstance(location, str) and "://" in location
 
 
+class RangeFile(io.RawIOBase):
+    """A raw stream of the bytes of a file or URL, which are read by `read_range`."""
+
+    def __init__(self, location: Location) -> None:
+        self._location, self._size, self._at = location, size_of(location), 0
+
+    def readable(self) -> bool:
+        """Return True."""
+        return True
+
+    def seekable(self) -> bool:
+        """Return True."""
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        """Set the position, and return it."""
+        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
+        self._at = max(start + offset, 0)
+        return self._at
+
+    def readinto(self, buffer: Any) -> int:
+        """Read bytes into a buffer, up to the end of the file; return how many."""
+        data = read_range(self._location, self._at, max(min(len(buffer), self._size - self._at), 0))
+        np.frombuffer(buffer, np.uint8)[: data.size] = data
+        self._at += data.size
+        return data.size
+
+    def readall(self) -> bytes:
+        """Read the rest of the file in one call."""
+        return self.read(max(self._size - self._at, 0)) or b""
+
+
 def open_source(location: Location) -> BinaryIO:
     """Open a file or URL for reading and seeking.
 
@@ -164,51 +164,11 @@ def open_source(location: Location) -> BinaryIO:
     UsageError
         A package that the URL's protocol needs is not installed.
     """
-    stream: BinaryIO
     with _reading(location):
-        if isinstance(location, str):
-
-            def read_at(start: int, buffer: memoryview) -> int:
-                return read_into(location, start, np.frombuffer(buffer, np.uint8))
-
-            stream = io.BufferedReader(CallbackFile(read_at, size_of(location)), _BLOCK)
-        else:
+        if isinstance(location, Path):
             _refuse_special(location)
-            pinned = PINNED.get()
-            hashed = pinned is not None and pinned.hashed is not None and pinned.location == location
-            stream = io.BufferedReader(HashedFile(location)) if hashed else location.open("rb")
-    return stream
-
-
-class OpenFile:
-    """Access to the bytes of a file: opened by path or URL for each access, or through a stream that is already open.
-
-    Parameters
-    ----------
-    path : Path or str
-    stream : binary file, optional
-        The open file. It can then be read by one reader at a time.
-    """
-
-    def __init__(self, path: Location, stream: BinaryIO | None = None) -> None:
-        self.path, self._stream = path, stream
-
-    def open(self) -> BinaryIO:
-        """Return a new stream at the start of the file, which the caller closes. Raises the errors of `open_source`."""
-        if self._stream is None:
-            return open_source(self.path)
-        stream = os.fdopen(os.dup(self._stream.fileno()), "rb")
-        stream.seek(0)
-        return stream
-
-    def read(self, start: int, size: int) -> NDArray[np.uint8]:
-        """Read ``size`` bytes from offset ``start``; fewer at the end of the file."""
-        if self._stream is None:
-            return read_range(self.path, start, size)
-        data = np.empty(size, np.uint8)
-        with _reading(self.path), self.open() as stream:
-            stream.seek(start)
-            return data[: _fill(stream, data)]
+            return location.open("rb")
+        return io.BufferedReader(RangeFile(location), _BLOCK)
 
 
 def read_range(location: Location, start: int, size: int) -> NDArray[np.uint8]:
@@ -228,7 +188,9 @@ def read_into(location: Location, start: int, data: NDArray[np.uint8]) -> int:
         with location.open("rb", buffering=0) as stream:
             stream.seek(start)
             filled = _fill(stream, data)
-        add_to_hash(location, start, data[:filled])
+        pinned = PINNED.get()
+        if pinned is not None and pinned.hashed is not None and pinned.location == location:
+            pinned.hashed(start, data[:filled])
         return filled
 
 

@@ -137,7 +137,7 @@ def _to_square(r: float, c: float, row: int, col: int) -> float:
 
 @helper
 def _crosses(r0: float, c0: float, r1: float, c1: float, row: int, col: int) -> bool:
-    """Whether a segment has a point in common with a tile."""
+    """Return whether a segment has a point in common with a tile."""
     first, last = 0.0, 1.0
     for axis in range(2):
         a, delta, low = (r0, r1 - r0, row) if axis == 0 else (c0, c1 - c0, col)
@@ -170,7 +170,7 @@ def _gap(r0: float, c0: float, r1: float, c1: float, row: int, col: int) -> floa
 
 @helper
 def segment_clear(cost: Costs, r0: float, c0: float, r1: float, c1: float, margin: float, ends: int) -> bool:
-    """Whether a segment keeps a margin from all closed tiles.
+    """Return whether a segment keeps a margin from all closed tiles.
 
     From a tile that an end in ``ends`` is nearer to, it need not keep more than that end does.
     """

@@ -46,7 +46,7 @@ _CHILDREN = 4
 
 
 class MoveTables(NamedTuple):
-    """What each of k moves is, for a flattened window; see `bumpymap.route.search`."""
+    """The k moves from tile to tile of a flattened window; see `bumpymap.route.search`."""
 
     step: Annotated[Integers, 1]
     """(k,) from tile to tile."""
@@ -98,7 +98,7 @@ class Seeds(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """What the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
+    """Arrays that the search fills; `place` and `back` come filled with `NEW` and `NOT_REACHED`, `g` with infinity."""
 
     g: Annotated[Floats, 1]
     """(n,) cost from the start."""
@@ -183,7 +183,7 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
 
 @helper
 def _is_near(ground: Ground, moves: MoveTables, k: int, tile: int) -> bool:
-    """Whether a move comes too near to a closed tile."""
+    """Return whether a move comes too near to a closed tile."""
     if ground.crowded[tile]:
         for i in range(moves.first_near[k], moves.first_near[k + 1]):
             if not ground.cost[tile + moves.near[i]] < math.inf:
@@ -241,11 +241,11 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
 
 @kernel
 def mark_crowded(
-    cost: Annotated[NDArray[np.float32], 2], reach: int, held: Annotated[Integers, 1], out: Annotated[Bytes, 2]
+    cost: Annotated[NDArray[np.float32], 2], reach: int, lately: Annotated[Integers, 1], out: Annotated[Bytes, 2]
 ) -> None:
     """Fill, within a ring as wide as ``reach``, whether a closed tile lies in the square of that reach.
 
-    ``held`` (cols,) of zeros is scratch: a bit for each of the last rows that has a closed tile within reach.
+    ``lately`` (cols,) of zeros is scratch: a bit for each of the last rows that has a closed tile within reach.
     """
     rows, cols = cost.shape
     bits = (1 << (2 * reach + 1)) - 1
@@ -255,9 +255,9 @@ def mark_crowded(
             last = c if not cost[r, c] < math.inf else last
             if c >= 2 * reach:
                 middle = c - reach
-                held[middle] = (held[middle] << 1 | (last >= c - 2 * reach)) & bits
+                lately[middle] = (lately[middle] << 1 | (last >= c - 2 * reach)) & bits
                 if r >= 2 * reach:
-                    out[r - reach, middle] = held[middle] != 0
+                    out[r - reach, middle] = lately[middle] != 0
 
 
 @kernel

@@ -91,9 +91,7 @@ Floats = NDArray[np.float64]
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
 LEAST_SAVING_M = 0.003
-"""What a corner of a line on pixels saves at least, m of level ground."""
-_BESIDE_M = 0.1
-"""Room between vehicle and ground that is closed to it, m, as between vehicle and obstacle."""
+"""Least saving of a corner of a line on pixels, m of level ground."""
 _MOST_MARGIN = 0.45
 """Of a tile: wider vehicles keep to the middle of corridors of one tile."""
 _ROOM_M, _NARROW = 0.6, 0.5
@@ -103,10 +101,12 @@ _TIGHT_M = 0.46
 """Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
 _TOUCHING = 100.0
 """Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
-_CORNERS, _CORNER_TILES = 64, 8
+_CORNERS, _CORNER_TILES = 64, 24
 """Consecutive corners that are looked at together: at most so many, as far from the first."""
 _STRETCH_TILES = 48
 """Longest stretch of a line that is looked at together, tiles."""
+_MOST_POINTS = 8192
+"""Points of a line that a stretch of it has at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +134,7 @@ class CostGround:
 
     site: MapReader
     settings: CostSettings
-    """What makes ground dear."""
+    """Settings of the cost."""
     memory_tiles: int
     """Most tiles of a window that a search may hold."""
     avoid: Any = None
@@ -145,7 +145,7 @@ class CostGround:
     worn: WornTiles | None = None
     """Tiles that are dearer."""
     touching: bool = False
-    """Whether obstacles may be touched, at a hundred times the cost."""
+    """Obstacles may be touched, at a hundred times the cost."""
 
     @property
     def risk_m(self) -> float:
@@ -154,12 +154,12 @@ class CostGround:
 
     @property
     def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m: half its width and 0.1 m."""
-        return 0.5 * self.site.vehicle.width_m + _BESIDE_M
+        """Distance that the middle of the vehicle keeps from obstacles, m."""
+        return self.site.vehicle.reach_m
 
     @property
     def joins_corners(self) -> bool:
-        """Whether it can go from one free pixel to another that touches it at a corner alone."""
+        """True if it can go from one free pixel to another that touches it at a corner alone."""
         return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
 
     @property
@@ -169,13 +169,13 @@ class CostGround:
 
     @property
     def bands(self) -> tuple[str, ...]:
-        """What of the map the cost depends on, besides what bars tiles."""
+        """Bands of the map on which the cost depends, besides what bars tiles."""
         obstacle = () if self.settings.unknown is None else ("obstacle",)
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
 
     @property
     def has_areas(self) -> bool:
-        """Whether there are areas to avoid, or to stay in."""
+        """True if there are areas to avoid, or to stay in."""
         return self.avoid is not None or self.only is not None
 
     @property
@@ -266,16 +266,22 @@ class CostGround:
         line[0], line[-1] = ends
         return line
 
-    def is_clear(self, line: Floats, *, with_room: bool = False) -> bool:
-        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m], or has room to spare."""
+    def is_clear(self, line: Floats) -> bool:
+        """Say whether the vehicle fits on all of a line, (n, 2) easting and northing [m]."""
         for part in stretches(line, _STRETCH_TILES * self.site.grid.tile_size):
             window = window_around(self.site, part, 1)
-            cost = self.on_pixels(window)
-            if with_room:
-                cost[_steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels] = np.inf
-            if not is_clear(cost, self.in_window(part, window), PIXEL_MARGIN):
+            if not self.is_clear_in(window, self.on_pixels(window), part):
                 return False
         return True
+
+    def is_clear_in(
+        self, window: TileWindow, cost: NDArray[np.float32], line: Floats, *, with_room: bool = False
+    ) -> bool:
+        """Say the same of a line in a window with the ``cost`` of its pixels; with room, whether some is to spare."""
+        if with_room:
+            is_near = _steps_to_closed(cost, self._room_pixels + 1) <= self._room_pixels
+            cost = np.where(is_near, np.float32(np.inf), cost)
+        return is_clear(cost, self.in_window(line, window), PIXEL_MARGIN)
 
     def clear_at(self, points: Floats) -> NDArray[np.bool_]:
         """Say at which points, (n, 2) along a line, the vehicle fits."""
@@ -317,18 +323,18 @@ class CostGround:
         return beside
 
 
-def _steps_to_closed(cost: NDArray[np.float32], most: int) -> NDArray[np.int32]:
-    """Return how many pixels, along rows, columns and diagonals, each is from the nearest closed one; at most ``most``.
+def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]:
+    """Return how many pixels, along rows, columns and diagonals, each is from the nearest closed one.
 
-    Beyond the window nothing is closed.
+    It is at most ``limit``. Beyond the window nothing is closed.
     """
     near = np.isinf(cost)
-    steps = np.where(near, np.int32(0), np.int32(most))
+    steps = np.where(near, np.int32(0), np.int32(limit))
     if not near.any():
         return steps
-    for step in range(1, most):
+    for step in range(1, limit):
         near = _with_rows_beside(_with_rows_beside(near).T).T
-        steps[near & (steps == most)] = step
+        steps[near & (steps == limit)] = step
     return steps
 
 
@@ -364,19 +370,13 @@ def stretches(line: Floats, longest: float) -> Iterator[Floats]:
         points[-1][-1] = stop
         done = at + 1
     whole = np.concatenate([*points, line[done + 1 :]])
-    places, first, spanned = whole.tolist(), 0, whole[:2].tolist()
-    for last in range(1, len(places)):
-        spanned = [*_span(spanned), *places[last + 1 : last + 2]]
-        (west, south), (east, north) = _span(spanned)
-        if last + 1 == len(places) or max(east - west, north - south) > longest:
-            yield whole[first : last + 1]
-            first, spanned = last, places[last : last + 2]
-
-
-def _span(places: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Return the corners of the smallest rectangle around some places."""
-    x, y = zip(*places, strict=True)
-    return [min(x), min(y)], [max(x), max(y)]
+    first = 0
+    while first + 1 < len(whole):
+        ahead = whole[first : first + _MOST_POINTS]
+        span = (np.maximum.accumulate(ahead) - np.minimum.accumulate(ahead)).max(axis=1)
+        last = first + max(int(np.searchsorted(span, longest, side="right")) - 1, 1)
+        yield whole[first : last + 1]
+        first = last
 
 
 def points_along(line: Floats, distance: Floats) -> Floats:

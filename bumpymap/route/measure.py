@@ -1,4 +1,4 @@
-"""What a way costs: the exact integral over its tiles, and a profile of points at even distances.
+"""The cost of a way: the exact integral over its tiles, and a profile of points at even distances.
 
 A way may be long and its window large, so it is measured in stretches, each with a small window of its own.
 """

@@ -43,7 +43,7 @@ ROUTE_KINDS = {
     ".png": "route.png",
 }
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
-"""What a single file is, by its suffix."""
+"""Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
     (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
@@ -169,8 +169,8 @@ def write_routes(
         "profile.csv": partial(write_profile, routes),
         "route.png": partial(write_route_picture, routes, source),
     }
-    own = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
-    output = _RouteOutput(writers, ROUTE_KINDS, own)
+    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
+    output = _RouteOutput(writers, ROUTE_KINDS, entries)
     if not place.has_degrees and not is_one_file(out, ROUTE_KINDS):
         del writers["route.gpx"]
         output.notes.append("route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown")
@@ -200,8 +200,8 @@ def write_reach_files(
     if levels is not None:
         write = partial(write_isochrones, reach, levels.values, by=levels.by, about=about)
         writers["isochrones.geojson"] = write
-    own = {**manifest, **_describe_layers(source)}
-    return _write(_RouteOutput(writers, REACH_KINDS, own), out, overwrite=overwrite)
+    entries = {**manifest, **_describe_layers(source)}
+    return _write(_RouteOutput(writers, REACH_KINDS, entries), out, overwrite=overwrite)
 
 
 def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:

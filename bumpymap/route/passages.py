@@ -57,7 +57,7 @@ class AreaGraph(NamedTuple):
 
 
 class AreaReach(NamedTuple):
-    """What is reached in the tiles of a window; all arrays are (rows, cols)."""
+    """Cost and length of the ways to the tiles of a window; all arrays are (rows, cols)."""
 
     cost: Floats
     """Cost of the cheapest way to the tile, in tiles; infinite where none leads."""
@@ -118,11 +118,12 @@ def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost
     seeds = _least_of_each(graph.tile, -size)
     seeds = seeds[np.isfinite(cost_of_tile[graph.tile[seeds]])]
     seed_cost, seed_length = cost_of_tile[graph.tile[seeds]], length_of_tile[graph.tile[seeds]]
-    own = _node_at(ground, graph, window, start)
-    if own >= 0:
-        straight = math.dist(ground.in_window(start[None], window)[0] / ground.site.grid.pixels, graph.middle[own])
-        seeds, seed_length = np.append(seeds, own), np.append(seed_length, straight)
-        seed_cost = np.append(seed_cost, straight * per_tile[own])
+    start_node = _node_at(ground, graph, window, start)
+    if start_node >= 0:
+        place = ground.in_window(start[None], window)[0] / ground.site.grid.pixels
+        straight = math.dist(place, graph.middle[start_node])
+        seeds, seed_length = np.append(seeds, start_node), np.append(seed_length, straight)
+        seed_cost = np.append(seed_cost, straight * per_tile[start_node])
     kept = _least_of_each(seeds, seed_cost)
     seeds, seed_cost, seed_length = seeds[kept], np.maximum(seed_cost[kept], _TINY), seed_length[kept]
     arcs = graph.arcs

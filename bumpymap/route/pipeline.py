@@ -33,10 +33,9 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import MapReader, PlannedRoute, ReachField, open_map, reach_dataset, read_areas
+from bumpymap.layers import MapReader, PlannedRoute, open_map, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
-from bumpymap.route.output import ReachLevels, check_reach_out, check_route_out, write_reach_files, write_routes
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
@@ -47,6 +46,8 @@ from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
     import xarray
+
+    from bumpymap.layers import ReachField
 
 __all__ = [
     "MOST_VISITS",
@@ -262,10 +263,10 @@ def find_routes(
     """
     if isinstance(via, str) or not isinstance(via, Iterable):
         raise UsageError(f"via is {short_repr(via)}; give a list of points, such as [(512350.5, 5403300.5)]")
-    own = _settings(settings, "find_routes", RouteSettings.__annotations__)
-    own |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
+    checked = _settings(settings, "find_routes", RouteSettings.__annotations__)
+    checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
-    config = RouteConfig(layers=_folders(layers), out=target, **own)
+    config = RouteConfig(layers=_folders(layers), out=target, **checked)
     return list(plan_routes(config).routes)
 
 
@@ -298,9 +299,11 @@ def map_reach(
     BadInputError, UsageError
         As `find_routes`; or the extra ``notebook`` is not installed.
     """
-    own = _settings(settings, "map_reach", ReachSettings.__annotations__)
-    own |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
-    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **own)
+    from bumpymap.layers import reach_dataset
+
+    checked = _settings(settings, "map_reach", ReachSettings.__annotations__)
+    checked |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
+    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **checked)
     return reach_dataset(reach_from(config))
 
 
@@ -338,14 +341,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class RouteResult:
-    """What a route run found."""
+    """Result of a route run."""
 
     routes: tuple[PlannedRoute, ...]
     """The best way first."""
     reach: Reach | None
-    """What can be reached, if there was no goal."""
+    """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
-    """What was written."""
+    """The files that were written."""
     notes: tuple[str, ...]
     """Remarks, such as points that were moved."""
 
@@ -366,6 +369,8 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config.layers, config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
+            from bumpymap.route.output import check_reach_out, check_route_out, write_routes  # slow to load
+
             check = check_reach_out if config.is_reach else check_route_out
             check(config.out, overwrite=config.overwrite)
         if config.is_reach:
@@ -451,7 +456,7 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
     return stops.in_order(order[: len(points)])
 
 
-def reach_from(config: RouteConfig) -> ReachField:
+def reach_from(config: RouteConfig) -> "ReachField":
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
     with _opened(config.layers, config) as ground:
         _, found, field = _reach(ground, find_stops(ground, config), config)
@@ -460,8 +465,10 @@ def reach_from(config: RouteConfig) -> ReachField:
     return field
 
 
-def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArray[np.float64], Reach, ReachField]:
+def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArray[np.float64], Reach, "ReachField"]:
     """Return the start, and what can be reached from it, also as it is written."""
+    from bumpymap.layers import ReachField
+
     site, start = ground.site, stops.points[0]
     limits = [*(minutes * 60.0 * site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
     found = find_reach(ground, start, max(limits, default=math.inf))
@@ -470,6 +477,8 @@ def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArr
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
+    from bumpymap.route.output import ReachLevels, write_reach_files
+
     start, found, field = _reach(ground, stops, config)
     notes = (*stops.notes, *found.notes)
     levels = ReachLevels(config.isochrones, "minutes") if config.isochrones else None

@@ -108,15 +108,15 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
-    far = ""
+    how_far = ""
     if meant:
         read_as, point = next(iter(meant.items()))
         as_what = "longitude and latitude" if read_as == "lonlat" else "coordinates in the survey's CRS"
         metres = _outside_m(point, route_map)
         away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
-        far = f"; read as {as_what}, it is {away} away from it"
+        how_far = f"; read as {as_what}, it is {away} away from it"
     raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}{far}. "
+        f"{name} lies outside the map, which spans {_extent(route_map)}{how_far}. "
         f"{_swapped(x, y, route_map) or _other_unit(x, y, route_map)}{_FORMS}"
     )
 
@@ -200,8 +200,9 @@ def _other_unit(x: float, y: float, route_map: MapReader) -> str:
     if not near or not min(near.values()) <= _NEAR_M:
         return ""
     meant_x, meant_y = min(near, key=lambda point: near[point])
-    own, given = ("metres", "feet") if unit == 1.0 else (unit_name(unit).replace("foot", "feet"), "metres")
-    return f"The map's coordinates are in {own}: if the point is in {given}, did you mean {meant_x:.2f},{meant_y:.2f}? "
+    own_unit, given = ("metres", "feet") if unit == 1.0 else (unit_name(unit).replace("foot", "feet"), "metres")
+    meant = f"{meant_x:.2f},{meant_y:.2f}"
+    return f"The map's coordinates are in {own_unit}: if the point is in {given}, did you mean {meant}? "
 
 
 def _extent(route_map: MapReader) -> str:

@@ -92,7 +92,7 @@ def plan_way(
             raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (start, goal))
-        found = seek(cost, here, there, margin, least)
+        found = seek(cost, here, there, margin, math.inf if window == extent else least)
         sides = _open_sides(found, window, extent)
         if not any(sides):
             break
@@ -165,16 +165,26 @@ def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
     parts = [line[:1]]
     for first, last in pairwise(cuts):
         part = _between(line, points, first, last, step)
-        if not ground.is_clear(part, with_room=True):
-            too_long = (last - first) * step > _LONGEST_TILES * grid.tile_size
-            window = window_around(ground.site, part, _AROUND_TILES)
-            cost = None if too_long else ground.with_room(ground.on_pixels(window))
-            steered = None if cost is None else ground.way_on_pixels(cost, part[[0, -1]], window)
-            if steered is None and not ground.is_clear(part):
-                return None
-            part = part if steered is None else steered
-        parts.append(part[1:])
+        if (last - first) * step > _LONGEST_TILES * grid.tile_size:
+            steered = part if ground.is_clear(part) else None
+        else:
+            steered = _steered(ground, part)
+        if steered is None:
+            return None
+        parts.append(steered[1:])
     return np.concatenate(parts)
+
+
+def _steered(ground: CostGround, section: Floats) -> Floats | None:
+    """Return a section of a line, (n, 2), if it has room on all sides, or the cheapest way near it; None if none is."""
+    window = window_around(ground.site, section, _AROUND_TILES)
+    cost = ground.on_pixels(window)
+    if ground.is_clear_in(window, cost, section, with_room=True):
+        return section
+    steered = ground.way_on_pixels(ground.with_room(cost), section[[0, -1]], window)
+    if steered is None and ground.is_clear_in(window, cost, section):
+        return section
+    return steered
 
 
 def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
@@ -222,11 +232,11 @@ class PlannedWay:
 
     def shared(self, other: "PlannedWay") -> float:
         """Return the share of this way's tiles that the other crosses too, or passes beside."""
-        own = np.unique(self.measured.tiles, axis=0)
+        crossed = np.unique(self.measured.tiles, axis=0)
         beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
         near = (other.measured.tiles[:, None] + beside).reshape(-1, 2)
-        _both, count = np.unique(np.concatenate([own, np.unique(near, axis=0)]), axis=0, return_counts=True)
-        return int((count > 1).sum()) / len(own)
+        _both, count = np.unique(np.concatenate([crossed, np.unique(near, axis=0)]), axis=0, return_counts=True)
+        return int((count > 1).sum()) / len(crossed)
 
 
 @dataclass(frozen=True, slots=True)

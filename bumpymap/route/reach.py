@@ -1,4 +1,4 @@
-"""What can be reached from a point: cost and time of the cheapest way to every tile."""
+"""The reach from a point: cost and time of the cheapest way to every tile."""
 
 import math
 from dataclasses import dataclass
@@ -165,12 +165,12 @@ def _mark_all_between(back: NDArray[np.uint8]) -> None:
     back[(back.ravel()[ahead] == BETWEEN_OBSTACLES).reshape(back.shape)] = BETWEEN_OBSTACLES
 
 
-def window_within(whole: TileWindow, start: NDArray[np.float64], most: float) -> TileWindow:
+def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
     """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
-    if not math.isfinite(most):
+    if not math.isfinite(reach):
         return whole
-    west = max(whole.col, math.floor(start[0] - most))
-    south = max(whole.row, math.floor(start[1] - most))
-    east = min(whole.col + whole.cols, math.ceil(start[0] + most) + 1)
-    north = min(whole.row + whole.rows, math.ceil(start[1] + most) + 1)
+    west = max(whole.col, math.floor(start[0] - reach))
+    south = max(whole.row, math.floor(start[1] - reach))
+    east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)
+    north = min(whole.row + whole.rows, math.ceil(start[1] + reach) + 1)
     return TileWindow(west, south, max(east - west, 1), max(north - south, 1))

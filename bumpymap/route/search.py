@@ -158,10 +158,10 @@ def is_open(cost: NDArray[np.float32], point: Point) -> bool:
 
 
 class SearchFrame(NamedTuple):
-    """What is done to a window, in this order, and to the ends of a way."""
+    """Turns and flips of a window, in this order, and of the ends of a way."""
 
     back: bool
-    """Whether the search runs from goal to start."""
+    """True if the search runs from goal to start."""
     flip_rows: bool
     flip_cols: bool
     transpose: bool
@@ -298,7 +298,7 @@ class Way:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a search leaves."""
+    """Result of a search."""
 
     line: Floats | None
     """(n, 2) the cheapest way by moves, in the frame; None if there is none."""

@@ -14,7 +14,7 @@ _MOST_COST = 1e9
 
 @dataclass(frozen=True, slots=True)
 class CostSettings:
-    """What makes ground dear, and what may be crossed."""
+    """Settings of the cost of ground, and of the ground that may be crossed."""
 
     risk: Annotated[
         float | None,
@@ -107,5 +107,5 @@ class RouteConfig:
 
     @property
     def is_reach(self) -> bool:
-        """Whether there is a start only, so that the run maps what can be reached from it."""
+        """True if there is a start only, so that the run maps what can be reached from it."""
         return self.points is None and self.goal is None and not self.via

@@ -89,7 +89,7 @@ class Stops:
     names: tuple[str, ...]
     """(k,) how a message calls each of them."""
     notes: tuple[str, ...]
-    """What was moved."""
+    """Remarks on points that were moved."""
 
     def in_order(self, order: Sequence[int]) -> "Stops":
         """Return some of the stops, in another order; a stop may be there twice."""
@@ -140,7 +140,7 @@ def usable_point(ground: CostGround, name: str, point: GridPoint, snap_m: float)
     """Return a point, or the nearest pixel on which the vehicle fits. Raises BadInputError if that is too far."""
     site, grid = ground.site, ground.site.grid
     size, cells = grid.tile_size, grid.pixels
-    reach, most = (math.ceil(metres / size) + 1 for metres in (_NEAR_M, max(snap_m, _LOOK_M)))
+    reach, farthest = (math.ceil(metres / size) + 1 for metres in (_NEAR_M, max(snap_m, _LOOK_M)))
     while True:
         window = window_within(site.window, np.array(point) / size, reach)
         row, col = (cells * at for at in place_in_window(point, grid, window))
@@ -148,9 +148,9 @@ def usable_point(ground: CostGround, name: str, point: GridPoint, snap_m: float)
         # What lies outside the window is at least ``reach`` away.
         is_nearest = found is not None and found[2] <= reach * cells
         too_many = 4 * window.cols * window.rows * cells**2 > ground.memory_tiles
-        if is_nearest or reach >= most or window == site.window or too_many:
+        if is_nearest or reach >= farthest or window == site.window or too_many:
             break
-        reach = min(2 * reach, most)
+        reach = min(2 * reach, farthest)
     near = None
     if found is not None:
         south, east, apart = found

@@ -16,7 +16,6 @@ dearer, and never nearer to closed tiles than allowed.
 """
 
 import math
-from itertools import product
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -60,7 +59,7 @@ Integers = NDArray[np.int64]
 
 
 class Tightening(NamedTuple):
-    """What a line is pulled over, and how."""
+    """The ground that a line is pulled over, and limits of pulling."""
 
     cost: Annotated[Costs, 2]
     """(rows, cols) cost per tile of length."""
@@ -75,48 +74,92 @@ class Tightening(NamedTuple):
 
 
 class Corners(NamedTuple):
-    """What `move_corners` works on."""
+    """The corners that `move_corners` moves."""
 
     points: Annotated[Floats, 2]
     """(n, 2) field coordinates; changed."""
     step: Annotated[Floats, 1]
     """(n,) by how far each corner is moved next, tiles; changed."""
+    spent: Annotated[Floats, 1]
+    """(n,) cost from the corner before to each; filled."""
     directions: Annotated[Floats, 2]
     """(k, 8, 2) flattened to (8 k, 2): unit vectors; the next eight are tried whenever the last did not help."""
 
 
 @helper
 def _ends(a: int, b: int, count: int) -> int:
-    """Which of two corners are the start or the goal of a line."""
+    """Return the bits of those of two corners that are the start or the goal of a line."""
     return (A_END if a == 0 else 0) | (B_END if b == count - 1 else 0)
 
 
-@kernel
-def leave_out(
-    tightening: Tightening,
-    points: Annotated[Floats, 2],
-    most: int,
-    best: Annotated[Floats, 1],
-    before: Annotated[Integers, 1],
-) -> None:
-    """Find the cheapest line through some of the corners in order, at most ``most`` - 1 left out between two of them.
-
-    Of lines that cost nearly the same, the one with fewer corners wins: corners on straight lines go.
-    ``best`` (n,): filled: cost up to each; ``before`` (n,): filled: the corner before each if the line went through it.
-    """
-    cost, n = tightening.cost, points.shape[0]
+@helper
+def _choose(tightening: Tightening, points: Floats, n: int, skips: int, best: Floats, before: Integers) -> None:
+    """Fill the cost up to each of n corners, and the one before it, of the cheapest line through some of them."""
+    cost = tightening.cost
     best[0], before[0] = 0.0, 0
     for j in range(1, n):
         r1, c1 = points[j, 0], points[j, 1]
         best[j] = best[j - 1] + segment_cost(cost, points[j - 1, 0], points[j - 1, 1], r1, c1, math.inf)
         before[j] = j - 1
-        for i in range(max(0, j - most), j - 1):
+        for i in range(max(0, j - skips), j - 1):
             r0, c0 = points[i, 0], points[i, 1]
             # From far to near: what leaves out fewer corners must be cheaper by what the corners are worth.
             allowed = tightening.worth if before[j] == j - 1 else -tightening.worth
             total = segment_cost(cost, r0, c0, r1, c1, best[j] + allowed - best[i])
             if total < math.inf and segment_clear(cost, r0, c0, r1, c1, tightening.margin, _ends(i, j, n)):
                 best[j], before[j] = best[i] + total, i
+
+
+@kernel
+def leave_out(
+    tightening: Tightening,
+    points: Annotated[Floats, 2],
+    skips: int,
+    best: Annotated[Floats, 1],
+    before: Annotated[Integers, 1],
+) -> None:
+    """Leave out corners, until none can be, so that the line through the others in order is the cheapest.
+
+    At most ``skips`` - 1 are left out between two of them at once. Of lines that cost nearly the same, that with fewer
+    corners wins: corners on straight lines go. ``points`` (n, 2): changed: the corners that stay come first; ``best``
+    (n,): scratch; ``before`` (n,): scratch, and in ``before[0]`` the number of corners that stay.
+    """
+    n, count = 0, points.shape[0]
+    while n != count:
+        n, count = count, 1
+        _choose(tightening, points, n, skips, best, before)
+        at = n - 1
+        while at > 0:  # turn the links round: from each corner that stays to the next one
+            best[before[at]], at = at, before[at]
+            count += 1
+        for k in range(count):
+            points[k, 0], points[k, 1] = points[at, 0], points[at, 1]
+            at = int(best[at]) if k < count - 1 else 0
+    before[0] = count
+
+
+@kernel
+def leave_borders(
+    cost: Annotated[Costs, 2], points: Annotated[Floats, 2], near: float, shift: float
+) -> None:  # fmt: skip
+    """Move corners that are ``near`` to borders of tiles by ``shift`` from them, to where the line costs least, tiles.
+
+    ``points`` (n, 2): changed.
+    """
+    for i in range(1, points.shape[0] - 1):
+        r0, c0 = points[i, 0], points[i, 1]
+        row, col = math.floor(r0 + 0.5), math.floor(c0 + 0.5)
+        on_row, on_col = abs(r0 - row) < near, abs(c0 - col) < near
+        least = math.inf
+        for k in range(4):
+            if not (on_row or on_col) or (k > 1 and not on_row) or (k % 2 == 1 and not on_col):
+                continue
+            r = row + (shift if k > 1 else -shift) if on_row else r0
+            c = col + (shift if k % 2 == 1 else -shift) if on_col else c0
+            total = _two_segments(cost, points, i, r, c, math.inf)
+            if total < least:
+                least = total
+                points[i, 0], points[i, 1] = r, c
 
 
 @helper
@@ -130,7 +173,7 @@ def _two_segments(cost: Costs, points: Floats, i: int, r: float, c: float, limit
 
 @helper
 def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: float) -> bool:
-    """Whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
+    """Return whether the line may go from corner ``i - 1`` over a point to ``i + 1``."""
     cost, margin, n = tightening.cost, tightening.margin, points.shape[0]
     before, after = _ends(i - 1, i, n) & A_END, _ends(i, i + 1, n) & B_END
     return segment_clear(cost, points[i - 1, 0], points[i - 1, 1], r, c, margin, before) and segment_clear(
@@ -139,11 +182,18 @@ def _two_clear(tightening: Tightening, points: Floats, i: int, r: float, c: floa
 
 
 @helper
+def _spend(cost: Costs, corners: Corners, i: int) -> None:
+    """Fill the cost from a corner's predecessor to it."""
+    points = corners.points
+    corners.spent[i] = segment_cost(cost, points[i - 1, 0], points[i - 1, 1], points[i, 0], points[i, 1], math.inf)
+
+
+@helper
 def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) -> bool:
     """Move a corner to the best of ten places around it: eight directions, and the borders nearest to it."""
     points, step = corners.points, corners.step[i]
     r0, c0 = points[i, 0], points[i, 1]
-    here = _two_segments(tightening.cost, points, i, r0, c0, math.inf)
+    here = corners.spent[i] + corners.spent[i + 1]
     best, moved = here - tightening.gain, False
     for k in range(10):
         r, c = r0, c0
@@ -161,14 +211,19 @@ def _move_corner(tightening: Tightening, corners: Corners, i: int, turn: int) ->
             best, moved = total, True
             points[i, 0], points[i, 1] = r, c
             # The places that follow are still those around the old one.
+    if moved:
+        _spend(tightening.cost, corners, i)
+        _spend(tightening.cost, corners, i + 1)
     return moved
 
 
 @kernel
-def move_corners(tightening: Tightening, corners: Corners, most: int) -> None:
-    """Move corners in turn until no step helps any of them, at most ``most`` times all of them."""
+def move_corners(tightening: Tightening, corners: Corners, sweeps: int) -> None:
+    """Move corners in turn until no step helps any of them, at most ``sweeps`` times all of them."""
     n, turns = corners.points.shape[0], corners.directions.shape[0] // 8
-    for turn in range(most):
+    for i in range(1, n):
+        _spend(tightening.cost, corners, i)
+    for turn in range(sweeps):
         active = False
         for i in range(1, n - 1):
             if corners.step[i] < tightening.least_step:
@@ -226,9 +281,9 @@ def trace(cost: NDArray[np.floating], line: NDArray[np.floating]) -> TracedLine:
     checked = _as_line(cost, line)
     if line.size and ((line < 0.0) | (line > np.array(cost.shape))).any():
         raise ValueError(f"the line leaves the window of {cost.shape[0]} x {cost.shape[1]} tiles")
-    most = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
-    integers = np.empty((2, most), np.int64)
-    pieces = Pieces(integers[0], integers[1], np.empty(most), np.zeros(1, np.int64))
+    room = int(np.abs(np.diff(np.floor(checked.points), axis=0)).sum()) + 3 * len(line)
+    integers = np.empty((2, room), np.int64)
+    pieces = Pieces(integers[0], integers[1], np.empty(room), np.zeros(1, np.int64))
     trace_line(checked, pieces)
     count = int(pieces.pieces[0])
     return TracedLine(pieces.row[:count], pieces.col[:count], pieces.length[:count])
@@ -266,7 +321,7 @@ _GAIN = 1e-6
 _LEAST_MOVE, _WORTH = 1e-10, 1e-7
 """A corner is moved for a gain of this share of the cost, and left out if it saves less than that share."""
 LEAST_SAVING = 1e-3
-"""What a corner of a thinned line saves at least by default, tiles: 3 mm."""
+"""Least saving of a corner of a thinned line by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
 _SPARE = 5e-10
@@ -335,32 +390,16 @@ def off_borders(cost: NDArray[np.floating], line: Floats, margin: float = 0.0) -
 
     ``cost``, ``line``, ``margin``: as `pull_tight`.
     """
-    moved = line.copy()
-    borders = np.round(line)
-    on_borders = np.abs(line - borders) < _ON_BORDER
-    for i in (np.flatnonzero(on_borders[1:-1].any(axis=1)) + 1).tolist():
-        border, is_on, least = borders[i], on_borders[i], math.inf
-        for shift in product(*((-_OFF_BORDER, _OFF_BORDER) if on else (0.0,) for on in is_on)):
-            tried = moved[i - 1 : i + 2].copy()
-            tried[1] = np.where(is_on, border + shift, tried[1])
-            spent = line_cost(cost, tried)
-            if spent < least:
-                least, moved[i] = spent, tried[1]
+    moved = np.array(line, np.float64, order="C")
+    leave_borders(as_cost(cost), moved, _ON_BORDER, _OFF_BORDER)
     return moved if is_clear(cost, moved, margin) and line_cost(cost, moved) < math.inf else line
 
 
 def _leave_out(tightening: Tightening, line: Floats) -> Floats:
     """Leave out corners until none can be."""
-    while True:
-        count = len(line)
-        before = np.empty(count, np.int64)
-        leave_out(tightening, line, _SKIPPED, np.empty(count), before)
-        kept = [count - 1]
-        while kept[-1] > 0:
-            kept.append(int(before[kept[-1]]))
-        if len(kept) == count:
-            return line
-        line = line[kept[::-1]]
+    points, before = line.copy(), np.empty(len(line), np.int64)
+    leave_out(tightening, points, _SKIPPED, np.empty(len(line)), before)
+    return points[: before[0]]
 
 
 def _with_new_corners(line: Floats) -> Floats:
@@ -376,7 +415,7 @@ def _with_new_corners(line: Floats) -> Floats:
 
 def _move(tightening: Tightening, line: Floats) -> Floats:
     """Move corners."""
-    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), _directions())
+    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _directions())
     move_corners(tightening, corners, _SWEEPS)
     return corners.points
 

@@ -24,6 +24,5 @@ from .polar import (
 from .stripes import (
     StripeModel as StripeModel,
     classify_filter as classify_filter,
-    fit_frames as fit_frames,
     load_stripes as load_stripes,
 )

@@ -133,7 +133,6 @@ class ClassifierSettings(TypedDict, total=False):
 
     method: ScanMethod | None
     model: str | os.PathLike[str] | None
-    stripes: str | os.PathLike[str] | None
     compat: Compat
     polar: PolarSettings | Mapping[str, Any] | None
     robot: Robot | Mapping[str, Any] | None
@@ -153,8 +152,6 @@ class ScanClassifier:
         How sectors are classified; the default is the network if one is included for the grid.
     model : path, optional
         A scan network, instead of the included one.
-    stripes : path, optional
-        Stripe classes of the filter method, instead of the included ones.
     compat : {"none", "paper"}
         ``paper``: fit the stripe classes in every scan.
     polar : dict, optional
@@ -269,7 +266,7 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     points : array (n, 3 or more) or path
         As for a call of `ScanClassifier`.
     **settings
-        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``stripes``, ``compat``,
+        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``compat``,
         ``polar``, ``robot``, ``vehicle``, ``calibration``.
 
     Returns

@@ -33,7 +33,7 @@ class ScanConfig:
     frames: tuple[Path, ...]
     """Files of scans, folders of them, or bags."""
     out: Annotated[Path, Setting("Folder for the output", "DIR", group="Output")]
-    """Folder for the products; of a fit, the file for the stripe classes."""
+    """Folder for the products."""
     topic: Annotated[
         str | None, Setting("Topic of the scans in a bag", "NAME", default="the only one", group="Input")
     ] = None
@@ -61,15 +61,13 @@ class ScanConfig:
         NameOrFile | None,
         Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME|FILE", rare=True),
     ] = None
-    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV or TOML file."""
+    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV file."""
     method: Annotated[
         ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")
     ] = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE", rare=True)] = None
     """A scan network, instead of the included one."""
-    stripes: Annotated[Path | None, Setting("Your own stripe classes, from --fit (filter)", "FILE", rare=True)] = None
-    """Stripe classes of the filter method, instead of the included ones."""
     compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="", rare=True)] = "none"
     """``paper``: fit the stripe classes in every scan, as the paper does."""
     products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST", rare=True)] = (
@@ -105,14 +103,10 @@ class ScanConfig:
                 "Pictures of frames are drawn with `pictures`"
             )
         check_settings(self)
-        learned, own_filter = self.method == "learned", self.stripes is not None or self.compat == "paper"
-        if (learned and own_filter) or (self.method == "filter" and self.model) or (self.model and own_filter):
+        if (self.method == "learned" or self.model) and (self.method == "filter" or self.compat == "paper"):
             raise UsageError(
-                "`model` belongs to the learned method, `stripes` and `compat='paper'` to the filter; give options "
-                "of one"
+                "`model` belongs to the learned method and `compat='paper'` to the filter; give options of one"
             )
-        if self.stripes is not None and self.compat == "paper":
-            raise UsageError("`compat='paper'` fits stripe classes in every scan, so it cannot use those of `stripes`")
         if self.poses is not None and self.odometry is not None:
             raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
         if self.bag is not None and self.bag.suffix.lower() != ".mcap":

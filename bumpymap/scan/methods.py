@@ -325,14 +325,14 @@ def _choose(config: ScanConfig) -> Method:
     if config.compat == "paper":
         return Method("filter", "stripe classes found in every scan", lambda scan: classify_paper(scan, config.polar))
     by_network = config.model is not None or config.method == "learned"
-    if config.method is None and config.stripes is None and (model := _shipped_network()) is not None:
+    if config.method is None and (model := _shipped_network()) is not None:
         by_network |= config.polar.pixels == model.pixels
     if by_network:
         return _learned(config)
-    stripes = load_stripes(config.stripes)
+    stripes = load_stripes()
     stripes.require_pixels(config.polar)
     centres = ", ".join(f"{centre:.2f}" for centre in stripes.centres)
-    basis = f"stripe classes of {'bumpymap' if config.stripes is None else config.stripes}: {centres}"
+    basis = f"stripe classes of bumpymap: {centres}"
     buffers = SectorBuffers()
     return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, config.polar, buffers), stripes))
 

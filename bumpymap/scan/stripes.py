@@ -15,15 +15,10 @@ Stripes tell the relief of the ground, not what stands on it. Where most points 
 1 at least; it is 2 where most of those stand in the vehicle's way: a wall, a car, a fence. Plants reach higher.
 """
 
-import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.resources import files
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,22 +28,12 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     BadInputError,
     ClassedSectors,
-    OutputError,
     PolarSettings,
-    Progress,
     SectorStack,
-    SilentProgress,
     UsageError,
-    atomic,
     parse_json,
-    read_regular,
 )
-from bumpymap.layers import name_frames, sample_evenly
-from bumpymap.readers import BagTopics, find_sources
 from bumpymap.scan._filter_kernels import LANES, STEP, filter_maps
-from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.frames import FrameReader, naming_frame
-from bumpymap.scan.polar import polar_sectors
 
 __all__ = [
     "OPEN_SHARE",
@@ -57,16 +42,12 @@ __all__ = [
     "classify_filter",
     "count_stripes",
     "fit_centres",
-    "fit_frames",
-    "fit_stripes",
     "gabor_bank",
     "load_stripes",
     "nearest_class",
-    "save_stripes",
     "stripes_in",
 ]
 
-_FORMAT = "bumpymap stripes 2"
 OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
 """Least share of ground among the points of a sector whose class is its relief's alone; least share of obstacles among
 the others of a sector of class 2."""
@@ -89,15 +70,10 @@ class StripeFilter:
     threshold: float = 0.5
     """Smallest filter response that is a stripe; an unbroken one has 1."""
 
-    def __post_init__(self) -> None:
-        sizes = (self.wavelength_px, self.gamma, self.metres_per_stripe, self.threshold)
-        if not all(math.isfinite(size) and size > 0.0 for size in sizes) or self.orientations < 1:
-            raise UsageError(f"the settings of a stripe filter are positive numbers; {self} was given")
-
 
 @dataclass(frozen=True, slots=True)
 class StripeModel:
-    """Stripe classes from ``fit_stripes``, the same for every scan."""
+    """Stripe classes, the same for every scan."""
 
     filter: StripeFilter
     pixels: int
@@ -116,7 +92,7 @@ class StripeModel:
         if settings.pixels != self.pixels:
             raise UsageError(
                 f"the stripe classes were fitted on heightmaps of {self.pixels} pixels, and pixels is "
-                f"{settings.pixels}. Fit them again with: bumpymap scan --fit"
+                f"{settings.pixels}. Leave out pixels, or pass `compat='paper'`, which fits classes in every scan"
             )
 
 
@@ -190,23 +166,6 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
     return bank
 
 
-def fit_stripes(stacks: Sequence[SectorStack], seed: int = 0, settings: StripeFilter | None = None) -> StripeModel:
-    """Fit the classes of stripe counts to many scans by k-means++.
-
-    ``stacks``: only traversable sectors are used. Raises BadInputError: the scans hold fewer than three different
-    stripe counts. Raises UsageError: scikit-learn is not installed.
-    """
-    settings = settings or StripeFilter()
-    sizes = {stack.settings.pixels for stack in stacks}
-    if len(sizes) > 1:
-        raise UsageError(f"the scans were cut into heightmaps of {sorted(sizes)} pixels; one size can be fitted")
-    counts = [count_stripes(stack.heights[stack.traversable], settings) for stack in stacks]
-    stripes = np.concatenate([*counts, np.empty(0, np.float32)])
-    return StripeModel(
-        settings, max(sizes, default=0), fit_centres(stripes, seed, len(stacks)), len(stacks), len(stripes), seed
-    )
-
-
 def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[float, float, float]:
     """Return the centres of class 0, 1 and 2 of the stripe counts of traversable sectors."""
     try:
@@ -266,102 +225,10 @@ def nearest_class(
     return ClassedSectors(stack, class_id, stripes, "filter")
 
 
-def save_stripes(model: StripeModel, path: Path) -> None:
-    """Write a model as JSON."""
-    path.write_text(json.dumps({"format": _FORMAT, **asdict(model)}, indent=2) + "\n", encoding="utf-8")
-
-
-def load_stripes(path: Path | None = None) -> StripeModel:
-    """Read a model; without a path the included one, fitted to simulated scans of 64 and 128 lines.
-
-    Raises
-    ------
-    BadInputError
-        The file does not exist, or was not written by ``save_stripes``.
-    """
-    return _shipped() if path is None else _parse(_text(path), str(path))
-
-
 @cache
-def _shipped() -> StripeModel:
-    source = files("bumpymap.scan") / "data" / "models" / "stripes.json"
-    return _parse(source.read_text(encoding="utf-8"), "stripes.json")
-
-
-def _text(path: Path) -> str:
-    try:
-        return read_regular(path).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        said = error.strerror if isinstance(error, OSError) else error
-        raise BadInputError(f"cannot read the stripe classes {path}: {said}") from error
-
-
-def _parse(text: str, name: str) -> StripeModel:
-    advice = "make such a file with: bumpymap scan --fit"
-    try:
-        record: dict[str, Any] = parse_json(text)
-        kind = record.pop("format")
-        settings = StripeFilter(**record.pop("filter"))
-        smooth, middle, rough = (float(centre) for centre in record.pop("centres"))
-        model = StripeModel(settings, centres=(smooth, middle, rough), **record)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInputError(f"{name} holds no stripe classes ({error}); {advice}") from error
-    if kind != _FORMAT:
-        raise BadInputError(f"{name} has the format '{kind}'; '{_FORMAT}' is read. Else {advice}")
-    if not smooth > middle > rough:
-        raise BadInputError(f"{name} has class centres of {smooth}, {middle} and {rough} stripes; they must decrease")
-    return model
-
-
-_MOST_FITTED = 500
-"""Most frames that a fit uses: neighbours in a drive see the same ground, and all heightmaps are held in memory."""
-
-
-def fit_frames(config: ScanConfig, progress: Progress | None = None) -> tuple[StripeModel, dict[str, str]]:
-    """Fit the stripe classes of the filter method to the frames, and write them to the file ``config.out``.
-
-    Returns
-    -------
-    StripeModel
-    dict
-        Frames that could not be read, with the error message (``skip_bad``).
-
-    Raises
-    ------
-    BumpymapError
-        Bad inputs or settings, or a full disk; no file is left half-written.
-    """
-    progress = progress or SilentProgress()
-    _check(config)
-    frames = sample_evenly(name_frames(find_sources(config.frames, BagTopics(config.topic, poses=False))), _MOST_FITTED)
-    reader = FrameReader(config)
-    stacks: list[SectorStack] = []
-    progress.start("measuring frames", len(frames))
-    for frame in frames:
-        with reader.skipping(frame):
-            scan = reader.read(frame)
-            with naming_frame(frame):
-                stack = polar_sectors(scan, config.polar)
-            stacks.append(_small(stack))
-        progress.advance(1)
-    reader.require_any(len(stacks))
-    model = fit_stripes(stacks)
-    with atomic(config.out) as temporary:
-        save_stripes(model, temporary)
-    return model, reader.skipped
-
-
-def _small(stack: SectorStack) -> SectorStack:
-    """Return the sectors without what a fit does not need: what is as large as the scan, and what stands on them."""
-    points = {name: getattr(stack, name)[:0].copy() for name in ("point_sector", "point_ground", "point_height")}
-    return replace(stack, things=stack.things[:, :0].copy(), **points)
-
-
-def _check(config: ScanConfig) -> None:
-    """Refuse a fit that could not be made or written, before the frames are read."""
-    if find_spec("sklearn") is None:
-        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'")
-    if config.out.exists() and not config.overwrite:
-        raise OutputError(f"{config.out} exists already. Choose another `fit`, or pass `overwrite=True` to replace it")
-    if not config.out.parent.is_dir():
-        raise OutputError(f"cannot write {config.out}: there is no folder {config.out.parent}. Choose another `fit`")
+def load_stripes() -> StripeModel:
+    """Return the included classes, fitted to simulated scans of many sensors (``docs/models/stripes.py``)."""
+    record = parse_json((files("bumpymap.scan") / "data" / "models" / "stripes.json").read_text(encoding="utf-8"))
+    del record["format"]
+    smooth, middle, rough = record.pop("centres")
+    return StripeModel(StripeFilter(**record.pop("filter")), centres=(smooth, middle, rough), **record)

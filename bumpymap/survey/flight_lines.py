@@ -1,6 +1,6 @@
 """Flight lines of a survey: how far their heights differ where they overlap, and what ``align="on"`` takes off each."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
 from typing import Any, Self
@@ -22,7 +22,6 @@ from bumpymap.readers import (
 from bumpymap.survey.inputs import SurveyInputs, read_options
 
 __all__ = [
-    "Adjustment",
     "AlignedInputs",
     "CellSteps",
     "FlightLines",
@@ -109,6 +108,11 @@ class CellSteps:
         """Return some of the steps."""
         return CellSteps(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
+    def pairs(self, least: int) -> Iterator[slice]:
+        """Yield the steps of each pair of lines that has so many at least; they must be in the order of the lines."""
+        bounds = np.flatnonzero(np.diff(self.first << 16 | self.second, prepend=-1, append=-1))
+        yield from (slice(start, end) for start, end in pairwise(bounds.tolist()) if end - start >= least)
+
 
 def steps_between_lines(cells: LineCells) -> CellSteps:
     """Return the steps in all cells where they can be measured."""
@@ -194,13 +198,7 @@ _WORSE = (1.1, 0.001)
 """No pair of lines may be left with steps larger by this factor, and by this much [m]."""
 
 
-@dataclass(frozen=True, slots=True)
-class Adjustment:
-    """Correction that makes the lines agree."""
-
-    method: str
-    """``none``, ``offset`` or ``tilt``: an offset and a tilt."""
-    corrections: tuple[LineCorrection, ...]
+Corrections = tuple[LineCorrection, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,17 +217,16 @@ class _Design:
         return np.array([np.ones(len(side)), np.where(tilted, east, 0.0), np.where(tilted, north, 0.0)])
 
 
-def adjust_lines(cells: LineCells, steps: CellSteps) -> Adjustment:
-    """Choose a model and return its corrections, rounded to 0.1 mm and 0.1 mm in 100 m."""
+def adjust_lines(cells: LineCells, steps: CellSteps) -> tuple[str, Corrections]:
+    """Choose a model, see `FlightLines.method`; return it and its corrections, to 0.1 mm and 0.1 mm in 100 m."""
     lines, shared = np.unique(np.concatenate([steps.first, steps.second]), return_counts=True)
     lines = lines[shared >= _LEAST_COMMON]
     steps = steps.where(np.isin(steps.first, lines) & np.isin(steps.second, lines))
-    none = Adjustment("none", ())
+    best: tuple[str, Corrections] = "none", ()
     if not len(steps.step) or len(lines) > _MOST_LINES:
-        return none
+        return best
     middle, tilted = _support(cells, steps, lines)
-    best = none
-    tests: dict[str, Floats] = {"none": steps.step}
+    before = steps.step
     for method, wanted in (("offset", np.zeros_like(tilted)), ("tilt", tilted & (len(lines) <= _MOST_TILTED))):
         if method == "tilt" and not wanted.any():
             break
@@ -237,12 +234,12 @@ def adjust_lines(cells: LineCells, steps: CellSteps) -> Adjustment:
         left = _left_in_other_half(design, steps)
         corrections = _solved(design, steps)
         plausible = max(abs(own.offset) for own in corrections) <= _LARGEST
-        if plausible and _is_better(steps, left, tests[best.method]):
-            best, tests[method] = Adjustment(method, corrections), left
+        if plausible and _is_better(steps, left, before):
+            best, before = (method, corrections), left
     return best
 
 
-def left_after(steps: CellSteps, corrections: tuple[LineCorrection, ...]) -> Floats:
+def left_after(steps: CellSteps, corrections: Corrections) -> Floats:
     """Return the steps that are left after corrections, (n,) m."""
     left = steps.step.copy()
     for own in corrections:
@@ -288,18 +285,14 @@ def _is_better(steps: CellSteps, left: Floats, before: Floats) -> bool:
     old, new = (weighted_median(np.abs(held), weights) for held in (before, left))
     if new > min(_GAIN * old, old - _LEAST_GAIN):
         return False
-    pairs = steps.first << 16 | steps.second
-    bounds = [0, *(np.flatnonzero(np.diff(pairs)) + 1).tolist(), len(pairs)]
-    for start, end in pairwise(bounds):
-        if end - start < _LEAST_COMMON:
-            continue
-        old, new = (weighted_median(np.abs(held[start:end]), weights[start:end]) for held in (before, left))
+    for pair in steps.pairs(_LEAST_COMMON):
+        old, new = (weighted_median(np.abs(held[pair]), weights[pair]) for held in (before, left))
         if new > max(_WORSE[0] * old, old + _WORSE[1]):
             return False
     return True
 
 
-def _solved(design: _Design, steps: CellSteps) -> tuple[LineCorrection, ...]:
+def _solved(design: _Design, steps: CellSteps) -> Corrections:
     """Solve the equations with Huber's weights."""
     size = len(design.lines)
     sides = [np.searchsorted(design.lines, own) for own in (steps.first, steps.second)]
@@ -374,7 +367,7 @@ class FlightLines:
     method: str = "none"
     """Correction that makes the lines agree: ``none``, ``offset``, or ``tilt`` for an offset and a tilt of each line.
     It was taken off with ``align="on"``."""
-    corrections: tuple[LineCorrection, ...] = ()
+    corrections: Corrections = ()
     """Correction that was taken off each line; empty without ``align="on"``."""
     before: tuple[LinePair, ...] = ()
     """The pairs before that; empty without ``align="on"``."""
@@ -406,7 +399,7 @@ class FlightLines:
         return cls(record["lines"], pairs, record["method"], corrections, before)
 
 
-def compare_lines(sums: LineSums, *, adjust: bool = False) -> tuple[FlightLines, Adjustment]:
+def compare_lines(sums: LineSums, *, adjust: bool = False) -> FlightLines:
     """Compare the lines of a survey.
 
     Parameters
@@ -414,28 +407,19 @@ def compare_lines(sums: LineSums, *, adjust: bool = False) -> tuple[FlightLines,
     sums : LineSums
         Of all its points.
     adjust : bool
-        Whether to find what makes them agree in any case; otherwise only if a step matters.
-
-    Returns
-    -------
-    FlightLines
-        Without corrections.
-    Adjustment
-        What makes them agree.
+        Whether to find what makes them agree in any case, and to return the corrections; otherwise it is found, and
+        named, only if a step matters.
     """
     cells = LineCells.of(sums)
-    lines, nothing = len(np.unique(cells.line)), Adjustment("none", ())
+    lines = len(np.unique(cells.line))
     if lines < 2:
-        return FlightLines(lines), nothing
+        return FlightLines(lines)
     steps = steps_between_lines(cells)
-    codes = steps.first << 16 | steps.second
-    bounds = [0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), len(codes)]
-    spans = [slice(*span) for span in pairwise(bounds) if span[1] - span[0] >= _LEAST_CELLS]
-    found = FlightLines(lines, tuple(_pair(steps, span) for span in spans))
+    found = FlightLines(lines, tuple(_pair(steps, span) for span in steps.pairs(_LEAST_CELLS)))
     if not adjust and found.largest < MATTERS:
-        return found, nothing
-    adjustment = adjust_lines(cells, steps)
-    return FlightLines(lines, found.pairs, adjustment.method), adjustment
+        return found
+    method, corrections = adjust_lines(cells, steps)
+    return replace(found, method=method, corrections=corrections if adjust else ())
 
 
 def describe_lines(found: FlightLines, align: Align) -> str:
@@ -543,8 +527,7 @@ class AlignedInputs:
         if config.align != "on":
             return cls(inputs, options, None)
         with clock.stage("align"):
-            found, adjustment = compare_lines(_sums(inputs, progress), adjust=True)
-        found = replace(found, corrections=adjustment.corrections)
+            found = compare_lines(_sums(inputs, progress), adjust=True)
         if not found.corrections:
             return cls(inputs, options, found)
         options = replace(options, corrections=found.corrections)
@@ -558,8 +541,8 @@ class AlignedInputs:
         """Return the lines as they are in the layers, by the sums of the points that were mapped."""
         before = self._before
         if before is None:
-            return compare_lines(sums)[0]
-        pairs = compare_lines(sums)[0].pairs if before.corrections else before.pairs
+            return compare_lines(sums)
+        pairs = compare_lines(sums).pairs if before.corrections else before.pairs
         return replace(before, pairs=pairs, before=before.pairs)
 
 

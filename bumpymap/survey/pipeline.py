@@ -10,6 +10,7 @@ from typing import Any
 from bumpymap.core import (
     CostTable,
     MapConfig,
+    OutputError,
     Progress,
     SilentProgress,
     Stopwatch,
@@ -102,20 +103,17 @@ def _meets(extent: Bounds | None, box: Bounds) -> bool:
     )
 
 
-def map_surveys(
-    config: MapConfig,
-    progress: Progress | None = None,
-    *,
-    crs_must_agree: bool = True,
-) -> MapResult:
+def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
     """Map surveys: read, cut into tiles, measure, classify, rate, write.
 
     Parameters
     ----------
     config : MapConfig
     progress : Progress, optional
-    crs_must_agree : bool
-        Whether a survey that states another CRS than ``config.crs`` is refused; else its own is used, with a warning.
+    in_batch : bool
+        The run is one of many. A survey that states another CRS than ``config.crs`` is mapped in its own, with a
+        warning, instead of being refused; with ``config.overwrite``, layers of the same inputs and settings are kept;
+        an interrupted run of others that has left no layers is replaced.
 
     Raises
     ------
@@ -124,19 +122,30 @@ def map_surveys(
     """
     try:
         with remove_empty_on_error(config.out), locked(config.out):
-            return _map(with_memory(config), progress or SilentProgress(), crs_must_agree=crs_must_agree)
+            return _map(with_memory(config), progress or SilentProgress(), in_batch=in_batch)
     finally:
         close_filter()
 
 
-def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapResult:
+def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     clock = Stopwatch()
     budget = Budget(memory_bytes(config.memory), config.threads)
+    overwrite, unfinished, complete = config.overwrite, is_interrupted(config.out), is_complete(config.out)
+    keeps = complete and not unfinished and (in_batch or not overwrite)
     with clock.stage("prepare"), collected_warnings() as warnings:
-        is_done = _check_out(config)
-        models, inputs, run_spec, neighbours = _prepare(config, budget, crs_must_agree=crs_must_agree)
-    if is_done:
-        return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
+        if not keeps:
+            # A continued run may replace what it could replace when it began: if it was killed between moving its
+            # layers to their places and clearing up, they are its own.
+            check_folder(config.out, overwrite=overwrite or unfinished)
+        models, inputs, run_spec, neighbours = _prepare(config, budget, crs_must_agree=not in_batch)
+    if keeps:
+        try:
+            return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
+        except OutputError:
+            if not overwrite:
+                raise
+        check_folder(config.out, overwrite=True)
+    discard = overwrite or (in_batch and not complete)
     grid = Grid(config.tile_size, config.pixels)
     rating = TileRating.of(config, models, inputs.georeference)
     speeds = config.speeds or ()
@@ -145,7 +154,7 @@ def _map(config: MapConfig, progress: Progress, *, crs_must_agree: bool) -> MapR
     # Workers first: a failure to connect must not cost what an earlier run has finished.
     with (
         connect(config.scheduler) as workers,
-        Workspace.opened(config.out, config.scratch, run_spec, overwrite=config.overwrite) as space,
+        Workspace.opened(config.out, config.scratch, run_spec, overwrite=discard) as space,
     ):
         aligned = AlignedInputs.of(config, inputs, progress, clock)
         executor: Executor = LocalExecutor(work, space, budget, progress)
@@ -190,14 +199,3 @@ def _prepare(
     models = RatingModels.load(config)
     inputs = SurveyInputs.open(config, crs_must_agree=crs_must_agree)
     return models, inputs, describe_run(config, inputs, models, budget), NeighbourRating.of(config, models)
-
-
-def _check_out(config: MapConfig) -> bool:
-    """Check that the layers can be written; return True if a complete run is there and is to be kept."""
-    unfinished = is_interrupted(config.out)
-    if not (unfinished or config.overwrite) and is_complete(config.out):
-        return True
-    # A continued run may replace what it could replace when it began: if it was killed between moving its layers to
-    # their places and clearing up, they are its own.
-    check_folder(config.out, overwrite=config.overwrite or unfinished)
-    return False

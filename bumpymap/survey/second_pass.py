@@ -7,12 +7,11 @@ those around it. What is added to a tile depends on the finished tiles alone, no
 tasks or machines.
 """
 
-from collections import OrderedDict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from threading import Lock
 from typing import Any, Protocol
 
 import numpy as np
@@ -58,7 +57,7 @@ from bumpymap.rating import (
 )
 from bumpymap.survey.engine import TileSink
 from bumpymap.survey.tile_rating import RatingModels
-from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, JoinedPack, Pack, TileTable, run_blocks
+from bumpytiles import BLOCK_TILES, BlockKey, Column, Grid, Pack, TileTable, grouped_blocks, run_blocks
 
 __all__ = [
     "KEPT_BYTES",
@@ -140,79 +139,43 @@ def add_neighbours(
     OSError
         The packs cannot be written.
     """
-    keys = sorted(table.pack_of)
+    keys, names = table.keys, ("col", "row", *rating.needs)
     progress.start("comparing neighbours", len(keys))
     sink = TileSink(folder, kind, rating.columns)
-    blocks = _Blocks(table, rating.needs)
-    for rated in run_blocks(lambda group: _rate_group(blocks, rating, group), _groups(table, keys), threads):
+    tile_bytes = sum(array.nbytes for array in table.read_blocks(keys[:1], names).values()) / table.count(keys[0])
+    # The windows of two blocks side by side have six in common.
+    kept = max(1, int(KEPT_BYTES / (tile_bytes * BLOCK_TILES**2)))
+    read = lru_cache(kept)(lambda key: table.read_blocks([key], names))
+    groups = grouped_blocks(keys, table.count, _GROUP_TILES)
+    for rated in run_blocks(lambda group: _rate_group(table, read, rating, group), groups, threads):
         for key, columns in rated:
             sink.add(key, columns)
         progress.advance(len(rated))
     sink.flush()
-    return TileTable(table.grid, [JoinedPack(table.pack_of, Pack(path)) for path in sink.new_packs()])
+    return table.with_columns([Pack(path) for path in sink.new_packs()])
 
 
-def _groups(table: TileTable, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
-    """Yield the blocks, those with few tiles in groups: the fixed time of a block then counts once for many."""
-    group: list[BlockKey] = []
-    held = 0
-    for key in keys:
-        tiles = table.pack_of[key].rows(key)
-        if group and (held + tiles > _GROUP_TILES):
-            yield group
-            group, held = [], 0
-        group.append(key)
-        held += tiles
-    yield group
-
-
-class _Blocks:
-    """Reads blocks of a table, and keeps the last few: the windows of two blocks side by side have six in common."""
-
-    def __init__(self, table: TileTable, names: Sequence[str]) -> None:
-        self.table = table
-        self._names = ("col", "row", *names)
-        self.names_without_heights = [name for name in self._names if name != "heights"]
-        self._kept: OrderedDict[BlockKey, dict[str, NDArray[Any]]] = OrderedDict()
-        self._bytes = 0
-        self._lock = Lock()
-
-    def read(self, key: BlockKey) -> dict[str, NDArray[Any]]:
-        """Read the columns of a block."""
-        with self._lock:
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key]
-        found = self.table.pack_of[key].read(key, self._names)
-        with self._lock:
-            if key not in self._kept:
-                self._kept[key] = found
-                self._bytes += _size(found)
-            while self._bytes > KEPT_BYTES:
-                self._bytes -= _size(self._kept.popitem(last=False)[1])
-        return found
-
-
-def _size(columns: Mapping[str, NDArray[Any]]) -> int:
-    return sum(array.nbytes for array in columns.values())
+Columns = dict[str, NDArray[Any]]
+_Read = Callable[[BlockKey], Columns]
 
 
 def _rate_group(
-    blocks: _Blocks, rating: NeighbourRater, keys: Sequence[BlockKey]
-) -> list[tuple[BlockKey, dict[str, NDArray[Any]]]]:
+    table: TileTable, read: _Read, rating: NeighbourRater, keys: Sequence[BlockKey]
+) -> list[tuple[BlockKey, Columns]]:
     """Return the new columns of some blocks, in the order of their tiles."""
     # Together, blocks are read without the maps of heights.
-    own = blocks.read(keys[0]) if len(keys) == 1 else blocks.table.read_blocks(keys, blocks.names_without_heights)
+    names = ["col", "row", *(name for name in rating.needs if name != "heights")]
+    own = read(keys[0]) if len(keys) == 1 else table.read_blocks(keys, names)
     place = {name: own[name] for name in ("col", "row")}
     if (left := rating.leaves(own)) is None:
         if len(keys) > 1:
-            return [one for key in keys for one in _rate_group(blocks, rating, [key])]
-        rated = rating(_read_window(blocks, rating, keys[0]))
+            return [one for key in keys for one in _rate_group(table, read, rating, [key])]
+        rated = rating(_read_window(table, read, rating, keys[0]))
         line, column = _cells(keys[0], place, 0)
         new = {part.name: rated[part.name][line, column] for part in rating.columns}
         return [(keys[0], new | place)]
     columns = left | place
-    ends = np.cumsum([blocks.table.pack_of[key].rows(key) for key in keys]).tolist()
+    ends = np.cumsum([table.count(key) for key in keys]).tolist()
     return [
         (key, {name: array[start:stop] for name, array in columns.items()})
         for key, (start, stop) in zip(keys, pairwise([0, *ends]), strict=True)
@@ -227,14 +190,14 @@ def _cells(
     return north - tiles["row"], tiles["col"] - west
 
 
-def _read_window(blocks: _Blocks, rating: NeighbourRater, key: BlockKey) -> NeighbourWindow:
+def _read_window(table: TileTable, read: _Read, rating: NeighbourRater, key: BlockKey) -> NeighbourWindow:
     """Put the tiles of a block and of the rings around it together."""
     side = BLOCK_TILES + 2 * rating.rings
     columns: dict[str, NDArray[Any]] = {}
     present = np.zeros((side, side), np.bool_)
     around = [(key[0] + down, key[1] + right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
-    for beside in (found for found in around if found in blocks.table.pack_of):
-        part = blocks.read(beside)
+    for beside in filter(table.count, around):
+        part = read(beside)
         line, column = _cells(key, part, rating.rings)
         inside = np.flatnonzero((line >= 0) & (line < side) & (column >= 0) & (column < side))
         if not len(inside):
@@ -249,7 +212,6 @@ def _read_window(blocks: _Blocks, rating: NeighbourRater, key: BlockKey) -> Neig
     return NeighbourWindow(rating.rings, columns, present)
 
 
-Columns = dict[str, NDArray[Any]]
 _RATED = ("class_id", "c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "reason")
 _OBJECTS = ("obstacle", "obstacle_height", "clearance")
 _BESIDE = ((-1, 0), (0, 1), (1, 0), (0, -1))

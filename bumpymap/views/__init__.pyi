@@ -11,12 +11,12 @@ from .export.write import (
     Export as Export,
     export_map as export_map,
 )
+from .gis.project import (
+    write_map_views as write_map_views,
+)
 from .gis.styles import (
     write_change_style as write_change_style,
     write_check_style as write_check_style,
-)
-from .map_views import (
-    write_map_views as write_map_views,
 )
 from .page.batch_page import (
     SurveyView as SurveyView,

@@ -1,12 +1,14 @@
 """List what the default install and each extra bring, with the licences: the table of docs/pages/licences.md.
 
     python docs/licences/list_licences.py            # prints the table for what is installed here
-    python docs/licences/list_licences.py --write    # puts it into the page
+    python docs/licences/list_licences.py --write    # writes the file anew
 
 The requirements of bumpymap itself are read from pyproject.toml, those of all others from what pip installed.
 """
 
 import argparse
+import csv
+import io
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -18,8 +20,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGE = ROOT / "docs" / "pages" / "licences.md"
-START, END = "<!-- table -->", "<!-- end of table -->"
+TABLE = Path(__file__).with_name("licences.csv")
 _OWN = "bumpymap"
 _FAMILIES = {
     "AGPL": r"agpl|affero",
@@ -111,8 +112,10 @@ def table() -> str:
             licences[name] = licence
             if name not in default:
                 brought.setdefault(name, []).append(f"`{extra}`")
-    rows = [f"| {name} | {_shown(licences[name])} | {', '.join(brought[name])} |" for name in sorted(licences)]
-    return "\n".join(["| package | licence | comes with |", "|---|---|---|", *rows])
+    text = io.StringIO()
+    rows = [(name, _shown(licences[name]), ", ".join(brought[name])) for name in sorted(licences)]
+    csv.writer(text, lineterminator="\n").writerows([("package", "licence", "comes with"), *rows])
+    return text.getvalue()
 
 
 def _project() -> dict[str, dict[str, list[str]]]:
@@ -142,14 +145,13 @@ def _shown(licence: Licence | None) -> str:
 
 
 def main() -> None:
-    """Print the table, or put it into the page."""
+    """Print the table, or write it."""
     parser = argparse.ArgumentParser(description="List the licences of what bumpymap needs.")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/pages/licences.md")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}")
     if not parser.parse_args().write:
-        print(table())
+        print(table(), end="")
         return
-    before, rest = PAGE.read_text("utf-8").split(START)
-    PAGE.write_text(f"{before}{START}\n\n{table()}\n\n{END}{rest.split(END)[1]}", "utf-8")
+    TABLE.write_text(table(), "utf-8")
 
 
 if __name__ == "__main__":

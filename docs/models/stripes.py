@@ -3,17 +3,24 @@
 Takes some minutes and open3d. Scenes are those of seed 5150: twelve of every theme, each seen by another sensor.
 """
 
+import json
+import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
-from bumpymap.lab.train.scan_sectors import crowns_as_bushes, scene_scan
-from bumpymap.lab.worlds.scans.scene import THEMES
+from bumpymap.lab.train.scan_sectors import crowns_as_bushes
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, polar_sectors
-from bumpymap.scan.stripes import fit_stripes, save_stripes
+from bumpymap.scan.stripes import StripeFilter, StripeModel, count_stripes, fit_centres
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
+
+from scan_scenes.lidar import scene_scan
+from scan_scenes.scene import THEMES
 
 SEED, OF_A_THEME = 5150, 12
 OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.json"
@@ -22,8 +29,11 @@ OUT = Path(bumpymap.__file__).parent / "scan" / "data" / "models" / "stripes.jso
 def main() -> None:
     """Fit, write, print."""
     stacks = [polar_sectors(crowns_as_bushes(scene_scan(SEED, i))) for i in range(OF_A_THEME * len(THEMES))]
-    model = fit_stripes(stacks)
-    save_stripes(model, OUT)
+    counts = np.concatenate([count_stripes(stack.heights[stack.traversable]) for stack in stacks])
+    pixels = stacks[0].settings.pixels
+    model = StripeModel(StripeFilter(), pixels, fit_centres(counts, 0, len(stacks)), len(stacks), len(counts), 0)
+    record = {"format": "bumpymap stripes 2", **asdict(model)}
+    OUT.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     print(f"{model.sectors:,} sectors with ground of {model.scans} scans; centres {model.centres}")
     class_id = np.concatenate([classify_filter(stack, model).class_id for stack in stacks])
     variance, residual, label = (

@@ -79,7 +79,7 @@ def main(folder: Path) -> None:
     if not motion.exists():
         drive(layers, motion)
     sensed = sense_drive(read_motion(motion), SENSORS, 1, "quarry", "EPSG:32632")
-    logs = write_drive_files(sensed.log, folder)
+    logs = write_drive_files(sensed, folder)
     config = CheckConfig((",".join(map(str, logs)),), layers=layers, out=folder / "checked", overwrite=True)
     run_check(config)
     photograph(folder / "checked" / "check.html", ROOT / "docs" / "pages" / "img" / "check.png")

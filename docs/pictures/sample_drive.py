@@ -35,7 +35,7 @@ def main(folder: Path) -> None:
         drive(layers, motion, WAY, (Stop(30.0, 3.0),))
     imu, gnss = replace(SENSORS.imu, sample_hz=IMU_HZ, cutoff_hz=20.0), replace(GNSS["rtk"], sample_hz=GNSS_HZ)
     sensors = replace(SENSORS, imu=imu, gnss=gnss)
-    log = sense_drive(read_motion(motion), sensors, 1, "quarry_drive", "EPSG:32632").log
+    log = sense_drive(read_motion(motion), sensors, 1, "quarry_drive", "EPSG:32632")
     start = log.imu.time[0]
     log = replace(log, imu=replace(log.imu, time=log.imu.time - start))
     log = replace(log, places=replace(log.places, time=log.places.time - start))

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["SCALE", "SPACING", "SWATH", "fill_records", "levels_above", "scramble"]
+__all__ = ["SCALE", "SPACING", "SWATH", "fill_records", "scramble"]
 
 SCALE = 1e-3
 """Resolution of the coordinates, m."""
@@ -108,18 +108,6 @@ def scramble(first: int, count: int, half_bits: int, total: int, seed: int) -> N
             found[kept] = number
             kept += 1
     return found[:kept]
-
-
-@_compiled
-def levels_above(numbers: NDArray[np.float64], most: int) -> NDArray[np.int64]:
-    """Return a random level 0 to ``most`` for each number: 0 for three of four, 1 for three of four others, ..."""
-    levels = np.empty(len(numbers), np.int64)
-    for i in range(len(numbers)):
-        bits, level = _mix(np.uint64(numbers[i] * 1e6)), 0
-        while level < most and bits & np.uint64(3) == np.uint64(0):
-            bits, level = bits >> np.uint64(2), level + 1
-        levels[i] = level
-    return levels
 
 
 @_compiled

@@ -18,6 +18,8 @@ from pathlib import Path
 import numpy as np
 from _measure import Sample, run_timed
 
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
+
 _POINTS = 124_000
 _KINDS = {
     "table": ("--set", "products=table"),
@@ -28,8 +30,8 @@ _KINDS = {
 
 def make_frames(folder: Path, count: int) -> Path:
     """Write the frames as KITTI-style files, unless they are there."""
-    from bumpymap.lab.worlds.scans.lidar import SENSORS, simulate_scan
-    from bumpymap.lab.worlds.scans.scene import make_scene
+    from scan_scenes.lidar import SENSORS, simulate_scan
+    from scan_scenes.scene import make_scene
 
     if len(list(folder.glob("*.bin"))) == count:
         return folder

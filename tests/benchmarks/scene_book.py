@@ -1,9 +1,9 @@
 """Draw the table of the made-up scenes: how much of what stands is closed, which gaps lead through, what is barred.
 
-    python tests/benchmarks/scene_book.py [--seeds 4] [--only NAME] [--page docs/pages/measuring.md]
+    python tests/benchmarks/scene_book.py [--seeds 4] [--only NAME] [--out docs/figures/scene_book.md]
 
 Three figures a cell: surveyed from straight above with classes; with pulses that lean and see sides too; from straight
-above without classes. All with noise of 3 cm. ``--page`` puts the table in the place of the one that a page holds.
+above without classes. All with noise of 3 cm. The page "How a tile is measured" shows the file of ``--out``.
 """
 
 import argparse
@@ -66,16 +66,12 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=4, help="places and headings of a scene (4)")
     parser.add_argument("--only", default="", help="scenes with this in their name")
-    parser.add_argument("--page", type=Path, help="page whose table is replaced")
+    parser.add_argument("--out", type=Path, help="file for the table")
     given = parser.parse_args()
-    lines = table([scene for scene in SCENES if given.only in scene.name], given.seeds)
-    if given.page is None:
-        print("\n".join(lines))
-        return
-    text = given.page.read_text(encoding="utf-8").splitlines()
-    first = next(at for at, line in enumerate(text) if line.startswith("| scene |"))
-    last = next(at for at in range(first, len(text)) if not text[at].startswith("|"))
-    given.page.write_text("\n".join([*text[:first], *lines, *text[last:]]) + "\n", encoding="utf-8")
+    text = "\n".join(table([scene for scene in SCENES if given.only in scene.name], given.seeds))
+    print(text)
+    if given.out is not None:
+        given.out.write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

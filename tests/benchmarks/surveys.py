@@ -17,19 +17,18 @@ from pathlib import Path
 
 import laspy
 import numpy as np
-from _copc import write_copc
 from _ground import SCALE, SWATH, fill_records, scramble
 from numpy.typing import NDArray
 from pyproj import CRS
 
 ORDERS = ("sorted", "shuffled")
-FORMATS = ("laz", "las", "copc")
+FORMATS = ("laz", "las")
 
 _EPSG = 32632
 _CORNER = (691_200.0, 5_335_800.0, 0.0)
 """South-west corner of every site, m."""
 _BATCH = 1_000_000
-_BYTES = {"las": {"sorted": 36, "shuffled": 36}, "laz": {"sorted": 7, "shuffled": 20}, "copc": {"sorted": 10}}
+_BYTES = {"las": {"sorted": 36, "shuffled": 36}, "laz": {"sorted": 7, "shuffled": 20}}
 """Format -> order -> bytes per point on disk, rounded up."""
 _SPARE = 1_000_000_000
 """Bytes of disk space to keep free."""
@@ -41,7 +40,7 @@ class Survey:
 
     points: int
     order: str
-    """``sorted``: swath by swath, line by line (COPC: node by node); ``shuffled``: in random order over the site."""
+    """``sorted``: swath by swath, line by line; ``shuffled``: in random order over the site."""
     format: str
     seed: int = 1
     cuts: int = 1
@@ -53,7 +52,7 @@ class Survey:
         base = f"site_{self.points}_{self.order}_{self.seed}"
         if self.cuts > 1:
             return f"{base}_{self.format}_{self.cuts}x{self.cuts}"
-        return f"{base}.copc.laz" if self.format == "copc" else f"{base}.{self.format}"
+        return f"{base}.{self.format}"
 
     @property
     def swaths(self) -> int:
@@ -105,9 +104,6 @@ def make(survey: Survey, folder: Path) -> Path:
             for column, row in np.ndindex(survey.cuts, survey.cuts):
                 part = beside / f"part_{column}_{row}.{survey.format}"
                 _write(part, survey, survey.numbers_of_part(column, row))
-        elif survey.format == "copc":
-            with beside.open("w+b") as stream:
-                write_copc(stream, _header(), (survey.points, survey.lines, survey.seed))
         else:
             _write(beside, survey, survey.numbers())
         beside.rename(path)
@@ -157,7 +153,7 @@ def facts(path: Path) -> dict[str, float | int | str]:
         float(side)
         for side in np.max([each.maxs for each in headers], axis=0) - np.min([each.mins for each in headers], axis=0)
     )
-    kind = "LAS" if file.suffix.lower() == ".las" else "COPC" if file.name.endswith(".copc.laz") else "LAZ"
+    kind = "LAS" if file.suffix.lower() == ".las" else "LAZ"
     return {
         "points": sum(each.point_count for each in headers),
         "bytes": _size(path),
@@ -205,10 +201,8 @@ def main() -> None:
         parser.error(f"--points is {given.points}; it must be at least 1")
     if given.cuts < 1:
         parser.error(f"--cuts is {given.cuts}; it must be at least 1")
-    if given.order == "shuffled" and (given.format == "copc" or given.cuts > 1):
-        parser.error("--order shuffled is for one LAS or LAZ file; leave out --cuts, and --format copc")
-    if given.format == "copc" and given.cuts > 1:
-        parser.error("--format copc makes one file; leave out --cuts")
+    if given.order == "shuffled" and given.cuts > 1:
+        parser.error("--order shuffled is for one file; leave out --cuts")
     survey = Survey(given.points, given.order, given.format, given.seed, given.cuts)
     path = given.facts or make(survey, given.data)
     print(json.dumps({"path": str(path), **facts(path)}))

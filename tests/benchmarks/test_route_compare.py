@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from _route_trial import LineFigures, WayResult, agree, arrivals, by_class, order, stopped_at_obstacle, wilson
+from _route_trial import LineFigures, WayResult, agree, arrivals, stopped_at_obstacle, wilson
 from driven_ways import WayDrive
 
 
@@ -35,21 +35,6 @@ def test_nothing_is_claimed_where_no_drive_arrived():
     assert math.isnan(found.median_error)
 
 
-def test_order_by_c_r_and_by_arrival():
-    best = [way("best", 0.1, [0.1]), way("best", 0.1, [0.2]), way("best", 0.1, [0.1]), way("best", 0.1, [], failed=1)]
-    straight = [
-        way("straight", 0.2, [0.3]),  # right
-        way("straight", 0.2, [0.1]),  # wrong: the straight line was the smoother one
-        way("straight", 0.2, [], failed=1, cost=math.inf),  # right: only the best way arrived
-        way("straight", 0.2, [], failed=1),  # no order
-    ]
-    found = order(best, straight)
-    assert (found.pairs, found.compared, found.right) == (4, 3, 2)
-    assert (found.by_c_r, found.by_c_r_right) == (2, 1)
-    assert (found.by_arrival, found.by_arrival_right) == (1, 1)
-    assert found.dearer_straight == 4
-
-
 def test_arrivals_count_each_way_once():
     ways = [way("best", 0.1, [0.1] * 3, failed=1, p_arrives=0.9), way("best", 0.1, [0.1] * 4, p_arrives=0.5)]
     found = arrivals(ways)
@@ -77,17 +62,3 @@ def test_wilson_is_the_set_of_shares_that_the_score_test_does_not_reject():
         shares = np.linspace(0.0005, 0.9995, 1000)
         kept = np.abs(seen - shares) <= 1.959964 * np.sqrt(shares * (1 - shares) / trials)
         assert (shares[kept].min(), shares[kept].max()) == pytest.approx((low, high), abs=2e-3)
-
-
-def test_tiles_by_class_weigh_by_the_driven_path(made_up):
-    field = made_up.read(made_up.window)
-    field.c_r[0, :3] = 0.05, 0.05, 0.3
-    tiles = [(0, 0, 3.0, 0.3), (1, 0, 1.0, 0.05), (2, 0, 2.0, 0.6), (3, 0, 0.2, 9.0)]  # the last one is too short
-    rows = by_class(field, field.c_r.astype(float) * 2, [way("best", 0.1, [0.1], tiles=tiles)], (0.1, 0.25, 0.4))
-    assert [row.tiles for row in rows] == [2, 0, 1, 0]
-    assert rows[0].driven == pytest.approx(0.35 / 4)
-    assert rows[0].predicted == pytest.approx(0.05)
-    assert rows[0].raw == pytest.approx(0.1)
-    assert rows[0].median_error == pytest.approx(0.25)
-    assert rows[2].driven == pytest.approx(0.3)
-    assert math.isnan(rows[1].driven)

@@ -13,13 +13,12 @@ import route_drives
 from _route_trial import (
     RoutePlanner,
     RouteTrialSettings,
-    choose_pairs,
     evaluate_routes,
     ride_without_correction,
 )
 from driven_ways import ReliefGround, WayDrive
 
-from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.survey_trial import TrialOptions
 from bumpymap.lab.simulate.jobs import sine_c_r
@@ -38,38 +37,11 @@ def round_the_wall(start, goal):
     return np.array([start, [0.9, 4.5], [0.9, 6.5], goal])
 
 
-def test_pairs_lie_apart_as_wanted_and_are_always_the_same(made_up):
-    field = made_up.read(made_up.window)
-    pairs = choose_pairs(field, round_the_wall, SETTINGS, SilentProgress())
-    assert len(pairs) == 2
-    for pair in pairs:
-        start, goal = pair.straight
-        assert 12 <= 3 * math.dist(start, goal) <= 20
-        assert pair.best[[0, -1]].tolist() == pair.straight.tolist()
-        assert all(field.barred[int(row), int(col)] == 0 for row, col in pair.straight)
-    again = choose_pairs(field, round_the_wall, SETTINGS, SilentProgress())
-    assert [pair.best.tolist() for pair in again] == [pair.best.tolist() for pair in pairs]
-
-
 def test_a_map_without_ways_is_refused(made_up, warthog, tmp_path):
     with pytest.raises(BadInputError, match="no two passable tiles 12 to 20 m apart"):
         evaluate_routes(made_up, warthog, lambda *_: None, SETTINGS, options(tmp_path))
     with pytest.raises(BadInputError, match="the layers were made with the calibration"):
         evaluate_routes(made_up, replace(warthog, settings={}), round_the_wall, SETTINGS, options(tmp_path))
-
-
-@pytest.mark.parametrize(
-    ("wrong", "says"),
-    [
-        ({"total_pairs": 0}, "^`pairs` is 0; it must be 1 or more"),  # as the option is called
-        ({"repeats": 0}, "^`repeats` is 0"),
-        ({"least_m": 30.0, "most_m": 20.0}, "distances are 30"),
-        ({"offset_m": 2.0}, "offset_m is 2"),
-    ],
-)
-def test_settings_out_of_range_are_refused(wrong, says):
-    with pytest.raises(UsageError, match=says):
-        RouteTrialSettings(**wrong)
 
 
 def test_obstacles_are_walls_over_exactly_their_pixels():

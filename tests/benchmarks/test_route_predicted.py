@@ -1,11 +1,10 @@
 """What the map says of a line."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from _route_trial import cut_at_tiles, predict_line, shared_length, tile_cost
+from _route_trial import cut_at_tiles, predict_line
 
 from bumpymap.core import CostRule, Georeference, RouteVehicle, TileField
 from bumpytiles import Grid, TileWindow
@@ -71,18 +70,3 @@ def test_ground_on_which_every_drive_fails_leaves_no_hope():
     assert said.p_arrives == 0.0
     assert said.cost_m == math.inf
     assert said.barred_m == pytest.approx(3.0)
-
-
-def test_cost_is_that_of_the_layers_and_closed_where_barred():
-    field = replace(field_of([[0.1, 0.2, np.nan, 0.3]], p_fail=0.1), barred=np.array([[0, 0, 0, 3]], np.uint8))
-    cost = tile_cost(field)
-    hazard = -math.log(0.9) / 10
-    assert cost[0, :2] == pytest.approx([1.5 + 300 * hazard, 2.0 + 300 * hazard], rel=1e-5)
-    assert np.isinf(cost[0, 2:]).all()
-
-
-def test_shared_length():
-    straight = np.array([[0.5, 0.5], [0.5, 4.5]])
-    round_about = np.array([[0.5, 0.5], [0.5, 1.5], [1.5, 1.5], [1.5, 3.5]])
-    assert shared_length(straight, straight) == 1.0
-    assert shared_length(round_about, straight) == pytest.approx(1.5 / 4)

@@ -8,7 +8,7 @@ from route_maps import write_folder
 from survey_pairs import survey
 
 from bumpymap.change import DiffConfig, find_changes
-from bumpymap.change.output import CHANGE_FILES
+from bumpymap.change.pipeline import CHANGE_FILES
 from bumpymap.core import CHANGE_KINDS
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "diff.md").read_text(encoding="utf-8")

@@ -10,20 +10,18 @@ import pytest
 from click.testing import CliRunner
 
 from bumpymap.check import check_drives
-from bumpymap.check.places import places_alone, places_on_map
+from bumpymap.check.places import places_on_map
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, PlaceTrack
 from bumpymap.layers.check_record import read_check
 
 
-def csv_of(path: Path, *, with_places: bool = True) -> str:
+def csv_of(path: Path) -> str:
     """Write the log of a drive as tables; return the place to read it from."""
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
     imu = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
     head = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
     np.savetxt(path / "imu.csv", imu, delimiter=",", header=head, comments="")
-    if not with_places:
-        return str(path / "imu.csv")
     lon, lat = -99.0 + log.places.x / 105_000.0, 19.0 + log.places.y / 110_700.0
     places = np.column_stack([log.places.time, lon, lat])
     np.savetxt(path / "gnss.csv", places, delimiter=",", header="time [s],longitude [deg],latitude [deg]", comments="")
@@ -42,33 +40,24 @@ def test_drives_are_measured_without_a_map(tmp_path):
     assert (result.stretches.class_id == 255).all()
 
 
-def test_a_drive_without_positions_or_wheels_is_refused(tmp_path):
-    with pytest.raises(BadInputError, match="neither positions nor wheel speeds"):
-        check_drives(None, csv_of(tmp_path, with_places=False))
-
-
-@pytest.mark.parametrize("parked", [False, True])
-def test_a_drive_that_cannot_be_used_is_left_out_and_named(tmp_path, caplog, parked):
-    """Whether its file is none, or it is refused when it is measured."""
-    good, bad = csv_of(tmp_path), str(tmp_path / "bad.csv")
+def test_drives_that_cannot_be_used_are_left_out_and_named(tmp_path):
+    """One whose file is none, and one that is refused when it is measured."""
+    good, bad, parked = csv_of(tmp_path), str(tmp_path / "bad.csv"), str(tmp_path / "parked.csv")
     (tmp_path / "bad.csv").write_text("hello")
-    if parked:
-        made_drives.write_table(tmp_path / "bad.csv", placed("projected", still=True), (0.0, 0.0))
-    words = ["check", "--drive", bad, "--drive", good, "--out", str(tmp_path / "out")]
+    made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
+    words = ["check", "--drive", bad, "--drive", parked, "--drive", good, "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 4
     result, _ = read_check(tmp_path / "out")
-    why = result.skipped[bad]
-    assert ("never drives" if parked else "no table") in why
     assert [drive.name for drive in result.drives] == ["imu,gnss"]
     page = html.unescape((tmp_path / "out" / "check.html").read_text())
-    assert all(bad in text and why in text for text in (done.output, page))
-    assert done.output.count(f"{bad} is left out") == 1
-    assert check_drives(None, [good, bad]).skipped == result.skipped
-    assert f"{bad} is left out: {why}" in caplog.text
-    quiet = CliRunner().invoke(main, ["check", "--drive", bad, "--drive", good, "--quiet"])
+    for drive, told in ((bad, "no table"), (parked, "never drives")):
+        assert told in result.skipped[drive]
+        assert all(f"{drive} is left out: {result.skipped[drive]}" in text for text in (done.output, page))
+        assert done.output.count(f"{drive} is left out") == 1
+    quiet = CliRunner().invoke(main, [*words[:3], *words[5:7], "--quiet"])
     assert (quiet.exit_code, quiet.stdout) == (4, "")
-    assert f"{bad} is left out: {why}" in quiet.stderr
+    assert f"{bad} is left out: {result.skipped[bad]}" in quiet.stderr
 
 
 def test_with_no_usable_drive_there_is_no_check(tmp_path):
@@ -112,19 +101,15 @@ def test_positions_of_the_map_s_crs_are_taken():
     assert places.place.real.min() > 40
 
 
-def test_a_drive_elsewhere_says_where_it_is_and_where_the_map_is():
-    with pytest.raises(BadInputError, match=r"off the map: the drive lies around 9\d{5}.*covers 0\.0 to 300\.0"):
-        places_on_map(placed("projected", 9e5), Site(has_crs=False))
-
-
-@pytest.mark.parametrize(("kind", "word"), [("local", "odometry"), ("lonlat", "no CRS")])
-def test_positions_that_cannot_be_placed_are_refused(kind, word):
-    with pytest.raises(BadInputError, match=word):
-        places_on_map(placed(kind), Site(has_crs=False))
-
-
-def test_a_drive_without_positions_is_refused_with_a_map():
-    log = replace(placed("projected"), places=None)
-    assert places_alone(log) is None
-    with pytest.raises(BadInputError, match="no positions"):
-        places_on_map(log, Site(has_crs=False))
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        (lambda: placed("projected", 9e5), r"off the map: the drive lies around 9\d{5}.*covers 0\.0 to 300\.0"),
+        (lambda: placed("local"), "odometry"),
+        (lambda: placed("lonlat"), "no CRS"),
+        (lambda: replace(placed("projected"), places=None), "no positions"),
+    ],
+)
+def test_positions_that_cannot_be_placed_are_refused(log, told):
+    with pytest.raises(BadInputError, match=told):
+        places_on_map(log(), Site(has_crs=False))

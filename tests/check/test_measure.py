@@ -31,7 +31,13 @@ def true_c_r(log, cut, pitch_rate, way):
 @pytest.fixture(scope="module")
 def good():
     made = made_drives.MadeDrive(
-        offset=0.31, mount_deg=(3.0, -4.0, 5.0), noise=0.01, bias=0.01, place_white=0.015, place_wander=0.01
+        offset=0.31,
+        mount_deg=(3.0, -4.0, 5.0),
+        noise=0.01,
+        bias=0.01,
+        place_white=0.015,
+        place_wander=0.01,
+        seconds=180.0,
     )
     log, pitch_rate, way = made_drives.log_of(made)
     return made, log, pitch_rate, way, *measured(log)
@@ -45,25 +51,13 @@ def test_c_r_of_each_stretch_is_that_of_the_drive(good):
     assert (np.abs(cut.measured - true) < 3.0 * cut.measured_sd).mean() > 0.9
 
 
-def test_the_offset_of_the_clocks_is_found(good):
-    made, _, _, _, found, _ = good
+def test_clock_mounting_floor_and_way_are_found(good):
+    made, _, _, way, found, _ = good
     assert found.clock_offset_s == pytest.approx(made.offset, abs=0.04)
-
-
-def test_the_mounting_is_found(good):
-    made, _, _, _, found, _ = good
     assert found.mount_deg[:2] == pytest.approx(made.mount_deg[:2], abs=0.5)
     assert found.mount_deg[2] == pytest.approx(made.mount_deg[2], abs=2.0)
-
-
-def test_the_floor_is_that_of_the_noise_in_the_band(good):
-    made, _, _, _, found, _ = good
     in_band = made.noise * np.sqrt(2.0 * found.band_hz / made.hertz)  # of white noise
     assert found.floor_radps == pytest.approx(in_band * np.sqrt(2.0 / np.pi), rel=0.2)
-
-
-def test_the_way_is_as_long_as_it_was(good):
-    _, _, _, way, found, _ = good
     assert np.abs(found.speed).sum() / found.hertz == pytest.approx(way[-1], rel=0.01)
 
 
@@ -76,7 +70,7 @@ def test_noise_of_positions_does_not_lengthen_the_way():
 
 
 def test_a_sensor_upside_down_reads_the_same(good):
-    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0))
+    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=120.0)
     log, pitch_rate, way = made_drives.log_of(made)
     found, cut = measured(log)
     assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
@@ -94,9 +88,9 @@ def test_without_positions_the_way_is_that_of_the_wheels(good):
     assert np.median(np.abs(cut.measured / true_c_r(log, cut, pitch_rate, way) - 1.0)) < 0.04
 
 
-def test_the_same_drive_gives_the_same_bits(good):
-    _, log, _, _, found, cut = good
-    again, cut_again = measured(log)
+def test_the_same_drive_gives_the_same_bits():
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    (found, cut), (again, cut_again) = measured(log), measured(log)
     assert np.array_equal(found.pitch_rate, again.pitch_rate)
     assert np.array_equal(cut.measured, cut_again.measured)
 
@@ -119,50 +113,32 @@ def test_a_drive_without_accelerometer_is_measured_and_says_so(good):
     assert any("no accelerometer" in note for note in found.notes)
 
 
-def refused(log):
-    with pytest.raises(BadInputError) as caught:
-        measured(log)
-    return str(caught.value)
+def few_positions(log):
+    return replace(log.places, **{name: getattr(log.places, name)[:5] for name in ("time", "x", "y", "error")})
 
 
-def test_an_imu_that_is_too_slow_is_refused(good):
-    _, log, _, _, _, _ = good
-    slow = ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])
-    assert "`band_hz`" in refused(replace(log, imu=slow))
-
-
-def test_degrees_read_as_radians_are_refused(good):
-    _, log, _, _, _, _ = good
-    degrees = replace(log.imu, rate=np.degrees(log.imu.rate))
-    assert "degrees per second" in refused(replace(log, imu=degrees))
-
-
-def test_radians_read_as_degrees_are_refused(good):
-    _, log, _, _, _, _ = good
-    wrong = replace(log.imu, rate=np.radians(log.imu.rate))
-    assert "radians per second" in refused(replace(log, imu=wrong))
+@pytest.mark.parametrize(
+    ("damage", "told"),
+    [
+        (lambda log: {"imu": ImuTrack(log.imu.time[::5], log.imu.rate[::5], log.imu.acceleration[::5])}, "`band_hz`"),
+        (lambda log: {"imu": replace(log.imu, rate=np.degrees(log.imu.rate))}, "degrees per second"),
+        (lambda log: {"imu": replace(log.imu, rate=np.radians(log.imu.rate))}, "radians per second"),
+        (lambda log: {"places": replace(log.places, time=log.places.time + 1e6)}, "in common"),
+        (lambda _: {"places": None}, "neither positions nor wheel speeds"),
+        (lambda log: {"places": few_positions(log)}, "5 usable positions"),
+    ],
+    ids=["slow IMU", "degrees", "radians", "other clock", "no way", "few positions"],
+)
+def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
+    log = good[1]
+    with pytest.raises(BadInputError, match=told):
+        measured(replace(log, **damage(log)))
 
 
 def test_a_parked_vehicle_is_refused():
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=60.0))
-    assert "never drives" in refused(log)
-
-
-def test_clocks_without_common_time_are_refused(good):
-    _, log, _, _, _, _ = good
-    late = replace(log.places, time=log.places.time + 1e6)
-    assert "in common" in refused(replace(log, places=late))
-
-
-def test_a_drive_without_way_is_refused(good):
-    _, log, _, _, _, _ = good
-    assert "neither positions nor wheel speeds" in refused(replace(log, places=None))
-
-
-def test_few_positions_are_refused(good):
-    _, log, _, _, _, _ = good
-    few = replace(log.places, **{name: getattr(log.places, name)[:5] for name in ("time", "x", "y", "error")})
-    assert "5 usable positions" in refused(replace(log, places=few))
+    with pytest.raises(BadInputError, match="never drives"):
+        measured(log)
 
 
 def test_a_short_way_tells_no_offset_of_the_clocks():

@@ -41,9 +41,6 @@ def test_independent_noise_is_taken_off_in_power():
     signal, noise = rng.normal(0, 0.2, 400_000), rng.normal(0, 0.1, 400_000)
     read, floor = np.abs(signal + noise).mean(), np.abs(noise).mean()
     assert less_floor(read, floor) == pytest.approx(np.abs(signal).mean(), rel=5e-3)
-
-
-def test_below_the_floor_nothing_is_left():
     assert less_floor(np.array([0.01]), np.array([0.02])) == 0.0
 
 
@@ -116,11 +113,7 @@ def test_local_metres_are_those_of_the_ellipsoid():
         assert np.hypot(east[number] - east[0], north[number] - north[0]) == pytest.approx(metres, rel=1e-4)
 
 
-def test_a_check_needs_a_drive():
-    with pytest.raises(UsageError, match="no drive"):
-        CheckConfig(())
-
-
-def test_a_drive_given_twice_would_count_twice():
-    with pytest.raises(UsageError, match="twice"):
-        CheckConfig(("a.csv", "b.csv", "a.csv"))
+@pytest.mark.parametrize(("drives", "told"), [((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")])
+def test_a_check_needs_drives_each_once(drives, told):
+    with pytest.raises(UsageError, match=told):
+        CheckConfig(drives)

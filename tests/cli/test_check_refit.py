@@ -21,14 +21,13 @@ def layers(tmp_path_factory):
     return folder / "layers"
 
 
-def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path, capsys):
+def test_the_calibration_of_the_map_is_moved_and_written(layers, tmp_path):
     out = tmp_path / "new" / "my_robot.json"
     refit = prepare_refit(layers, None, out, overwrite=False)
     update = refit.move(driven_stretches(CALIBRATION, 50, shift=0.3), 1.0)
     assert Calibration.load(out).settings["moved_to_drives"]["calibration_id"] == CALIBRATION.id
     assert [path.name for path in out.parent.iterdir() if not path.name.startswith(".")] == ["my_robot.json"]
-    refit.show(update)
-    said = capsys.readouterr().out
+    said = "\n".join(refit.lines(update))
     assert "500 m of driving on 50 stretches, 500 m of it on different ground: this vehicle pitches 3" in said
     assert f"--calibration {out}" in said
     assert json.dumps(refit.record(update))

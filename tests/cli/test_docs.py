@@ -10,8 +10,10 @@ import click
 import pytest
 
 from bumpymap.cli import main
+from bumpymap.core import BANDS
 from bumpymap.core.config import MapConfig
 from bumpymap.core.settings import read_settings_file
+from bumpymap.layers.scan_table import COLUMNS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
@@ -28,12 +30,21 @@ def test_the_reference_shows_the_help_of_every_command():
     assert set(re.findall(r"^<!-- help ([a-z]+) -->$", page, re.MULTILINE)) == set(COMMANDS)
 
 
-def test_the_reference_is_filled_from_the_commands():
+def test_the_reference_is_filled_from_the_declarations():
     spec = importlib.util.spec_from_file_location("reference", ROOT / "docs" / "reference.py")
     reference = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(reference)
-    filled = reference.on_page_markdown((PAGES / "command-line.md").read_text(encoding="utf-8"))
-    assert "<!--" not in filled
+    filled = "".join(
+        reference.on_page_markdown(page.read_text(encoding="utf-8")) for page in sorted(PAGES.glob("*.md"))
+    )
+    assert not re.search("<!-- (help|settings|bands|columns|profile|vehicles|include)", filled)
+    for number, band in enumerate(BANDS, start=1):
+        assert f"| {number} | `{band.name}` | {band.unit} | {band.description} |" in filled
+        assert f"| `{band.name}` | " in filled
+    assert all(f"| `{name}` | " in filled for name, *_ in COLUMNS)
+    assert "| `chassis.com_height_m` | m | -2 to 6 | height of the centre of mass" in filled
+    assert re.search(r"\| `rocker.stiffness_nm_per_rad` \| 120000 \| 5000 \| 300 \| 10000 \|", filled)
+    assert "| affine | BSD | default |" in filled
     assert "--tile-size M        Side of a tile, in metres [3]." in filled
     assert "#pixels = 15" in filled
 

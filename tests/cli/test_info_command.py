@@ -1,27 +1,17 @@
 import json
-import re
 
 import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_surveys import write_las
 
 from bumpymap.cli import main
 
 
 def write(path, points, crs=None, classes=None):
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, 0.001), np.array([500000.0, 4000000.0, 0.0])
-    if crs:
-        import pyproj
-
-        header.add_crs(pyproj.CRS(crs))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z = points.T
-    if classes is not None:
-        las.classification = classes
-    las.write(path)
-    return path
+    columns = {} if classes is None else {"classification": classes}
+    return write_las(path, *points.T, crs=crs, **columns)
 
 
 def dense(side=6.0, step=0.2):
@@ -126,32 +116,10 @@ def test_one_bad_file_among_good_ones(info, tmp_path):
     assert "truncated" in record["error"]
 
 
-def test_stray_coordinates_are_pointed_at(info, tmp_path):
-    points = np.vstack([dense(), [[900000.0, 4000000.0, 0.0]]])
-    assert "spread over 400 km" in info(write(tmp_path / "a.las", points, "EPSG:32614")).output
-
-
-def test_nothing_to_look_at(info, tmp_path):
-    assert info(tmp_path).exit_code == 3
-    assert info(tmp_path / "nowhere.las").exit_code == 3
-    assert info().exit_code == 2
-    result = info(write(tmp_path / "a.las", dense()), "--crs", "EPSG:1")
-    assert result.exit_code == 2
-    assert "EPSG:1" in result.output
-
-
 def test_the_command_has_the_options_that_were_given(info, tmp_path):
     path = write(tmp_path / "a b.las", dense())
     said = info(path, "--crs", "EPSG:32614", "--z-unit", "m", "--ground", "all", "--quick").output
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
-
-
-def test_tiles_of_another_size_want_a_calibration(info, tmp_path):
-    said = info(write(tmp_path / "a.laz", dense(), "EPSG:32614"), "--set", "tile_size=1.5", "--set", "pixels=30").output
-    assert "ready" not in said
-    assert "need a calibration that drives patches of that size" in said
-    assert "bumpymap map --tile-size 1.5 --set pixels=30 --calibration my.json" in said
-    assert "bumpymap train" not in said
 
 
 def test_several_files_are_told_together(info, tmp_path):
@@ -160,9 +128,3 @@ def test_several_files_are_told_together(info, tmp_path):
     said = info(tmp_path, "--crs", "EPSG:32614").output
     assert "together: about 0% of the tiles will be unknown" in said
     assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
-
-
-def test_a_header_alone_says_whether_it_promises_enough(info, tmp_path):
-    said = info(write(tmp_path / "a.laz", dense()[::70], "EPSG:32614"), "--quick").output
-    assert re.search(r"according to the header there are \d+ points per 3 m tile, and about 15 are needed", said)
-    assert "ready" not in said

@@ -57,16 +57,6 @@ def test_little_memory(tmp_path, command, kilobytes):
         assert not (tmp_path / "layers" / "run.json").exists()
 
 
-@pytest.mark.later
-@linux
-@pytest.mark.parametrize("command", ["info", "map"])
-@pytest.mark.parametrize("files", [8, 20])
-def test_few_files(tmp_path, command, files):
-    done = shell(f"ulimit -n {files}", *commands(tmp_path)[command])
-    check(done)
-    assert done.returncode == 0 or "no file that may be opened left" in done.stderr
-
-
 @pytest.mark.namespaces
 @pytest.mark.parametrize("command", ["info", "map", "scan"])
 def test_no_shared_memory(tmp_path, command):

@@ -51,7 +51,6 @@ def given(tmp_path_factory):
             for option in ("--set model=p.onnx", "--poses p.txt", "--set labels=p.csv")
         ),
         *(
-            "scan frame.bin --out out --method filter --set stripes=p.json",
             "scan p.mcap --out out",
             "scan p.db3 --out out",
         ),

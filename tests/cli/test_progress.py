@@ -3,8 +3,6 @@
 import io
 import json
 import logging
-import subprocess
-import sys
 from datetime import datetime
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from small_surveys import write_survey
 from bumpymap.cli import _progress, main
 from bumpymap.cli._exit_code import exit_code_of
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.interrupts import SilentProgress
 
 ROOT = Path(__file__).resolve().parents[2]
 QUARRY = ROOT / "sample_data" / "quarry.laz"
@@ -33,7 +30,7 @@ class Clock:
 
 def test_a_line_has_time_stage_and_share(capsys):
     clock = Clock()
-    progress = _progress.LineProgress(clock)
+    progress = _progress.TickedProgress(clock)
     progress.tick()
     assert capsys.readouterr().err == ""
     progress.start("reading points", 10_000_000)
@@ -78,7 +75,7 @@ def events(text):
 
 def test_events_hold_the_same(capsys):
     clock = Clock()
-    progress = _progress.EventProgress(clock)
+    progress = _progress.TickedProgress(clock, as_json=True)
     progress.start("reading points", 1000)
     progress.advance(250)
     clock.now += 12.34
@@ -97,72 +94,13 @@ def test_events_hold_the_same(capsys):
     ]
 
 
-class Waits:
-    """Stands in for an event of threads: so many waits are over at once, then it has ended."""
-
-    def __init__(self, turns):
-        self.turns, self.run_spec = turns, []
-
-    def __call__(self):
-        return self
-
-    def wait(self, seconds):
-        self.run_spec.append(seconds)
-        return len(self.run_spec) > self.turns
-
-    def set(self):
-        pass
-
-
-def test_without_threads_the_run_goes_on(capsys, monkeypatch):
-    def refuse(_):
-        raise RuntimeError("can't start new thread")
-
-    monkeypatch.setattr(_progress.Thread, "start", refuse)
-    with _progress.show_progress() as progress:
-        progress.start("reading", 10)
-
-
-def test_quiet_says_nothing(capsys, monkeypatch):
-    monkeypatch.setattr(_progress, "Event", Waits(3))
+def test_quiet_says_nothing(capsys):
     for as_json in (False, True):
         with _progress.show_progress(quiet=True, as_json=as_json) as progress:
             progress.start("reading", 10)
             progress.advance(1)
             progress.note("text", "epoch")
     assert capsys.readouterr() == ("", "")
-
-
-class Counting(SilentProgress):
-    """Notes every stage with its total and its steps."""
-
-    def __init__(self):
-        self.stages = []
-
-    def start(self, stage, total):
-        self.stages.append([stage, total, 0])
-
-    def advance(self, steps):
-        self.stages[-1][2] += steps
-
-
-def test_a_map_counts_what_it_says(tmp_path):
-    from bumpymap.core.config import MapConfig
-    from bumpymap.survey.pipeline import map_surveys
-
-    progress = Counting()
-    map_surveys(MapConfig((write_survey(tmp_path / "a.laz", side=60.0),), tmp_path / "o"), progress)
-    assert [stage for stage, _, _ in progress.stages] == [
-        "reading points",
-        "measuring blocks of tiles",
-        "comparing neighbours",
-        "writing layers",
-    ]
-    for stage, total, steps in progress.stages:
-        assert total is not None
-        assert steps == total, stage
-    assert progress.stages[0][1] == 20_000
-    assert progress.stages[1][1] < 10  # of some 400 tiles
 
 
 def run(*words):
@@ -227,27 +165,6 @@ def test_a_fault_is_an_event_with_its_traceback(capsys):
     last = events(capsys.readouterr().err)[-1]
     assert (last["event"], last["kind"]) == ("error", "KeyError")
     assert "Traceback" in last["traceback"]
-
-
-ENDED = """
-import os, signal, sys
-from bumpymap.cli import main
-from bumpymap.survey.engine import run
-run._decide = lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM)
-main()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
-def test_a_signal_is_an_event(tmp_path):
-    words = ["map", str(write_survey(tmp_path / "a.laz")), "--out", str(tmp_path / "o"), "--json"]
-    done = subprocess.run(
-        [sys.executable, "-c", ENDED, *words], capture_output=True, text=True, check=False, timeout=120
-    )
-    assert done.returncode == 143
-    last = events(done.stderr)[-1]
-    assert (last["event"], last["exit_code"], last["message"]) == ("error", 143, "Terminated. No file is half-written.")
 
 
 def test_a_command_leaves_the_log_of_its_caller_alone(tmp_path):

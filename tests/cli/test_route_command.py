@@ -126,22 +126,6 @@ def test_no_way_says_how_far_both_ends_reach(tmp_path):
     assert "--unknown COST" in text
 
 
-def test_no_way_counts_one_tile_and_names_what_was_moved_and_what_is_left_to_do(tmp_path):
-    made = site()
-    ring = (abs(made.patches.col - WEST - 25) <= 1) & (abs(made.patches.row - SOUTH - 12) <= 1)
-    slope = np.where(ring, 60.0, 2.0)
-    slope[(made.patches.col == WEST + 25) & (made.patches.row == SOUTH + 12)] = 2.0
-    folder = write_folder(tmp_path / "pocket", replace(made, patches=replace(made.patches, slope=slope)))
-    via = place(ROWS - 12.5, 25.5)
-    ends = ["--from", place(5.5, 5.5), "--to", place(ROWS - 12.5, 24.9), "--via", place(5.5, 9.5)]
-    result = run(folder, *ends, "--snap", 2, "--unknown", 3)
-    assert result.exit_code == 3
-    text = " ".join(result.output.split())
-    assert f"from the point to pass {place(5.5, 9.5)} to the goal {place(ROWS - 12.5, 24.9)} (moved by" in text, via
-    assert "1 tile (0.00 ha) from the second" in text
-    assert "--unknown" not in text
-
-
 def test_layers_of_two_vehicles_are_no_map_but_can_be_compared(layers, others):
     ends = ["--from", place(20.5, 8.5), "--to", place(20.5, 22.5)]
     result = run(layers, others, *ends)
@@ -153,56 +137,6 @@ def test_layers_of_two_vehicles_are_no_map_but_can_be_compared(layers, others):
         ("route, small_rover", "small_rover"),
     ]
     assert routes[1]["seconds"] > routes[0]["seconds"]
-
-
-def test_a_point_that_the_other_vehicle_cannot_use_is_told_with_its_layers(layers, tmp_path):
-    made = site()
-    slope = made.patches.slope.copy()
-    slope[(made.patches.col == WEST + 22) & (made.patches.row == SOUTH + ROWS - 21)] = 60.0
-    vehicle = {"name": "tug", "width_m": 0.7, "height_m": 0.5, "clearance_m": 0.1, "speed_mps": 0.5}
-    calibration = {"id": "abc", "vehicle": "tug"}
-    other = write_folder(
-        tmp_path / "tug",
-        replace(made, patches=replace(made.patches, slope=slope)),
-        vehicle=vehicle,
-        calibration=calibration,
-    )
-    words = [layers, "--compare", other, "--from", place(20.5, 8.5), "--to", place(20.5, 22.5)]
-    refused = run(*words)
-    assert refused.exit_code == 3
-    assert f"in {other} (tug), the goal {place(20.5, 22.5)} lies on" in " ".join(refused.output.split())
-    (note,) = record(*words, "--snap", 6)["notes"]
-    assert note.startswith("tug: the goal ")
-
-
-def test_snap_moves_a_point_and_says_so(layers):
-    found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)
-    (note,) = found["notes"]
-    assert note.startswith(f"the start {place(10.5, 15.5)} was moved by ")
-
-
-def test_snapping_over_more_than_the_map_looks_at_the_map_alone(layers):
-    found = record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 1e12)
-    assert found["notes"] == record(layers, "--from", place(10.5, 15.5), "--to", place(5.5, 5.5), "--snap", 6)["notes"]
-
-
-def test_a_way_of_no_length_goes_down_by_zero(layers):
-    result = run(layers, "--from", place(5.5, 5.5), "--to", place(5.5, 5.5))
-    assert result.exit_code == 0
-    assert "0/0" in result.stdout
-    assert "-0" not in result.stdout
-
-
-def test_visits_are_put_in_order_and_the_way_returns(layers, tmp_path):
-    points = tmp_path / "points.csv"
-    stops = [(5.5, 2.5), (5.5, 12.5), (5.5, 6.5), (5.5, 9.5), (5.5, 13.5)]
-    points.write_text("x,y\n" + "\n".join(place(*stop) for stop in stops) + "\n")
-    given = record(layers, "--points", points)["routes"][0]
-    best = record(layers, "--points", points, "--visit")["routes"][0]
-    back = record(layers, "--points", points, "--visit", "--return")["routes"][0]
-    assert given["length_m"] == pytest.approx((10 + 6 + 3 + 4) * 3.0)
-    assert best["length_m"] == pytest.approx(11 * 3.0)
-    assert back["length_m"] == pytest.approx(22 * 3.0)
 
 
 def test_what_can_be_reached_is_a_raster_and_outlines(layers, tmp_path):

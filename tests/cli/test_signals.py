@@ -86,23 +86,6 @@ def test_a_signal_ends_a_run_clean_and_keeps_finished_tiles(tmp_path, name, code
     assert not (out / ".bumpymap-run").exists()
 
 
-@pytest.mark.later
-@pytest.mark.parametrize("module", ["bumpymap", "click"])
-def test_no_traceback_before_anything_is_imported(module):
-    """The first module that the command looks for, or one that its parts look for, brings Ctrl-C."""
-    code = (
-        "import os, runpy, signal, sys\n"
-        "class Finder:\n"
-        "    def find_spec(self, name, *_):\n"
-        f"        if name == {module!r}:\n"
-        "            os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Finder())\n"
-        f"runpy.run_path({str(ROOT / 'bin' / 'bumpymap')!r}, run_name='__main__')\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code, "--help"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
-
-
 # Children of one process that has imported everything; each gets the signal at another call of its main thread.
 AT_INSTANTS = """
 import atexit, os, signal, sys
@@ -173,39 +156,6 @@ def test_no_instant_gives_a_traceback(tmp_path):
 
 
 # The signal comes while the folder for waiting points is made, or removed.
-WITH_FOLDER = """
-import os, shutil, signal, sys
-from types import SimpleNamespace
-from bumpymap.__main__ import run
-from bumpymap.survey.engine import budget
-
-make = budget.mkdtemp
-
-def mkdtemp(**settings):
-    folder = make(**settings)
-    os.kill(os.getpid(), signal.SIGTERM)
-    return folder
-
-def rmtree(folder, **settings):
-    os.kill(os.getpid(), signal.SIGTERM)
-    shutil.rmtree(folder, **settings)
-
-if sys.argv.pop(1) == "made":
-    budget.mkdtemp = mkdtemp
-else:
-    budget.shutil = SimpleNamespace(rmtree=rmtree)
-run()
-"""
-
-
-@pytest.mark.later
-@pytest.mark.parametrize("when", ["made", "removed"])
-def test_no_folder_for_points_is_left_by_a_signal(tmp_path, when):
-    options = ["map", str(QUARRY), "--out", str(tmp_path / "out"), "--set", f"scratch={tmp_path / 'tmp'}", "--quiet"]
-    command = [sys.executable, "-c", WITH_FOLDER, when, *options]
-    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
-    assert run.returncode == 143, run.stderr
-    assert list((tmp_path / "tmp").iterdir()) == []
 
 
 # Drives that take for ever, all but the first; each says in whose process it is.
@@ -265,21 +215,6 @@ def test_a_signal_ends_the_workers_too_and_keeps_what_was_driven(tmp_path, name,
     for worker in tmp_path.glob("*.worker"):
         with pytest.raises(ProcessLookupError):
             os.kill(int(worker.stem), 0)
-
-
-@pytest.mark.parametrize(("name", "code", "word"), [("SIGTERM", 143, "Terminated."), ("SIGINT", 130, "Interrupted.")])
-def test_an_evaluation_that_is_ended_says_so(tmp_path, monkeypatch, name, code, word):
-    from click.testing import CliRunner
-
-    from bumpymap.cli import main
-
-    monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
-    monkeypatch.setattr("bumpymap.lab.evaluate_survey", lambda *_: os.kill(os.getpid(), getattr(signal, name)))
-    survey = Path(__file__).resolve().parents[2] / "sample_data" / "quarry.laz"
-    result = CliRunner().invoke(main, ["evaluate", str(survey), "--out", str(tmp_path)])
-    assert result.exit_code == code
-    assert result.stderr.strip() == f"{word} {KEPT}"
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_caller_keeps_its_own_say_about_signals(tmp_path):

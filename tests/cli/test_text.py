@@ -35,12 +35,6 @@ def test_no_letter_acts():
         assert nothing_acts(shown) and "\n" not in shown, hex(ord(letter))  # noqa: PT018 (many times)
 
 
-def test_what_is_printable_stays():
-    text = "quarry (2).laz é 道 [red] \\n {x} 'a b'"
-    assert escape_controls(text) == text
-    assert escape_controls("a\x1b\n\u202e\udce9") == "a\\x1b\\n\\u202e\\xe9"
-
-
 def test_every_way_out_shows_it(capsys):
     print_line(WICKED, "bold")
     print_table([(WICKED, WICKED)])
@@ -116,16 +110,6 @@ def test_names_of_files_are_shown(command, wicked, tmp_path):
         assert "\\x1b]\\nError: d" in result.stdout
 
 
-def test_what_click_refuses_is_shown():
-    result = run("map", "a.laz", "--out", "o", "--ground", WICKED)
-    assert result.exit_code == 2
-    assert nothing_acts(result.stderr)
-    assert len(result.stderr.splitlines()) == 4
-    result = run(WICKED)
-    assert result.exit_code == 2
-    assert nothing_acts(result.stderr)
-
-
 def test_lines_of_a_message_stay_lines(tmp_path):
     for name in ("a.laz", "b\nError: forged.laz"):
         (tmp_path / name).write_bytes(b"LASFnothing")
@@ -160,22 +144,6 @@ def test_a_full_output_is_one_message(words):
 
 
 @pytest.mark.later
-@needs_full
-def test_a_full_output_does_not_cost_the_layers(tmp_path):
-    with Path("/dev/full").open("w") as full:
-        done = piped(["map", QUARRY, "--out", tmp_path / "o"], stdout=full, stderr=full)
-        assert done.returncode == 3
-        assert (tmp_path / "o" / "run.json").exists()
-        done = piped(["map", QUARRY, "--out", tmp_path / "p"], stdout=subprocess.PIPE, stderr=full)
-        assert done.returncode == 0
-        assert "Layers in" in done.stdout
-        assert piped(["info", tmp_path / "none.laz"], stdout=full, stderr=full).returncode == 3
-        assert piped(["info", "--none"], stderr=full).returncode == 2
-        events = piped(["map", QUARRY, "--out", tmp_path / "q", "--json"], stdout=subprocess.PIPE, stderr=full)
-        assert events.returncode == 0
-
-
-@pytest.mark.later
 @pytest.mark.parametrize("words", [["--help"], ["info", QUARRY]])
 def test_a_reader_that_leaves_is_no_error(words):
     reading, writing = os.pipe()
@@ -184,9 +152,3 @@ def test_a_reader_that_leaves_is_no_error(words):
     os.close(writing)
     assert done.returncode == 141
     assert done.stderr == ""
-
-
-@pytest.mark.slow
-def test_closed_outputs_are_no_error(tmp_path):
-    words = " ".join([f"'{sys.executable}' -c 'from bumpymap.cli import main; main()' info '{QUARRY}' >&- 2>&-"])
-    assert subprocess.run(["sh", "-c", words], check=False, timeout=300).returncode == 0

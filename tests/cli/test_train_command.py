@@ -1,8 +1,6 @@
 """``bumpymap train`` as a user meets it: two networks, one command, no mixture of their options."""
 
 import re
-import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -68,7 +66,7 @@ def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     assert out.read_bytes() == before
 
 
-@pytest.mark.parametrize("scans", [[], ["--scans", "simulated"]])
+@pytest.mark.parametrize("scans", [[], ["--scans", "folder"]])
 def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
     monkeypatch.setattr(train_command, "find_spec", lambda _: object())
     out = tmp_path / "m.onnx"
@@ -77,37 +75,6 @@ def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
     assert result.exit_code == 3
     assert "--overwrite" in result.stderr
     assert out.read_text() == "mine"
-
-
-def test_every_option_of_scans_reaches_the_training(folder, tmp_path, monkeypatch):
-    require_torch()
-
-    class EnoughError(Exception):
-        pass
-
-    def instead(settings, out, scans, told, gathered):
-        called.append((settings, out, scans))
-        gathered(1, 2)
-        raise EnoughError
-
-    called = []
-    monkeypatch.setattr("bumpymap.lab.make_scan_model", instead)
-    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
-    monkeypatch.setitem(sys.modules, "open3d", ModuleType("open3d"))
-    words = (
-        *["--set", "seed=3", "--set", "epochs=4", "--set", "scenes=5", "--set", "sectors_per_class=6"],
-        "--threads",
-        2,
-    )
-    simulated = train("--scans", "simulated", "--out", tmp_path / "a.onnx", *words)
-    assert isinstance(simulated.exception, EnoughError)
-    assert simulated.stderr == ""
-    settings, out, scans = called[0]
-    assert settings.options == " ".join(map(str, words))
-    assert (out, scans) == (tmp_path / "a.onnx", None)
-    own = train("--scans", folder, "--out", tmp_path / "a.onnx", *words)
-    assert "scenes applies to simulated scenes" in own.stderr  # the model's own command names it: not refused
-    assert called[1] == (settings, out, folder)
 
 
 def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
@@ -135,10 +102,9 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (["--set", "scenes=9"], 2, "--set scenes applies to scans: add --scans simulated"),
         (["--set", "sectors_per_class=9"], 2, "--set sectors_per_class applies to scans"),
-        (["--scans", "simulated", "--set", "network.pixels=16"], 2, "--network applies to the texture network"),
-        (["--scans", "simulated", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
+        (["--scans", "here", "--set", "network.pixels=16"], 2, "--network applies to the texture network"),
+        (["--scans", "here", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
         (
             ["--scans", "here", "--set", "patches_per_texture=9"],
             2,
@@ -160,36 +126,8 @@ def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, words):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    ("there", "words"),
-    [
-        ((), "training needs torch, onnx and open3d. Install with: pip install 'bumpymap[learn,o3d]'"),
-        (("torch", "onnx"), "training needs open3d. Install with: pip install 'bumpymap[o3d]'"),
-        (("open3d",), "training needs torch and onnx. Install with: pip install 'bumpymap[learn]'"),
-    ],
-)
-def test_missing_libraries_are_named_with_their_extras(tmp_path, monkeypatch, there, words):
-    monkeypatch.setattr(train_command, "find_spec", lambda name: object() if name in there else None)
-    result = train("--scans", "simulated", "--out", tmp_path / "m.onnx")
-    assert result.exit_code == 2
-    assert words in result.stderr
-
-
-def test_a_folder_needs_no_simulator(tmp_path, monkeypatch):
-    require_torch()
-    monkeypatch.setattr(train_command, "find_spec", lambda name: None if name == "open3d" else object())
+def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch):
+    monkeypatch.setattr(train_command, "find_spec", lambda _: None)
     result = train("--scans", tmp_path, "--out", tmp_path / "m.onnx")
-    assert result.exit_code == 3
-    assert "holds no scans" in result.stderr
-
-
-def test_a_simulator_that_cannot_be_loaded_is_no_crash(tmp_path, monkeypatch):
-    require_torch()
-    monkeypatch.setattr(train_command, "find_spec", lambda _: object())
-    (tmp_path / "open3d.py").write_text('raise ImportError("libusb-1.0.so.0: cannot open shared object file")')
-    monkeypatch.syspath_prepend(str(tmp_path))
-    monkeypatch.delitem(sys.modules, "open3d", raising=False)
-    result = train("--scans", "simulated", "--out", tmp_path / "m.onnx")
     assert result.exit_code == 2
-    assert "open3d, which is installed but cannot be loaded: libusb-1.0.so.0" in result.stderr
-    assert "sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6" in result.stderr
+    assert "training needs torch and onnx. Install with: pip install 'bumpymap[learn]'" in result.stderr

@@ -1,14 +1,11 @@
 """JSON of others: however deep it is nested, one message follows."""
 
-import json
-
 import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
 from bumpymap.core.files import Each, Nullable, Number, parse_json, shape_fault
 from bumpymap.core.run_folder import RunFolder, work_folder
-from bumpymap.lab.simulate.jobs import Journal
 
 DEPTHS = [51, 200_000]
 
@@ -16,13 +13,6 @@ DEPTHS = [51, 200_000]
 def nested(depth, opening="["):
     closing = {"[": "]", '{"a":': "}"}[opening]
     return opening * depth + "1" + closing * depth
-
-
-def test_what_is_not_deep_is_parsed():
-    value = {"a": [1, {"b": [None, "text", 2.5]}], "c": {}}
-    assert parse_json(json.dumps(value)) == value
-    assert parse_json("1") == 1
-    assert parse_json(nested(50))
 
 
 SHAPE = {"a": Number(0, 9, whole=True), "b?": [str], "c?": (Nullable(Number()),) * 2, "d?": Each({"e": bool})}
@@ -74,27 +64,6 @@ def test_what_is_deep_is_refused(depth, opening):
         parse_json(nested(depth, opening))
 
 
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_deep_calibration_is_one_message(tmp_path, depth):
-    path = tmp_path / "c.json"
-    head = '{"format": "bumpymap-calibration", "version": 2, "vehicle": '
-    path.write_text(head + nested(depth) + "}")
-    result = CliRunner().invoke(main, ["map", "a.laz", "--out", str(tmp_path / "o"), "--calibration", str(path)])
-    assert result.exit_code == 3, result.exception
-    assert result.stderr.startswith(f"Error: {path} is not a bumpymap calibration")
-    assert len(result.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize("depth", DEPTHS)
-def test_a_deep_line_of_a_progress_file_ends_it(tmp_path, depth):
-    path = tmp_path / "p.jsonl"
-    journal = Journal(path, {})
-    journal.resume(discard_other=False)
-    with path.open("a") as file:
-        file.write('{"patch": ' + nested(depth) + "}\n")
-    assert Journal(path, {}).resume(discard_other=False) == {}
-
-
 NAMES = ["a\0b", "n" * 300, "é" * 128]
 
 
@@ -108,7 +77,6 @@ NAMES = ["a\0b", "n" * 300, "é" * 128]
         ["map", "a.laz", "--out", "o", "--set", "scratch=x/NAME/y"],
         ["info", "NAME"],
         ["scan", "NAME", "--out", "o"],
-        ["scan", "f.pcd", "--out", "o", "--set", "stripes=NAME"],
         ["evaluate", "NAME", "--out", "o"],
         ["calibrate", "--out", "NAME"],
         ["train", "--out", "NAME"],
@@ -121,14 +89,3 @@ def test_names_that_no_file_can_have_are_refused(tmp_path, monkeypatch, name, wo
     assert result.exit_code == 2, (result.output, result.exception)
     assert "NUL" in result.stderr or "bytes" in result.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("setting", ["surveys", "out", "model", "calibration", "scratch"])
-def test_names_that_no_file_can_have_are_refused_in_a_file_of_settings(tmp_path, name, setting):
-    shown = name.replace("\0", "\\u0000")
-    value = f'["{shown}"]' if setting == "surveys" else f'"{shown}"'
-    (tmp_path / "a.toml").write_text(f"{setting} = {value}\n", encoding="utf-8")
-    result = CliRunner().invoke(main, ["map", "--config", str(tmp_path / "a.toml")])
-    assert result.exit_code == 2, (result.output, result.exception)
-    assert setting in result.stderr

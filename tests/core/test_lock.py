@@ -119,18 +119,3 @@ def test_a_disk_without_locks_takes_the_file_for_the_lock(tmp_path, monkeypatch)
         pass
     with locked(out):
         pass
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    (tmp_path / "file").write_text("x")
-    for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"), locked(place):
-            pass
-
-
-def test_a_folder_behind_a_link_is_the_users_choice(tmp_path):
-    (tmp_path / "real").mkdir()
-    (tmp_path / "out").symlink_to(tmp_path / "real")
-    with locked(tmp_path / "out"):
-        assert (tmp_path / "real" / LOCK).exists()
-    assert list((tmp_path / "real").iterdir()) == []

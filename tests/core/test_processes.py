@@ -1,7 +1,5 @@
 """Child processes: whatever becomes of one is one clear error, and no start has effects beside it."""
 
-import errno
-import operator
 import os
 import signal
 import subprocess
@@ -10,10 +8,7 @@ import textwrap
 
 import pytest
 
-from bumpymap.core import processes
-from bumpymap.core.errors import UsageError
 from bumpymap.core.processes import Child, ChildDiedError, ChildError, allocate_shared
-from bumpymap.lab.simulate.jobs import run_in_processes
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no children here")
 
@@ -91,15 +86,6 @@ def test_memory_is_seen_by_both(tmp_path):
     child.close()
 
 
-def test_a_process_that_cannot_be_started_is_told(monkeypatch):
-    def refuse(*_, **__):
-        raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
-
-    monkeypatch.setattr(processes.subprocess, "Popen", refuse)
-    with pytest.raises(UsageError, match=r"cannot start a process to test \(Resource temporarily unavailable\)"):
-        Child("to test", "os", [])
-
-
 def test_a_fork_leaves_the_children_to_the_old_process(child):
     pid = child.call("getpid")
     forked = os.fork()
@@ -109,18 +95,6 @@ def test_a_fork_leaves_the_children_to_the_old_process(child):
         os._exit(0 if left else 1)
     assert os.waitpid(forked, 0)[1] == 0
     assert child.call("getpid") == pid
-
-
-def test_a_script_without_a_guard_is_not_run_again(tmp_path):
-    script = tmp_path / "script.py"
-    script.write_text(
-        "import operator\n"
-        "from bumpymap.lab.simulate.jobs import run_in_processes\n"
-        "print('run')\n"
-        "print(*run_in_processes(operator.neg, [1, 2, 3], 2))\n"
-    )
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=True)
-    assert done.stdout == "run\n-1 -2 -3\n"
 
 
 def test_a_daemonic_process_may_have_children():
@@ -138,23 +112,3 @@ def test_a_daemonic_process_may_have_children():
         print(process.exitcode)
     """
     assert said_by(code) == "3\n"
-
-
-def test_a_task_of_the_main_module_is_refused_in_words(tmp_path):
-    code = """
-        from bumpymap.core.processes import ChildError
-        from bumpymap.lab.simulate.jobs import run_in_processes
-
-        def task(job):
-            return job
-
-        try:
-            list(run_in_processes(task, [1], 1))
-        except ChildError as error:
-            print(error)
-    """
-    assert "Can't get attribute 'task'" in said_by(code, cwd=tmp_path)
-
-
-def test_results_come_in_order():
-    assert list(run_in_processes(operator.neg, range(9), 3)) == [-job for job in range(9)]

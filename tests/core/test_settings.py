@@ -9,7 +9,6 @@ from typing import Annotated, Literal
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from bumpymap.core.config import FeatureSettings, MapConfig
 from bumpymap.core.errors import UsageError
 from bumpymap.core.settings import Setting, check_settings, parse_record, read_settings_file, settings_of_call
 
@@ -102,13 +101,6 @@ def test_what_is_written_comes_back(tmp_path_factory, plain, inner):
     assert Outer(**found) == Outer(**plain, inner=Inner(**inner))
 
 
-def test_whole_numbers_become_numbers(tmp_path):
-    inner = read(tmp_path, "[inner]\nnumber = 3\ncorners = [1, 2.5]\n")["inner"]
-    assert inner == Inner(3.0, (1.0, 2.5))
-    assert {type(value) for value in (inner.number, *inner.corners)} == {float}
-    assert math.isinf(read(tmp_path, "[inner]\nnumber = inf")["inner"].number)
-
-
 def test_paths_start_at_the_folder_of_the_file_and_urls_stay_texts(tmp_path):
     settings = read(tmp_path, 'places = ["a", "/b", "s3://c/d"]\nfiles = ["e", "f/g"]\nfile = "../h"')
     assert settings == {
@@ -187,25 +179,6 @@ def test_rules_and_missing_fields(tmp_path):
     assert parse_record({}, Ruled, tmp_path) == ({}, [])
 
 
-def test_defaults_need_no_file():
-    config = MapConfig(surveys=(Path("a.laz"),), out=Path("out"))
-    assert (config.tile_size, config.pixels, config.features.min_points) == (3.0, 15, 30)
-    assert config.threads >= 1
-
-
-def test_settings_from_a_file(tmp_path):
-    file = tmp_path / "site.toml"
-    file.write_text(
-        'surveys = ["a.laz"]\nout = "layers"\ncrs = "EPSG:32614"\n'
-        'scheduler = "tcp://a:1"\nscratch = "tmp"\n[features]\nmin_points = 50\n'
-    )
-    config = MapConfig(**read_settings_file(file, MapConfig))
-    assert (config.scheduler, config.scratch) == ("tcp://a:1", tmp_path / "tmp")
-    assert config.surveys == (tmp_path / "a.laz",)
-    assert config.out == tmp_path / "layers"
-    assert config.features == FeatureSettings(min_points=50)
-
-
 @dataclass(frozen=True, slots=True)
 class Job:
     side: Annotated[float, Setting("Side of a tile", "M", 0.0, 10.0, "m", exclusive=True)] = 3.0
@@ -242,8 +215,3 @@ def test_one_declaration_checks_objects_files_and_calls(tmp_path, name, value, a
     ):
         with pytest.raises(UsageError, match=f"{name}.* is .*; it must be {allowed}"):
             make()
-
-
-def test_what_is_allowed_passes_as_it_is():
-    values = {"side": 9.5, "count": 1, "offset": -1e9, "speeds": (0.5, 9.0), "width": 5}
-    assert Job(**settings_of_call(values, Job, "call")) == Job(**values)

@@ -1,8 +1,5 @@
 """Shared memory: no two arrays that are in use overlap, whatever is dropped in between, and place is used again."""
 
-import os
-
-import numpy as np
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.processes import SharedMemory
@@ -35,18 +32,6 @@ def test_place_is_used_again():
         part.data[:] = 1
         del part
     assert memory.size == 1 << 22
-
-
-def test_memory_that_grows_is_seen_through_arrays_of_before():
-    memory = SharedMemory()
-    small = memory.allocate(6)
-    small.data[:] = np.frombuffer(b"before", np.uint8)
-    large = memory.allocate(10 << 20)
-    large.data[:] = 7
-    assert small.data.tobytes() == b"before"
-    assert small.start != large.start
-    small.data[:] = np.frombuffer(b"behind", np.uint8)
-    assert os.pread(memory.descriptor, 6, small.start) == b"behind"
 
 
 def test_trimming_takes_nothing_from_anyone():

@@ -1,19 +1,13 @@
 """Every command that README.md and the pages show, and how each is held to what it says.
 
-``python tests/docs/commands.py`` runs them all, page by page, each page in a folder of its own with the files that its
-commands name, and prints a line for each. What takes hours is shortened by options that are added; what cannot run here
-is named with its reason. The suite runs the quick ones (``test_commands.py``).
+The suite runs the quick ones (``test_commands.py``), each page in a folder of its own with the files that its commands
+name; a rule names the others with the reason.
 """
 
-import argparse
-import os
 import re
 import shlex
 import shutil
-import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +21,7 @@ from bumpymap.cli import main as bumpymap_main
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+    "bumpymap", "dask", "gdal_translate", "gdaldem", "grass", "make", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -40,56 +34,33 @@ class Rule:
     pattern: str
     why: str
     """Why it does not simply run in the suite."""
-    short: str | None = None
-    """Options that the script adds; None: it cannot run there either."""
 
 
-_FEW = "--set patches=2 --set starts=2 --set terrains=2 --set terrain_starts=2"
 RULES = (
     Rule(r"^(\S*python -m )?pip install", "downloads; the extras that it names are held to pyproject.toml"),
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
     Rule(r"^dask |scheduler=|^export DASK_", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
     Rule(r"--out s3://", "takes a server: tests/survey/batch/test_remote.py has one"),
-    Rule(r"^gdal", "takes GDAL's own tools", ""),
-    Rule(r"^grass ", "takes GRASS", ""),
-    Rule(r"^(xdg-open|qgis) ", "opens a window", None),
-    Rule(r"^(openssl|chmod) ", "takes OpenSSL", ""),
-    Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it", None),
-    Rule(r"^python tests/benchmarks/run\.py", "an hour, and PDAL", None),
-    Rule(r"^python tests/benchmarks/kill\.py", "kills runs for an hour", None),
-    Rule(r"^python tests/benchmarks/nights\.py", "kills batches for minutes", None),
-    Rule(r"^python tests/benchmarks/race\.py", "races runs for a quarter of an hour", None),
-    Rule(r"^python tests/benchmarks/scan_frames\.py", "scans 100 frames a dozen times", None),
-    Rule(r"^python tests/benchmarks/wide_site\.py", "half a gigabyte", "--width 1 --height 1"),
-    Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite", None),
-    Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour", None),
-    Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited", None),
-    Rule(r"^python tests/fuzz/", "an hour", "--minutes 0.05"),
-    Rule(r"^\S*python docs/pictures/layers", "draws the layers of `make demo`", ""),
-    Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes", None),
-    Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in", "--out new_vehicle.toml"),
-    Rule(r"^bumpymap calibrate ", "hours of drives", f"{_FEW} --overwrite"),
-    Rule(r"^python tests/benchmarks/ground_compare\.py", "takes labelled frames and Patchwork++", None),
-    Rule(r"^python tests/benchmarks/second_simulator\.py", "takes MuJoCo, and drives for minutes", None),
-    Rule(r"^python tests/benchmarks/(drive_check|ditch_drives)\.py", "drives for hours", None),
-    Rule(r"^python tests/benchmarks/route_drives\.py", "drives for hours", None),
-    Rule(r"^python tests/benchmarks/(tile_changes|thin_sweep|scan_checks)\.py", "takes minutes; tests run parts", None),
-    Rule(r"^python tests/benchmarks/thinned_maps\.py", "maps a survey three times", None),
-    Rule(r"^python tests/benchmarks/(scene_book|rings)\.py", "surveys made-up scenes for minutes", None),
-    Rule(r"^python tests/benchmarks/way_pairs\.py", "takes the layers of three sites", None),
-    Rule(r"^python tests/benchmarks/cost_pixels\.py", "takes GRASS, and the layers of two sites", None),
-    Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file", None),
-    Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is", None),
-    Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them", None),
-    Rule(r"^bumpymap evaluate --scans \S+ --labels", "takes labelled frames", None),
-    Rule(r"^bumpymap evaluate --scans --set scenes", "made-up scenes", "--set scenes=2"),
-    Rule(r"^bumpymap evaluate --scans ", "takes some seconds for each frame", ""),
-    Rule(r"^bumpymap evaluate ", "an hour of drives", "--set total_patches=10 --set min_starts=2"),
-    Rule(r"^bumpymap train --scans Rellis", "takes a data set", None),
-    Rule(r"^bumpymap train --scans ", "hours of simulated scans", "--set scenes=2 --set epochs=1 --overwrite"),
-    Rule(r"^bumpymap train ", "half an hour", "--set patches_per_texture=30 --set epochs=1"),
-    Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives", None),
+    Rule(r"^gdal", "takes GDAL's own tools"),
+    Rule(r"^grass ", "takes GRASS"),
+    Rule(r"^(xdg-open|qgis) ", "opens a window"),
+    Rule(r"^python docs/licences/", "writes a page anew; a test of its own holds it"),
+    Rule(r"^bumpymap map wide ", "takes a site that no page makes in the suite"),
+    Rule(r"^python tests/tools/faults\.py", "runs tests for every fault, for an hour"),
+    Rule(r"^bumpymap settings |--config map\.toml", "writes a file that is to be edited"),
+    Rule(r"^python tests/fuzz/", "an hour"),
+    Rule(r"^python docs/models/", "takes open3d, and simulates scenes for hours"),
+    Rule(r"^python docs/pictures/", "draws over a picture of the pages; takes minutes"),
+    Rule(r"^bumpymap vehicle new ", "writes the profile that later commands want filled in"),
+    Rule(r"^bumpymap calibrate ", "hours of drives"),
+    Rule(r"^\S*python \.ci/refresh_constraints\.py", "asks the package index for every file"),
+    Rule(r"^python docs/drives/", "takes a data set; tests/docs/test_drives.py runs it where that is"),
+    Rule(r"--refit ", "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them"),
+    Rule(r"--calibration small\.json", "takes a calibration for such tiles: hours of drives"),
+    Rule(r"^python tests/benchmarks/", "measures for minutes or hours, some beside other programs; tests run parts"),
+    Rule(r"^python docs/models/|model=rellis\.onnx", "takes open3d and hours, or a data set"),
+    Rule(r"^bumpymap (evaluate|train) ", "hours of drives or learning; tests/lab runs short ones"),
 )
 
 
@@ -225,60 +196,3 @@ def _bag(folder: Path) -> None:
     bag = write_bag(folder / "bag", messages)
     (bag / "bag.mcap").rename(folder / "drive.mcap")
     shutil.rmtree(bag)
-
-
-def _run(command: str, rule: Rule | None, folder: Path) -> str:
-    """Run a command; give what became of it."""
-    words = filled(command) if "<<" not in command else [command.partition(" ")[0]]
-    words += shlex.split((rule and rule.short) or "")
-    if words[0] == "bumpymap":
-        words = [sys.executable, "-m", *words]
-    elif words[0].endswith("python"):
-        words = [sys.executable, *(str(ROOT / word) if (ROOT / word).is_file() else word for word in words[1:])]
-    elif shutil.which(words[0]) is None:
-        return f"not run: {words[0]} is not installed"
-    elif "<<" in command:
-        words = ["sh", "-c", command]
-    started = time.perf_counter()
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tiles")])}
-    done = subprocess.run(words, cwd=folder, env=env, capture_output=True, text=True, timeout=1800, check=False)
-    took = time.perf_counter() - started
-    if "sudo apt-get install" in done.stderr:
-        return f"not run: {done.stderr.strip()}"
-    return (
-        f"{took:.0f} s"
-        if done.returncode == 0
-        else f"FAILED ({done.returncode}): {(done.stderr or done.stdout)[-600:]}"
-    )
-
-
-def main() -> int:
-    """Run the commands; the exit code is 1 where one failed."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--page", help="only pages with this in their name")
-    given, failed = parser.parse_args(), 0
-    for page in PAGES:
-        if given.page and given.page not in page.name:
-            continue
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name)
-            furnish(folder)
-            shown_layers = False
-            for command in shown(page):
-                rule = rule_of(command)
-                if rule and rule.short is None:
-                    print(f"{page.name}: {command}\n    not run: {rule.why}", flush=True)
-                    continue
-                if not shown_layers and ("OUT/" in command or "demo_out" in command):
-                    for out in ("OUT", "demo_out/layers"):
-                        _run(f"bumpymap map {ROOT / 'sample_data/quarry.laz'} --out {out}", None, folder)
-                    shown_layers = True
-                result = _run(command, rule, folder)
-                failed += result.startswith("FAILED")
-                added = f" [{rule.short}]" if rule and rule.short else ""
-                print(f"{page.name}: {command}{added}\n    {result}", flush=True)
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

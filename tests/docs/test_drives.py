@@ -4,9 +4,7 @@ import importlib.util
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from scipy.signal import butter, sosfiltfilt
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "pages" / "ride-cost.md"
@@ -21,50 +19,6 @@ def script(name):
 
 
 boreal = script("borealtc")
-
-
-def a_drive(speed, lugs_per_m=17.0, amplitude=0.02, noise=0.004, seconds=120.0):
-    """Straight ahead at a speed that wanders, with a line of lugs, noise, and 5 s of standstill at its end."""
-    rng = np.random.default_rng(4)
-    time = np.arange(0, seconds, 0.01)
-    pace = speed * (1 + 0.2 * np.sin(2 * np.pi * time / 20))
-    pace[-500:] = 0.0
-    way = np.cumsum(pace) / 100
-    rate = amplitude * np.sin(2 * np.pi * lugs_per_m * way) * (pace > 0) + rng.normal(0, noise, len(time))
-    felt = sosfiltfilt(butter(4, 10, fs=100, output="sos"), rate)
-    return boreal.BorealDrive("made", rate, felt, pace, np.zeros(len(time)))
-
-
-def test_c_r_of_a_sine_is_its_mean_over_the_speed():
-    drive = a_drive(0.23, noise=0.0)
-    assert drive.is_driven
-    assert drive.c_r == pytest.approx(2 / np.pi * 0.02 / 0.23, rel=0.02)
-    windows = boreal.window_c_r(drive)
-    assert len(windows) == int(drive.way_m / 5)
-    assert windows.mean() == pytest.approx(drive.c_r, rel=0.02)
-
-
-def test_standstill_reads_the_sensor_alone():
-    """0.4 of the noise of white samples passes 10 of 50 Hz; its mean is sqrt(2 / pi) of its deviation."""
-    drive = a_drive(0.23, noise=0.01, seconds=400.0)
-    assert drive.standing == pytest.approx(0.01 * np.sqrt(0.2) * np.sqrt(2 / np.pi), rel=0.15)
-    assert np.isnan(drive.turning)
-
-
-@pytest.mark.parametrize("speed", [0.23, 0.35])
-def test_lines_that_turn_with_the_wheels_are_found_at_any_speed(speed):
-    drive = a_drive(speed)
-    assert boreal.lugs_of([drive]) == pytest.approx(17.0, abs=0.3)
-    assert boreal.lug_lines(drive, 17.0) == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
-    assert boreal.lug_lines(drive, 23.0) < 0.005
-
-
-def test_a_drive_that_turns_on_the_spot_does_not_count():
-    still = np.zeros(3000)
-    drive = boreal.BorealDrive("turns", still, still + 0.01, still, still + 0.4)
-    assert not drive.is_driven
-    assert not drive.counts.any()
-    assert drive.turning == pytest.approx(0.01)
 
 
 @pytest.mark.realdata

@@ -116,6 +116,17 @@ def _command(*words):
     return call
 
 
+def _of(read):
+    """Return a call that reads, and writes nothing."""
+
+    def call(path, out):
+        del out
+        read(path)
+
+    call.__name__ = read.__name__.strip("_<>")
+    return call
+
+
 def _case(path, call, folder=None, label="", *, writes=False):
     data, name = path.read_bytes(), path.name if folder is None else str(path.relative_to(folder))
     text = path.suffix in {".json", ".geojson", ".csv", ".toml", ".gpx", ".txt", ".vrt", ".yaml"}
@@ -232,16 +243,13 @@ def _vectors(folder):
 
     site = bare_map()
 
-    def points(path, out):
-        del out
+    def points(path):
         read_points(path)
 
-    def areas(path, out):
-        del out
+    def areas(path):
         read_areas(path, site, allow_outside=True)
 
-    def line(path, out):
-        del out
+    def line(path):
         read_route_line(path)
 
     degrees = [site.to_lonlat(*corner) for corner in AREA]
@@ -255,25 +263,25 @@ def _vectors(folder):
         geometry = shapely.geometry.mapping(shapes[call.__name__])
         feature = {"type": "Feature", "properties": {"name": "a"}, "geometry": geometry}
         path.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
-        yield _case(path, call)
+        yield _case(path, _of(call))
     (folder / "p.csv").write_text("name,lon,lat\na,-99.19,19.318\nb,-99.18,19.317\n")
     (folder / "p.gpx").write_text(
         '<?xml version="1.0"?><gpx version="1.1" creator="t" xmlns="http://www.topografix.com/GPX/1/1">'
         '<wpt lat="19.3" lon="-99.1"><name>a</name></wpt><wpt lat="19.4" lon="-99.1"/></gpx>'
     )
-    yield from (_case(folder / name, points) for name in ("p.csv", "p.gpx"))
+    yield from (_case(folder / name, _of(points)) for name in ("p.csv", "p.gpx"))
     wkb = shapely.to_wkb(np.array([shapely.Polygon(AREA)], object))
     for suffix in (".gpkg", ".fgb", ".shp"):
         path = folder / "areas" / f"a{suffix}"
         path.parent.mkdir(exist_ok=True)
         write(path, wkb, [np.array(["x"], object)], np.array(["name"]), geometry_type="Polygon", crs="EPSG:32614")
         if suffix != ".shp":
-            yield _case(path, areas)
+            yield _case(path, _of(areas))
 
-    def shapefile(place, out):
-        areas(place / "a.shp", out)
+    def shapefile(place):
+        areas(place / "a.shp")
 
-    yield from (_case(path, shapefile, path.parent) for path in sorted((folder / "areas").glob("a.[sdpc]*")))
+    yield from (_case(path, _of(shapefile), path.parent) for path in sorted((folder / "areas").glob("a.[sdpc]*")))
 
 
 def _logs(folder):
@@ -282,32 +290,23 @@ def _logs(folder):
 
     from bumpymap.readers import read_drive, read_poses, read_scan
 
-    def drive_log(path, out):
-        del out
+    frames = [Path(f"{number:06d}.bin") for number in range(4)]
+
+    def drive_log(path):
         read_drive(str(path))
 
-    def scan(path, out):
-        del out
-        read_scan(path)
+    def poses(path):
+        read_poses(path, frames)
 
-    def poses(path, out):
-        del out
-        read_poses(path, [Path(f"{number:06d}.bin") for number in range(4)])
-
-    def timed_poses(path, out):
-        del out
-        read_poses(path, [Path(f"{number:06d}.bin") for number in range(4)], 0.1 * np.arange(4))
-
-    def bag(place, out):
-        del out
-        read_drive(str(place))
+    def timed_poses(path):
+        read_poses(path, frames, 0.1 * np.arange(4))
 
     write_table(folder / "drive.csv", drive(200))
-    yield _case(folder / "drive.csv", drive_log)
+    yield _case(folder / "drive.csv", _of(drive_log))
     rows = [(10_000 * at, 0.01 * at, 0.0, 0.1, 0.0, 0.0, -9.8) for at in range(1, 100)]
     fields = ["uint64_t timestamp", "float[3] gyro_rad", "float[3] accelerometer_m_s2"]
     (folder / "drive.ulg").write_bytes(ulog({"sensor_combined": (fields, rows)}))
-    yield _case(folder / "drive.ulg", drive_log)
+    yield _case(folder / "drive.ulg", _of(drive_log))
     rng = np.random.default_rng(1)
     places = rng.normal(0.0, 5.0, (500, 3)).astype(np.float32)
     np.hstack([places, np.ones((500, 1), np.float32)]).tofile(folder / "frame.bin")
@@ -316,15 +315,15 @@ def _logs(folder):
     head = b"ply\nformat binary_little_endian 1.0\nelement vertex 500\n"
     head += b"property float x\nproperty float y\nproperty float z\nend_header\n"
     (folder / "frame.ply").write_bytes(head + places.tobytes())
-    yield from (_case(folder / name, scan) for name in ("frame.bin", "frame.pcd", "frame.ply"))
+    yield from (_case(folder / name, _of(read_scan)) for name in ("frame.bin", "frame.pcd", "frame.ply"))
     np.savetxt(folder / "poses.txt", np.tile(np.eye(4)[:3].ravel(), (4, 1)))
-    yield _case(folder / "poses.txt", poses)
+    yield _case(folder / "poses.txt", _of(poses))
     rows = [f"{0.1 * at:.1f} {at} 0 0 0 0 0 1" for at in range(4)]
     (folder / "tum.txt").write_text("# timestamp tx ty tz qx qy qz qw\n" + "\n".join(rows) + "\n")
     (folder / "table.csv").write_text("time,x,y,z,qx,qy,qz,qw\n" + "\n".join(rows).replace(" ", ",") + "\n")
-    yield from (_case(folder / name, timed_poses) for name in ("tum.txt", "table.csv"))
-    yield from _ros1(folder, drive_log)
-    yield from _bags(folder, bag)
+    yield from (_case(folder / name, _of(timed_poses)) for name in ("tum.txt", "table.csv"))
+    yield from _ros1(folder, _of(drive_log))
+    yield from _bags(folder, _of(drive_log))
 
 
 def _bags(folder, call):
@@ -353,7 +352,7 @@ def _scans(folder):
 
     import bumpymap
     from bumpymap.readers import label_set
-    from bumpymap.scan import ScanModel, load_stripes
+    from bumpymap.scan import ScanModel
 
     rng = np.random.default_rng(2)
     radius, azimuth = np.sqrt(rng.uniform(1.0, 200.0, 3000)), rng.uniform(-np.pi, np.pi, 3000)
@@ -380,19 +379,10 @@ def _scans(folder):
         yield _case(drive / name, frames, drive, "scan kitti")
     yield _case(drive / "labels" / "000001.label", labelled, drive, "evaluate kitti")
 
-    def of(read):
-        def call(path, out):
-            del out
-            read(path)
-
-        return call
-
     home = Path(bumpymap.__file__).parent / "scan" / "data" / "models"
-    yield from (_case(path, of(ScanModel.load), label="scan model") for path in sorted(home.glob("*.onnx"))[:1])
-    yield _case(home / "stripes.json", of(load_stripes), label="stripes")
+    yield from (_case(path, _of(ScanModel.load), label="scan model") for path in sorted(home.glob("*.onnx"))[:1])
     (folder / "labels.csv").write_text("id,class,name,kind\n1,0,grass,ground\n2,2,tree,obstacle\n")
-    (folder / "labels.toml").write_text('[[label]]\nid = 1\nname = "grass"\nclass = 0\n')
-    yield from (_case(folder / name, of(label_set), label="labels") for name in ("labels.csv", "labels.toml"))
+    yield _case(folder / "labels.csv", _of(label_set), label="labels")
 
 
 def _settings(folder):
@@ -402,13 +392,6 @@ def _settings(folder):
     from bumpymap.rating import Calibration, TextureModel, Vehicle
     from bumpymap.survey.batch.source import read_table, read_text
 
-    def of(read):
-        def call(path, out):
-            del out
-            read(path)
-
-        return call
-
     def resume(place, out):
         del out
         spec = {"inputs": {"a.las": {"size": 5}}, "settings": {"tile_size": 3.0}, "made with": {"numpy": "2"}}
@@ -417,19 +400,19 @@ def _settings(folder):
 
     data = Path(bumpymap.__file__).parent / "rating" / "data"
     profile, calibration = min(data.glob("vehicles/*.toml")), min(data.glob("calibrations/*.json"))
-    yield _case(profile, of(Vehicle.load), label="profile")
-    yield _case(calibration, of(Calibration.load), label="calibration")
-    yield from (_case(path, of(TextureModel.load), label="model") for path in sorted(data.rglob("*texture*.onnx"))[:1])
+    yield _case(profile, _of(Vehicle.load), label="profile")
+    yield _case(calibration, _of(Calibration.load), label="calibration")
+    yield from (_case(path, _of(TextureModel.load), label="model") for path in sorted(data.rglob("*texture*.onnx"))[:1])
     (folder / "settings.toml").write_text(
         'tile_size = 3.0\npixels = 15\nvehicle = "husky"\n[features]\nmin_points = 30\n'
     )
-    yield _case(folder / "settings.toml", of(lambda path: read_settings_file(path, MapConfig)), label="settings")
+    yield _case(folder / "settings.toml", _of(lambda path: read_settings_file(path, MapConfig)), label="settings")
     night = folder / "night"
     night.mkdir()
     (night / "surveys.csv").write_text("survey,name,crs\na.laz,first,EPSG:32614\nb.laz,second,\n")
     for name in ("a.laz", "b.laz"):
         (night / name).touch()
-    batch = of(lambda place: read_table(read_text(place / "surveys.csv"), str(place / "surveys.csv"), place))
+    batch = _of(lambda place: read_table(read_text(place / "surveys.csv"), str(place / "surveys.csv"), place))
     yield _case(night / "surveys.csv", batch, night, "batch")
     spec = work_folder(folder / "begun")
     spec.mkdir(parents=True, mode=0o700)

@@ -12,28 +12,23 @@ The same seed gives the same inputs, as far as it gets in the time.
 import argparse
 import hashlib
 import json
-import os
 import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
-# Before libraries are loaded: a pool of threads would not live through a fork.
-os.environ["RAYON_NUM_THREADS"] = "1"
-sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
-
 import numpy as np
-from files import make_cases, plant_traps
-from mutate import Start, applied, mutated, starts
-from trial import Verdict, judged, openings, read_whole, watched
+from trial import Judge
+
+from files import make_cases, plant_traps  # isort: skip (trial finds the corpus)
+from mutate import Start, applied, mutated, starts  # isort: skip
 
 SEEDS = Path(__file__).parent / "seeds"
-BATCH = 100
 _JOURNAL_EVERY = 30.0
 _SMALL_FILE = 4096
 
@@ -42,17 +37,10 @@ class Fuzzer:
     """Inputs, verdicts, and what was learnt from them."""
 
     def __init__(
-        self,
-        seed: int,
-        folder: Path,
-        seeds: Path,
-        bases: Sequence[Start] | None = None,
-        judge: Callable[[Path], Verdict] = read_whole,
-        traps: Sequence[bytes] = (),
+        self, seed: int, seeds: Path, judge: Judge, bases: Sequence[Start], traps: Sequence[bytes] = ()
     ) -> None:
-        self._seed, self._folder, self._seeds, self._judge, self._traps = seed, folder, seeds, judge, traps
-        self._bases = list(bases or starts())
-        self._pool = list(self._bases)
+        self._seed, self._seeds, self._judge, self._traps = seed, seeds, judge, traps
+        self._bases, self._pool = list(bases), list(bases)
         self._lines: set[tuple[str, int]] = set()
         self.made = 0
         """Inputs so far."""
@@ -60,19 +48,17 @@ class Fuzzer:
         self._faults: dict[str, dict[str, object]] = {}
         self._unconfirmed: Counter[str] = Counter()
 
-    def batch(self):
-        """Make inputs, have them judged, learn."""
-        made = [self._input(self.made + index) for index in range(BATCH)]
-        self.made += BATCH
-        inputs = [applied(start.data, start.edits) for start in made]
-        verdicts = list(judged(inputs, self._folder, [start.name for start in made], self._lines, self._judge))
-        for start, verdict in zip(made, verdicts, strict=True):
-            self._counts[f"{start.name} {verdict.kind}"] += 1
-            if verdict.lines - self._lines:
-                self._lines |= verdict.lines
-                self._pool.append(start)
-            if verdict.is_fault:
-                self._keep(start, verdict)
+    def step(self):
+        """Make an input, have it judged, learn."""
+        start = self._input(self.made)
+        self.made += 1
+        verdict = self._judged(start, start.edits)
+        self._counts[f"{start.name} {verdict.kind}"] += 1
+        if new := set(verdict.lines) - self._lines:
+            self._lines |= new
+            self._pool.append(start)
+        if verdict.is_fault:
+            self._keep(start, verdict)
 
     def _input(self, index):
         rng = np.random.default_rng([self._seed, index])
@@ -90,10 +76,9 @@ class Fuzzer:
         if key in self._faults:
             self._faults[key]["times"] += 1
             return
-        # In a child of its own: what earlier inputs left in memory may have had its part.
+        # In a new process: what earlier inputs left in memory may have had its part.
+        self._judge.close()
         alone = self._judged(start, start.edits)
-        if alone.kind == "harness":
-            raise RuntimeError(f"the fuzzer itself failed at {start.name} with {start.edits}: {alone.detail}")
         if f"{alone.kind}: {alone.where}" != key:
             self._unconfirmed[f"{key} (alone: {alone.kind})"] += 1
             return
@@ -127,7 +112,7 @@ class Fuzzer:
         return edits
 
     def _judged(self, start, edits):
-        return next(judged([applied(start.data, edits)], self._folder, [start.name], self._lines, self._judge))
+        return self._judge.verdict(start.name, applied(start.data, edits))
 
     def journal(self, seconds):
         """Give what was done so far, as a record."""
@@ -148,17 +133,6 @@ class Fuzzer:
         }
 
 
-def warm_up(folder: Path) -> None:
-    """Compile kernels before the first fork, with surveys that start no thread."""
-    for start in starts():
-        if start.name.endswith((".las", ".ply", ".pcd")):
-            path = folder / start.name
-            path.write_bytes(start.data)
-            verdict = read_whole(path)
-            if verdict.kind != "read":
-                raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
-
-
 @contextmanager
 def server(folder: Path) -> Iterator[tuple[str, Path]]:
     """Serve nothing on this machine; yield the URL and the log, which has a line for each request."""
@@ -177,57 +151,43 @@ def server(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 @contextmanager
-def of_files(seed: int, folder: Path, seeds: Path) -> Iterator[Fuzzer]:
-    """Yield a fuzzer of all files but surveys."""
-    (folder / "valid").mkdir()
-    (folder / "inputs").mkdir()
-    (folder / "traps").mkdir()
-    with server(folder / "traps") as (url, log):
-        cases = {case.start.name: case for case in make_cases(folder / "valid")}
-        traps = plant_traps(folder / "traps", url)
-        opened = openings(folder / "traps" / "secret.tif")
-        judge = watched({name.replace("/", "_"): case for name, case in cases.items()}, log, opened)
-        _require_valid(cases, folder / "inputs", judge)
-        yield Fuzzer(seed, folder / "inputs", seeds, [case.start for case in cases.values()], judge, traps)
+def fuzzer(what: str, seed: int, seeds: Path) -> Iterator[Fuzzer]:
+    """Yield a fuzzer of surveys, or of all other files."""
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch)
+        for name in ("valid", "traps"):
+            (folder / name).mkdir()
+        judge = Judge(folder, what)
+        try:
+            if what == "surveys":
+                yield Fuzzer(seed, seeds, judge, starts())
+                return
+            with server(folder / "traps") as (url, _):
+                bases = [case.start for case in make_cases(folder / "valid")]
+                traps = plant_traps(folder / "traps", url)
+                for start in bases:
+                    if (found := judge.verdict(start.name, start.data)).kind != "read":
+                        raise RuntimeError(
+                            f"{start.name}, which is valid, is {found.kind}: {found.where} {found.detail}"
+                        )
+                yield Fuzzer(seed, seeds, judge, bases, traps)
+        finally:
+            judge.close()
 
 
-def _require_valid(cases, folder, judge):
-    """Raise RuntimeError if a file that is as it was made is not read: damaging it would show nothing."""
-    names = list(cases)
-    verdicts = judged([cases[name].start.data for name in names], folder, names, set(), judge)
-    found = list(zip(names, verdicts, strict=True))
-    if bad := [f"{name} is {one.kind}: {one.where} {one.detail}" for name, one in found if one.kind != "read"]:
-        raise RuntimeError("\n".join(["valid files are not read:", *bad]))
-
-
-@contextmanager
-def of_surveys(seed: int, folder: Path, seeds: Path) -> Iterator[Fuzzer]:
-    """Yield a fuzzer of surveys."""
-    warm_up(folder)
-    yield Fuzzer(seed, folder, seeds)
-
-
-def fuzz(
-    make: Callable[..., AbstractContextManager[Fuzzer]],
-    most: tuple[float, int],
-    seed: int,
-    report: Path | None,
-    seeds: Path,
-    *,
-    keep: bool,
-) -> int:
+def fuzz(what: str, most: tuple[float, int], seed: int, report: Path | None, seeds: Path, *, keep: bool) -> int:
     """Fuzz for so many minutes or inputs at most; 1 where faults were found."""
     minutes, inputs = most
-    with tempfile.TemporaryDirectory() as scratch, make(seed, Path(scratch), seeds) as fuzzer:
+    with fuzzer(what, seed, seeds) as made:
         began = written = time.monotonic()
-        while time.monotonic() - began < 60 * minutes and fuzzer.made < inputs:
-            fuzzer.batch()
+        while time.monotonic() - began < 60 * minutes and made.made < inputs:
+            made.step()
             if report and time.monotonic() - written > _JOURNAL_EVERY:
                 written = time.monotonic()
-                report.write_text(json.dumps(fuzzer.journal(written - began), indent=1) + "\n", encoding="utf-8")
-        record = fuzzer.journal(time.monotonic() - began)
+                report.write_text(json.dumps(made.journal(written - began), indent=1) + "\n", encoding="utf-8")
+        record = made.journal(time.monotonic() - began)
         if keep:
-            fuzzer.keep_pool()
+            made.keep_pool()
     text = json.dumps(record, indent=1)
     if report:
         report.write_text(text + "\n", encoding="utf-8")
@@ -237,14 +197,14 @@ def fuzz(
 
 def replay(seeds: Path) -> int:
     """Judge the files that were kept; print name to kind and place."""
-    files = sorted(path for path in seeds.iterdir() if not path.name.startswith("."))
     with tempfile.TemporaryDirectory() as scratch:
-        warm_up(Path(scratch))
-        inputs, names = [path.read_bytes() for path in files], [path.name for path in files]
-        verdicts = list(judged(inputs, Path(scratch), names, set()))
-    held = {name: [verdict.kind, verdict.where] for name, verdict in zip(names, verdicts, strict=True)}
+        judge = Judge(Path(scratch), "surveys")
+        files = sorted(path for path in seeds.iterdir() if not path.name.startswith("."))
+        verdicts = {path.name: judge.verdict(path.name, path.read_bytes()) for path in files}
+        judge.close()
+    held = {name: [verdict.kind, verdict.where] for name, verdict in verdicts.items()}
     sys.stdout.write(json.dumps(held, indent=1) + "\n")
-    return 1 if any(verdict.is_fault for verdict in verdicts) else 0
+    return 1 if any(verdict.is_fault for verdict in verdicts.values()) else 0
 
 
 def main() -> int:
@@ -261,8 +221,7 @@ def main() -> int:
     given = parser.parse_args()
     if given.replay:
         return replay(given.seeds)
-    make = of_files if given.what == "files" else of_surveys
-    return fuzz(make, (given.minutes, given.inputs), given.seed, given.report, given.seeds, keep=given.keep)
+    return fuzz(given.what, (given.minutes, given.inputs), given.seed, given.report, given.seeds, keep=given.keep)
 
 
 if __name__ == "__main__":

@@ -1,38 +1,43 @@
-"""One input, one verdict: in a forked child, under limits of memory and time."""
+"""One input, one verdict, under limits of memory and time.
+
+``trial.py FOLDER surveys|files`` writes "ready", then reads a JSON string a line, the path of an input, and writes a
+verdict for each.
+"""
 
 import contextlib
 import ctypes
+import json
 import logging
 import os
-import pickle
-import resource
 import shutil
 import signal
 import sys
 import tempfile
 import traceback
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from files import UnreadError
+sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
+
+from corpus.runner import MEMORY, Lines
+from driver import limit
+from files import UnreadError, make_cases
+from mutate import starts
 
 import bumpymap.readers
 from bumpymap.core.errors import BumpymapError
 from bumpymap.readers import PointStats, open_survey
 
-__all__ = ["Verdict", "judged", "openings", "read_whole", "watched"]
+__all__ = ["Judge", "Verdict"]
 
-MEMORY = 1_500_000_000
-SECONDS = 15
+_SECONDS = 15
 """Of processor time; of time four times as many, for what waits."""
 _READERS = str(Path(bumpymap.readers.__file__).parent)
 _HOUSE = str(Path(bumpymap.readers.__file__).parents[1])
 _SMALL = 16
-_OWN_FAULT = 99
-"""Exit code of a child where not the readers failed, but this module."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +46,38 @@ class Verdict:
 
     kind: str
     """``read``, ``refused``, or a fault: ``escaped``, ``memory``, ``short``, ``differs``, ``unnamed``, ``noise``,
-    ``died``, ``hang``, ``fetched``, ``outside``; ``harness``: not the readers failed, but this module."""
+    ``died``, ``hang``, ``fetched``, ``outside``."""
     where: str = ""
     """Of a fault: what tells it from others."""
     detail: str = ""
-    lines: frozenset[tuple[str, int]] = frozenset()
-    """Lines of the readers that no input before had reached."""
+    lines: tuple[tuple[str, int], ...] = ()
+    """Lines of the readers that no input before had reached, in the process that read it."""
 
     @property
     def is_fault(self) -> bool:
         """Whether the readers failed to deal with the input."""
         return self.kind not in {"read", "refused"}
+
+
+class Judge:
+    """Has inputs read by a process of its own; ``folder`` is its scratch, ``what`` is ``surveys`` or ``files``."""
+
+    def __init__(self, folder: Path, what: str) -> None:
+        self._folder = folder
+        self._lines = Lines([Path(__file__), folder, what], 4.0 * _SECONDS, {}, folder / "said")
+        self.close = self._lines.close
+
+    def verdict(self, name: str, data: bytes) -> Verdict:
+        """Judge an input; a process that dies is the verdict of the input that it died of."""
+        path = self._folder / name.replace("/", "_")
+        path.write_bytes(data)
+        answer = self._lines.ask(str(path))
+        path.unlink()
+        if answer is not None:
+            return Verdict(**answer | {"lines": tuple(map(tuple, answer["lines"]))})
+        said = self._lines.said.read_text(encoding="utf-8", errors="replace")
+        kind = "hang" if self._lines.ended.startswith(("no answer", "SIGPROF")) else "died"
+        return Verdict(kind, f"{self._lines.ended} {_gist(said)}", said[-2000:])
 
 
 def read_whole(path: Path) -> Verdict:
@@ -178,109 +204,11 @@ def _place() -> str:
     return f"{Path(own[-1].filename).name} {own[-1].name}"
 
 
-def judged(
-    inputs: Sequence[bytes],
-    folder: Path,
-    names: Sequence[str],
-    known_lines: set[tuple[str, int]],
-    judge: Callable[[Path], Verdict] | None = None,
-) -> Iterator[Verdict]:
-    """Verdicts of all inputs, in order; a child that dies is the verdict of the input it died of.
-
-    Parameters
-    ----------
-    inputs : sequence of bytes
-    folder : Path
-        Scratch.
-    names : sequence of str
-        File name of each input.
-    known_lines : set of (str, int)
-        Lines that are no news.
-    judge : callable, optional
-        Called with the path of an input; None: `read_whole`.
-    """
-    done = 0
-    while done < len(inputs):
-        for verdict in _child(inputs[done:], folder, names[done:], known_lines, judge or read_whole):
-            done += 1
-            yield verdict
-
-
-def _child(inputs, folder, names, known_lines, judge) -> Iterator[Verdict]:
-    """Fork; yield the verdicts up to the end, or to the input that the child dies of."""
-    # Of its own: two children must never share a file.
-    folder = Path(tempfile.mkdtemp(dir=folder))
-    listen, tell = os.pipe()
-    child = os.fork()
-    if child == 0:
-        os.close(listen)
-        try:
-            _work(inputs, folder, names, known_lines, judge, tell)
-        except BaseException:  # noqa: BLE001 (nothing of the child may run on as the parent)
-            os.write(2, traceback.format_exc().encode())
-            os._exit(_OWN_FAULT)
-        os._exit(0)
-    os.close(tell)
-    answered = 0
-    with os.fdopen(listen, "rb") as answers, contextlib.suppress(EOFError, pickle.UnpicklingError):
-        while answered < len(inputs):
-            verdict = pickle.load(answers)  # noqa: S301 (written by the child that was forked here)
-            answered += 1
-            yield verdict
-    _, status = os.waitpid(child, 0)
-    if answered < len(inputs):
-        ended = signal.Signals(os.WTERMSIG(status)).name if os.WIFSIGNALED(status) else f"exit {os.WEXITSTATUS(status)}"
-        said = (folder / "said").read_text(encoding="utf-8", errors="replace")
-        kind = {"SIGALRM": "hang", "SIGPROF": "hang", f"exit {_OWN_FAULT}": "harness"}.get(ended, "died")
-        shutil.rmtree(folder)
-        yield Verdict(kind, f"{ended} {_gist(said)}", said[-2000:])
-        return
-    shutil.rmtree(folder)
-
-
-def _work(inputs, folder, names, known_lines, judge, tell):
-    said = os.open(folder / "said", os.O_RDWR | os.O_CREAT | os.O_TRUNC)
-    os.dup2(said, 1)
-    os.dup2(said, 2)
-    _limit()
-    # Notes of the readers are no noise; a warning that Python prints is, each time.
-    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
-    for category in (RuntimeWarning, UserWarning):
-        warnings.simplefilter("always", category)
-    lines = set(known_lines)
-    with os.fdopen(tell, "wb") as answers:
-        for data, name in zip(inputs, names, strict=True):
-            path = folder / name.replace("/", "_")
-            path.write_bytes(data)
-            os.ftruncate(said, 0)
-            os.lseek(said, 0, os.SEEK_SET)
-            signal.setitimer(signal.ITIMER_PROF, SECONDS)
-            signal.alarm(4 * SECONDS)
-            with _traced(lines) if judge is read_whole else contextlib.nullcontext(set()) as fresh:
-                verdict = judge(path)
-            signal.setitimer(signal.ITIMER_PROF, 0)
-            signal.alarm(0)
-            noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
-            if noise and not verdict.is_fault and judge is read_whole:
-                verdict = Verdict("noise", _gist(noise), noise)
-            pickle.dump(Verdict(verdict.kind, verdict.where, verdict.detail, frozenset(fresh)), answers)
-            answers.flush()
-            path.unlink()
-
-
 def _gist(said: str) -> str:
     """Tell a panic by where in the decoder it was raised; other noise by its first line."""
     line = next((line for line in said.splitlines() if "panicked at" in line), said.strip().partition("\n")[0])
     panic = line.partition("panicked at ")[2].rpartition("/src/")[2]
     return panic or line.rpartition("/")[2][:80]
-
-
-def _limit():
-    with open("/proc/self/status", encoding="ascii") as lines:  # noqa: PTH123
-        held = {line.split(":")[0]: int(line.split()[1]) * 1024 for line in lines if line.startswith("Vm")}
-    most = held["VmSize"] - held["VmRSS"] + MEMORY
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
 @contextlib.contextmanager
@@ -303,3 +231,46 @@ def _traced(known):
         yield fresh
     finally:
         sys.settrace(None)
+
+
+def _serve(folder: Path, what: str) -> None:
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    said = os.open(folder / "said", os.O_RDWR)
+    os.dup2(said, 1)
+    os.dup2(said, 2)
+    if what == "files":
+        valid = Path(tempfile.mkdtemp(dir=folder))
+        cases = {case.start.name.replace("/", "_"): case for case in make_cases(valid)}
+        judge = watched(cases, folder / "traps" / "requests", openings(folder / "traps" / "secret.tif"))
+    else:
+        judge = read_whole
+        for start in starts():  # compiles kernels and loads libraries
+            path = folder / f"valid_{start.name}"
+            path.write_bytes(start.data)
+            if (verdict := read_whole(path)).kind != "read":
+                raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
+            path.unlink()
+    limit(MEMORY)
+    # Notes of the readers are no noise; a warning that Python prints is, each time.
+    logging.getLogger("bumpymap").addHandler(logging.NullHandler())
+    for category in (RuntimeWarning, UserWarning):
+        warnings.simplefilter("always", category)
+    known: set[tuple[str, int]] = set()
+    answers.write('"ready"\n')
+    answers.flush()
+    for line in sys.stdin:
+        os.ftruncate(said, 0)
+        os.lseek(said, 0, os.SEEK_SET)
+        signal.setitimer(signal.ITIMER_PROF, _SECONDS)
+        with _traced(known) if judge is read_whole else contextlib.nullcontext(set()) as fresh:
+            verdict = judge(Path(json.loads(line)))
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
+        if noise and not verdict.is_fault and judge is read_whole:
+            verdict = Verdict("noise", _gist(noise), noise)
+        answers.write(json.dumps(asdict(verdict) | {"lines": sorted(fresh)}) + "\n")
+        answers.flush()
+
+
+if __name__ == "__main__":
+    _serve(Path(sys.argv[1]), sys.argv[2])

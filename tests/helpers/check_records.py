@@ -12,7 +12,6 @@ from bumpymap.core import (
     CheckedMap,
     CheckResult,
     DrivenStretches,
-    DrivenTiles,
     MapAgreement,
 )
 from bumpytiles import TileWindow
@@ -74,16 +73,6 @@ def stretches_at(points, c_r, factor, *, drives=1, sd=0.05, unknown=()):
     )
 
 
-def tiles_under(stretches, tile_size=3.0):
-    """One tile under the middle of each stretch."""
-    place = np.column_stack([stretches.col, stretches.row]) if hasattr(stretches, "col") else None
-    if place is None:
-        place = np.floor(np.column_stack([stretches.easting, stretches.northing]) / tile_size)
-    col, row = place.astype(np.int64).T
-    names = ("way_m", "measured", "measured_sd", "c_r", "c_r_low", "c_r_high", "class_id")
-    return DrivenTiles(col, row, **{name: getattr(stretches, name) for name in names})
-
-
 def agreement_of(stretches, chosen=None):
     """Agreement over some stretches, as defined in `MapAgreement`."""
     on = np.isfinite(stretches.c_r) & (True if chosen is None else chosen)
@@ -102,14 +91,13 @@ def agreement_of(stretches, chosen=None):
     )
 
 
-def make_check(stretches, *, drives=1, warnings=(), ground=True, tiles=True):
+def make_check(stretches, *, drives=1, warnings=(), ground=True):
     """Everything that a check finds."""
     codes = [int(code) for code in np.unique(stretches.class_id) if code != NO_CLASS]
     return CheckResult(
         ground=CheckedMap("site", Path("layers"), "warthog", "c0ffee", 2.0, LIMITS) if ground else None,
         drives=tuple(make_drive(f"drive {number + 1}") for number in range(drives)),
         stretches=stretches,
-        tiles=tiles_under(stretches) if ground and tiles else None,
         agreement=agreement_of(stretches) if ground else None,
         by_class={code: agreement_of(stretches, stretches.class_id == code) for code in codes} if ground else {},
         warnings=tuple(warnings),

@@ -5,6 +5,7 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 from pyproj import CRS
 
+from bumpymap.core import CANOPY, FREE, OBSTACLE, UNSEEN, ObjectStack
 from bumpymap.core.types import NO_CLASS, CostMap, CostRule, Georeference, PatchStack, Reason, TextureMap
 from bumpytiles import Grid
 
@@ -94,3 +95,16 @@ def part_of(cost_map, chosen):
         return replace(record, **changes)
 
     return cut(cost_map)
+
+
+def with_objects(cost_map, seed=9):
+    """The same map with things that stand on its ground, and pixels where nothing was seen."""
+    rng = np.random.default_rng(seed)
+    tiles, pixels = len(cost_map.class_id), cost_map.patches.grid.pixels
+    kinds = np.array([FREE, OBSTACLE, CANOPY, UNSEEN], np.uint8)
+    objects = rng.choice(kinds, (tiles, pixels, pixels), p=(0.9, 0.03, 0.03, 0.04))
+    share = (objects == OBSTACLE).mean(axis=(1, 2)).astype(np.float32)
+    height, canopy = np.where(share > 0, 0.5, 0.0).astype(np.float32), (objects == CANOPY).mean(axis=(1, 2))
+    bare = ObjectStack.empty(tiles, pixels)
+    stack = replace(bare, objects=objects, obstacle=share, obstacle_height=height, canopy=canopy.astype(np.float32))
+    return replace(cost_map, objects=stack)

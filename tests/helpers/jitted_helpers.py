@@ -7,5 +7,6 @@ from bumpytiles import native
 
 def jitted(function):
     """Return a helper, or the plain function of a kernel, that numba compiles when it is called."""
-    native._register(native._helpers)
+    for helper in native._helpers:
+        native._register(helper)
     return njit(error_model="numpy", **native._helpers.get(function, {}))(function)

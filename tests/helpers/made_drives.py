@@ -18,7 +18,7 @@ class MadeDrive:
     amplitude: float = 0.25
     """Of the pitch rate, rad/s; that of the roll rate is 1.5 times it."""
     speed: float = 1.0
-    seconds: float = 180.0
+    seconds: float = 120.0
     stand: float = 12.0
     hertz: float = 100.0
     mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)

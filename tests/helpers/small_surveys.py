@@ -6,11 +6,17 @@ from click.testing import CliRunner
 from pyproj import CRS
 
 from bumpymap.cli import main
+from bumpymap.layers.products import PRODUCT_NAMES
 
 
 def run(*arguments):
     """Call bumpymap with words, paths and numbers."""
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
+
+
+def layers_of(folder):
+    """Bytes of every layer but run.json, which says when it was made."""
+    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def write_las(path, x, y, z, *, crs="EPSG:32614", offset=(500_000, 4_000_000, 0), scales=(0.001,) * 3, **columns):

@@ -1,9 +1,9 @@
 """Child process of the hostile corpus: runs the command line again and again in one process, under limits.
 
 Usage: ``driver.py GOOD_SURVEY OUT BYTES``. The good survey is mapped first, so that compiled kernels and libraries are
-loaded before memory is limited to BYTES. Then each line on standard input is a JSON list of arguments, each line on
-standard output the JSON record of what became of it. Descriptors 1 and 2 are watched themselves: a panic in Rust writes
-to them past ``sys.stderr``.
+loaded before memory is limited to BYTES; then "ready" is written. Then each line on standard input is a JSON list of
+arguments, each line on standard output the JSON record of what became of it. Descriptors 1 and 2 are watched
+themselves: a panic in Rust writes to them past ``sys.stderr``.
 """
 
 import contextlib
@@ -13,7 +13,6 @@ import resource
 import sys
 import tempfile
 import threading
-import time
 import traceback
 
 from bumpymap.cli import main
@@ -52,14 +51,12 @@ def limit(budget):
 
 
 def watched(argv, said):
-    """Run once; the record of exit, output, time, memory (with the child that decodes) and threads."""
+    """Run once; the record of exit, output, memory (with the child that decodes) and threads."""
     os.ftruncate(said, 0)
     os.lseek(said, 0, os.SEEK_SET)
     threads = set(threading.enumerate())
     forget_peak()
-    start = time.perf_counter()
     code = run(argv)
-    seconds = time.perf_counter() - start
     sys.stdout.flush()
     sys.stderr.flush()
     close_decoder()  # the largest child that has ended counts, too; children have the same limit each
@@ -67,7 +64,7 @@ def watched(argv, said):
     peak += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     left = [thread.name for thread in set(threading.enumerate()) - threads]
     text = os.pread(said, os.fstat(said).st_size, 0).decode("utf-8", "replace")
-    return {"exit": code, "text": text, "seconds": seconds, "peak": peak, "threads": left}
+    return {"exit": code, "text": text, "peak": peak, "threads": left}
 
 
 def serve():
@@ -77,10 +74,12 @@ def serve():
         said = file.fileno()
         os.dup2(said, 1)
         os.dup2(said, 2)
-        first = watched(["map", good, "--out", out, "--local", "--threads", "1"], said)
-        watched(["info", good], said)
+        for argv in (["map", good, "--out", out, "--local", "--threads", "1", "--overwrite"], ["info", good]):
+            first = watched(argv, said)
+            if first["exit"] != 0:
+                raise RuntimeError(f"a valid survey cannot be read: {first}")
         limit(int(budget))
-        answers.write(json.dumps(first) + "\n")
+        answers.write('"ready"\n')
         answers.flush()
         for line in sys.stdin:
             answers.write(json.dumps(watched(json.loads(line), said)) + "\n")

@@ -6,7 +6,6 @@ import pytest
 from alike_surveys import tiles_without_survey
 from corpus import PLACES, Case, hostile_files
 from corpus.bases import bases
-from corpus.known import KNOWN
 from corpus.runner import MEMORY, Runner
 
 from bumpymap.core import escape_controls
@@ -69,15 +68,11 @@ def faults_of_refusal(outcome, shown):
     return faults
 
 
-def marked(name):
-    return [pytest.mark.xfail(reason=KNOWN[name], strict=True)] if name in KNOWN else []
-
-
 def cases():
     """All files; but one in twenty only comes later."""
     for number, case in enumerate(FILES):
         later = [pytest.mark.later] if number % 20 else []
-        yield pytest.param(case, id=case.name, marks=[*marked(case.name), *later])
+        yield pytest.param(case, id=case.name, marks=later)
 
 
 @pytest.mark.parametrize("name", bases())
@@ -113,7 +108,7 @@ def test_hostile_file(runner, tiles_of, tmp_path, case: Case):
     assert not faults, outcome.text[:2000]
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in PLACES])
+@pytest.mark.parametrize("name", PLACES)
 def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatch, name):
     place = tmp_path / "place"
     place.mkdir()
@@ -135,7 +130,3 @@ def test_what_is_no_regular_file_or_has_an_odd_name(runner, tmp_path, monkeypatc
 def test_the_corpus_is_the_same_every_time_and_names_are_told_apart():
     assert [(case.name, case.data) for case in hostile_files()] == [(case.name, case.data) for case in FILES]
     assert len({case.name for case in FILES}) == len(FILES)
-
-
-def test_known_faults_are_those_of_files_that_are_there():
-    assert set(KNOWN) <= {case.name for case in FILES} | set(PLACES)

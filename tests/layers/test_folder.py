@@ -2,7 +2,6 @@ import hashlib
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -116,28 +115,6 @@ def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_fiel
         seen.append({key: value for key, value in hashes(tmp_path / name).items() if key != "run.json"})
     assert not np.array_equal(shuffled(cost_map).patches.col, cost_map.patches.col)
     assert seen[0] == seen[1] == seen[2]
-
-
-@pytest.mark.slow
-def test_same_bytes_in_another_process(tmp_path, cost_map):
-    code = (
-        "import sys, importlib.util, pathlib\n"
-        "spec = importlib.util.spec_from_file_location('maps', sys.argv[1])\n"
-        "maps = importlib.util.module_from_spec(spec); spec.loader.exec_module(maps)\n"
-        "from bumpymap.layers import write_products; from bumpymap.views import write_map_views\n"
-        "from bumpymap.core.types import CostTable\n"
-        "write_products(CostTable.of(maps.make_field(40, 30)), pathlib.Path(sys.argv[2]), local=False, manifest={}, "
-        "views=write_map_views)\n"
-    )
-    here, there = tmp_path / "here", tmp_path / "there"
-    here.mkdir()
-    there.mkdir()
-    write(cost_map, here, manifest={})
-    maps = Path(__file__).parents[1] / "helpers" / "cost_maps.py"
-    subprocess.run([sys.executable, "-c", code, str(maps), str(there)], check=True, env={"PYTHONHASHSEED": "7"})
-    first, second = hashes(here), hashes(there)
-    del first["run.json"], second["run.json"]
-    assert first == second
 
 
 def test_scratch_of_a_killed_run_goes_and_nothing_else(tmp_path):

@@ -104,22 +104,6 @@ def test_roughness_at_a_tile_centre_is_the_tiles_value(rasters, cost_map):
         assert np.isfinite(everything[number]).sum() == np.isfinite(expected).sum()
 
 
-def test_statistics_are_those_of_the_tiles(rasters, cost_map):
-    with rasterio.open(rasters["roughness"]) as file:
-        tags, pixels = [file.tags(number) for number in file.indexes], file.width * file.height
-    for band, found in zip(BANDS, tags, strict=True):
-        values = cost_map.lone_columns()[band.name].astype(np.float64)
-        values = values[np.isfinite(values)]
-        assert found["long_name"] == band.description
-        assert float(found["STATISTICS_VALID_PERCENT"]) == pytest.approx(100 * len(values) / pixels, rel=1e-3)
-        if not len(values):  # nothing was separated from the ground
-            assert band.name in {"obstacle", "obstacle_height", "clearance", "canopy", "edge_step", "inner_step"}
-            continue
-        for key, expected in {"MINIMUM": values.min(), "MAXIMUM": values.max(), "MEAN": values.mean()}.items():
-            assert float(found[f"STATISTICS_{key}"]) == pytest.approx(expected, rel=1e-6)
-        assert float(found["STATISTICS_STDDEV"]) == pytest.approx(values.std(), rel=1e-5)
-
-
 def test_classes_and_reasons(rasters, cost_map):
     found = {}
     for name in ("class", "reason"):
@@ -397,14 +381,6 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-def test_survey_without_crs_makes_rasters_without_crs(tmp_path, make_field):
-    for name, write in WRITERS.items():
-        write(make_field(5, 5, georeference=Georeference(None)), tmp_path / f"{name}.tif")
-        with rasterio.open(tmp_path / f"{name}.tif") as file:
-            assert file.crs is None
-            assert file.transform.c == 330_000.0
-
-
 def test_far_corners_without_anything_between(tmp_path, make_map):
     cost_map = make_map([-2, 500], [-3, 400], [0, 3], [0, 0])
     for name, write in WRITERS.items():
@@ -435,15 +411,6 @@ def test_nothing_but_unknown_tiles(tmp_path, make_map, n):
         assert np.isfinite(file.read(BANDS.index(next(b for b in BANDS if b.name == "density")) + 1)).all()
 
 
-def test_other_tile_size_and_pixels(tmp_path, make_field):
-    cost_map = make_field(30, 20, grid=Grid(1.5, 30))
-    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
-    with rasterio.open(tmp_path / "h.tif") as file:
-        assert file.res == pytest.approx((0.05, 0.05))
-        pixels = file.read(1)
-    assert np.isfinite(pixels).sum() == np.isfinite(cost_map.patches.heights).sum()
-
-
 @pytest.mark.slow
 def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     cost_map = make_field(300, 200, grid=Grid(3.0, 5))
@@ -454,13 +421,6 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
             write(cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
-
-
-def test_writing_does_not_change_the_map(tmp_path, make_field):
-    cost_map = make_field(6, 6)
-    before = replace(cost_map.patches, heights=cost_map.patches.heights.copy())
-    WRITERS["heightmap"](cost_map, tmp_path / "h.tif")
-    np.testing.assert_array_equal(before.heights, cost_map.patches.heights)
 
 
 @pytest.mark.parametrize("name", WRITERS)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable, Georeference
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable
 from bumpymap.layers import describe_file, describe_input, software_versions, write_manifest
 from bumpymap.layers.manifest import complete_manifest
 from bumpymap.layers.summary import summarise
@@ -84,20 +84,6 @@ def test_counts_by_class_and_reason(make_map):
     assert counts["by_reason"] == {"too few points": 1, "outlier-only relief": 2}
     assert (counts["tiles"], counts["classified"], counts["unknown"]) == (6, 3, 3)
     assert counts["points"] == cost_map.patches.count.sum()
-
-
-def test_what_the_cost_is_made_of(cost_map):
-    record = complete(cost_map)
-    weights = {"ride_weight_m_per_rad": 2.5, "fail_weight_m": 300.0, "drive_m": 10.0, "slope_limit_deg": 25.0}
-    assert record["cost"] == weights
-    assert record["counts"]["passable"] == summarise(CostTable.of(cost_map)).passable
-
-
-def test_place_of_the_map(make_field):
-    record = complete(make_field(3, 3))
-    assert record["crs"]["code"] == "EPSG:32614"
-    assert record["grid"] == {"tile_size_m": 3.0, "pixels": 15}
-    assert complete(make_field(3, 3, georeference=Georeference(None, 0.3048, 0.3048)))["crs"] is None
 
 
 def test_versions_of_what_has_a_say_in_the_numbers():

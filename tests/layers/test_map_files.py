@@ -381,10 +381,3 @@ def test_pipes_around_a_vector_file_are_not_waited_for(tmp_path, monkeypatch, pi
 def test_regions_are_what_geopandas_reads(one):
     found, expected = open_layers(one).regions(), geopandas.read_file(one / "cost.fgb")
     assert_geodataframe_equal(found, expected)
-
-
-def test_heights_of_a_map_in_sheets_are_those_of_its_sheets(sheets):
-    """The virtual rasters that bumpymap wrote are read as before."""
-    found = open_layers(sheets).heights()
-    site = open_map([sheets])
-    assert np.array_equal(found.to_numpy(), site.heights(site.window), equal_nan=True)

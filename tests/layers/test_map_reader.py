@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 import rasterio
 from cost_maps import part_of
-from hypothesis import given, strategies as st
 from pyproj import CRS
 from route_maps import VEHICLE, bare_map, write_folder
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
 from bumpymap.layers import open_map
-from bumpymap.layers.sheet_reader import sheet_choice
 from bumpytiles import Grid, TileWindow
 
 BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
@@ -158,21 +156,6 @@ def test_where_sheets_overlap_the_cautious_one_counts_in_any_order(sheets):
         assert same(other.read(window), found)
         assert np.array_equal(other.heights(window), pixels[0], equal_nan=True)
         assert np.array_equal(other.objects(window), pixels[1])
-
-
-@given(st.lists(st.tuples(st.sampled_from([0, 1, 2, 5, 255]), st.sampled_from([np.nan, 0.1, 0.2])), min_size=1))
-def test_what_counts_does_not_depend_on_the_order(values):
-    """Tiles of any number of sheets, one by one in both directions, against the rule written plainly."""
-    expected = merged_by_hand([(code, [value] * len(BANDS)) for code, value in values])
-    for order in (values, values[::-1]):
-        code, band = np.full((1, 1), NO_TILE, np.uint8), np.full((1, 1), np.nan, np.float32)
-        for new_code, new_value in order:
-            new = np.full((1, 1), new_code, np.uint8)
-            choice = sheet_choice(code, new)
-            code = choice(code, new)
-            band = choice(band, np.full((1, 1), new_value, np.float32))
-        assert code[0, 0] == expected[0]
-        assert np.array_equal(band[0, 0], np.float32(expected[1][0]), equal_nan=True)
 
 
 def test_a_folder_given_twice_counts_once(folder):

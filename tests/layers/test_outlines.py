@@ -67,20 +67,6 @@ def test_outlines_of_areas_are_a_coverage_with_no_vertex_too_many(keys):
     assert {(int(x), int(y)) for x, y in shapely.get_coordinates(outlines)} == marked
 
 
-@settings(max_examples=60, deadline=None)
-@given(keys=KEYS)
-@example(keys=CHECKERS)
-def test_some_of_the_areas_have_the_outlines_that_they_have_among_all(keys):
-    rows, cols = keys.shape
-    labels, first, last = label(keys)
-    window, corners = TileWindow(0, 0, cols, rows), shared_corners(np.pad(keys, 1))
-    for number in range(1, len(first) + 1):
-        part = slice(int(first[number - 1]) // cols, int(last[number - 1]) // cols + 1)
-        (alone,) = trace_labels(labels, window, part, range(number, number + 1), corners)
-        among = trace_labels(labels, window, slice(0, rows), range(1, len(first) + 1))[number - 1]
-        assert shapely.to_wkt(alone) == shapely.to_wkt(among)
-
-
 def map_of_keys(make_map, keys, site="mexico", stretch=1, shift=(0, 0), **options):
     """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
     georeference, west, south = SITES[site] if isinstance(site, str) else site

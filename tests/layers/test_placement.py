@@ -5,7 +5,7 @@ from hypothesis import given, strategies as st
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import MAX_TILES, check_extent
-from bumpymap.layers.placement import Placement, RasterWindow
+from bumpymap.layers.placement import Placement
 from bumpytiles import Grid, TileWindow
 
 
@@ -31,12 +31,6 @@ def test_chunks_cover_the_raster_once(aligned, window, side):
         corners.append((cut.line, cut.column))
     assert (raster == 1).all()
     assert corners == sorted(corners)
-
-
-def test_tiles_find_their_places_in_a_chunk():
-    cut = RasterWindow(TileWindow(4, 1, 2, 2), 0, 0)
-    line, column = cut.pixel_indices({"col": np.array([5, 4, 5]), "row": np.array([1, 2, 2])})
-    assert (line.tolist(), column.tolist()) == ([1, 0, 0], [1, 0, 1])
 
 
 def test_far_apart_sites_are_refused_before_anything_is_laid_out(make_map):

@@ -51,12 +51,6 @@ def check_against_boxes(cost_map, regions):
         assert sum(key == k and shapely.equals(area, outline) for k, outline in got) == 1
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_regions_are_unions_of_touching_tiles(make_field, seed):
-    cost_map = make_field(14, 11, seed=seed)
-    check_against_boxes(cost_map, regions_of(cost_map))
-
-
 @settings(max_examples=60, deadline=None)
 @given(data=st.data(), cols=st.integers(1, 6), rows=st.integers(1, 6))
 def test_any_small_map_gives_valid_right_hand_regions(make_map, data, cols, rows):
@@ -107,13 +101,6 @@ def test_passable_and_impassable_tiles_of_one_class_are_never_one_region(make_ma
     regions = regions_of(cost_map)
     assert regions.tiles.tolist() == [1, 1, 1]
     assert regions.passable.tolist() == [True, False, True]
-
-
-def test_area_of_all_regions_is_that_of_all_tiles(cost_map):
-    regions = regions_of(cost_map)
-    assert regions.tiles.sum() == len(cost_map.class_id)
-    assert regions.area_m2.sum() == 9.0 * len(cost_map.class_id)
-    np.testing.assert_array_equal(shapely.area(regions.outlines), regions.tiles)
 
 
 def joined(batches):

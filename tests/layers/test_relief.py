@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import make_field, make_map, part_of
+from cost_maps import make_field, part_of
 from rio_cogeo import cog_validate
 
 from bumpymap.core.types import CostTable
 from bumpymap.layers import geotiff
 from bumpymap.layers.geotiff import write_relief
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
-
-TEXT = "holes are filled; measure on heightmap.tif"
 
 
 def thin(cost_map, share, seed=1):
@@ -78,15 +76,6 @@ def test_known_pixels_are_means_and_others_are_filled_from_the_nearest(tmp_path,
     assert filled > 100
 
 
-def test_nothing_is_filled_beyond_eight_pixels(tmp_path):
-    cost_map = make_map(range(12), [0] * 12, [0] * 12, [0] * 12)
-    heights = np.full_like(cost_map.patches.heights, np.nan)
-    heights[0, 7, 0] = 12.344  # the pixel in the west of the westernmost tile
-    found = written(replace(cost_map, patches=replace(cost_map.patches, heights=heights)), tmp_path / "relief.tif")
-    assert np.isfinite(found).sum() == 27
-    assert (found[:, :9] == np.float32(12.34)).all()
-
-
 @pytest.mark.parametrize("share", [0.02, 0.8])
 def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
     cost_map = thin(make_field(70, 50, grid=Grid(3.0, 5), west=-37, south=-20), share)
@@ -121,11 +110,3 @@ def test_a_sparse_map_has_the_same_pixels(tmp_path, monkeypatch):
     with rasterio.open(tmp_path / "sparse.tif") as file:
         assert file.block_shapes == [(128, 128)]
     assert cog_validate(tmp_path / "sparse.tif", strict=True)[0]
-
-
-def test_the_file_says_that_it_is_for_looking_at(tmp_path, cost_map):
-    written(cost_map, tmp_path / "relief.tif")
-    with rasterio.open(tmp_path / "relief.tif") as file:
-        assert file.tags()["title"] == f"relief for looking at: {TEXT}"
-        assert file.tags(1)["long_name"].endswith("measure on heightmap.tif")
-        assert (file.units, file.dtypes) == (("m",), ("float32",))

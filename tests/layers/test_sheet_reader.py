@@ -1,12 +1,9 @@
 """Folders that are refused: no complete run, damaged files, sheets that do not belong together."""
 
 import json
-import shutil
 from dataclasses import replace
 
-import numpy as np
 import pytest
-import rasterio
 from pyproj import CRS
 from route_maps import VEHICLE, copy_folder, write_folder
 
@@ -56,21 +53,6 @@ def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
         open_map([old])
 
 
-def test_classes_of_an_earlier_version_are_read(small, tmp_path):
-    """They had the reasons as a second band."""
-    folder = shutil.copytree(small, tmp_path / "copy")
-    (sheet,) = open_map([folder]).sheets
-    (wanted,) = sheet.read("class.tif", sheet.window)
-    with rasterio.open(folder / "class.tif") as file:
-        profile = file.profile | {"driver": "GTiff", "count": 2}
-    with rasterio.open(folder / "class.tif", "w", **profile) as file:
-        file.write(np.stack([wanted, np.zeros_like(wanted)]))
-    (folder / "reason.tif").unlink()
-    (sheet,) = open_map([folder]).sheets
-    (found,) = sheet.read("class.tif", sheet.window)
-    np.testing.assert_array_equal(found, wanted)
-
-
 def test_what_is_no_complete_run_is_refused(small, tmp_path):
     with pytest.raises(UsageError, match="no folder"):
         open_map([])
@@ -98,14 +80,6 @@ def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
         return
     with pytest.raises(BadInputError, match=f"{name} is damaged"):
         open_map([folder])
-
-
-def test_a_file_that_is_damaged_after_opening_is_an_error(small, tmp_path):
-    folder = copy_folder(small, tmp_path / "layers")
-    found = open_map([folder])
-    (folder / "heightmap.tif").write_bytes(b"II*\0 no raster")
-    with pytest.raises(BadInputError, match=r"heightmap\.tif.*Map the survey again"):
-        found.heights(found.window)
 
 
 def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):

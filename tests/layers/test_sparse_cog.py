@@ -10,9 +10,6 @@ from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, CostTable
 from bumpymap.layers.geotiff import write_heightmap, write_obstacles
 from bumpytiles import TileTable
 
-SHAPE = (403, 503)
-"""Tiles from north to south and from west to east: 6,045 x 7,545 pixels, 20 squares of 2,048."""
-
 
 @pytest.fixture(scope="module")
 def scattered(make_map):
@@ -50,19 +47,6 @@ def test_values_and_tags_are_those_of_gdals_driver(files):
 
 def block_offset(file, x, y, **level):
     return file.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=1, **level)
-
-
-def test_gdal_takes_it_for_a_cog(files):
-    with rasterio.open(files[0]) as file:
-        assert file.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
-        assert file.overviews(1) == [2, 4, 8, 16]
-        levels = [block_offset(file, 0, 0), *(block_offset(file, 0, 0, ovr=level) for level in range(4))]
-        directories = [file.get_tag_item("IFD_OFFSET", "TIFF", bidx=1)]
-        directories += [file.get_tag_item("IFD_OFFSET", "TIFF", bidx=1, ovr=level) for level in range(4)]
-    levels, directories = [int(offset) for offset in levels], [int(offset) for offset in directories]
-    assert levels == sorted(levels, reverse=True)  # small overviews come first
-    assert directories == sorted(directories)
-    assert directories[-1] < levels[-1]
 
 
 def test_overview_is_the_mean_of_the_known_pixels_among_four(files):

@@ -8,8 +8,6 @@ from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable
 from bumpymap.layers import MapSummary
 from bumpymap.layers.summary import summarise
 
-class_ids = st.lists(st.sampled_from([0, 1, 2, 3, NO_CLASS]), min_size=1, max_size=30)
-
 
 @settings(max_examples=40, deadline=None)
 @given(

@@ -66,8 +66,3 @@ def test_rows_that_do_not_fit_into_memory_are_refused(folder, monkeypatch):
     monkeypatch.setattr(tile_table, "free_memory", lambda: 1000)
     with pytest.raises(BadInputError, match=r"tiles\.parquet takes .* of memory, and .* are free"):
         write_reports([folder])
-
-
-def test_the_table_of_a_run_is_read(folder):
-    assert write_reports([folder]).name == "report.html"
-    assert len(bumpymap.open(folder).tiles()) == bumpymap.open(folder).manifest["counts"]["tiles"]

@@ -154,19 +154,6 @@ def test_geojson_and_flatgeobuf_open_in_geopandas_with_the_same_values(tmp_path,
         check_coverage(outlines, holes_of_tiles(site.patches.col, site.patches.row))
 
 
-def test_a_gis_numbers_the_features_as_the_files_do(tmp_path, cost_map):
-    regions = regions_of(cost_map)
-    write_geojson(regions, tmp_path / "cost.geojson", local=False)
-    write_flatgeobuf(regions, tmp_path / "cost.fgb")
-    globe, flat = (
-        geopandas.read_file(tmp_path / name, fid_as_index=True, engine="pyogrio")
-        for name in ("cost.geojson", "cost.fgb")
-    )
-    assert globe.index.tolist() == globe["region"].tolist() == list(range(1, len(regions.tiles) + 1))
-    assert flat.index.tolist() == list(range(len(regions.tiles)))
-    assert sorted(flat["region"]) == globe["region"].tolist()
-
-
 def test_long_sides_follow_the_grid_on_the_globe(tmp_path, make_map):
     # Far from the central meridian and far north, a strip of 3 km: its sides bend on the way to degrees.
     col, row = np.meshgrid(np.arange(240_000, 241_000), [2_900_000, 2_900_001])

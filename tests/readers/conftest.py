@@ -71,11 +71,11 @@ class LasMaker:
 
 
 class LazMaker:
-    """Compresses the points of LAS files in ways that laspy does not offer: chunks of any size, none, an octree."""
+    """Compresses the points of LAS files in ways that laspy does not offer: chunks of any size, an octree."""
 
     @staticmethod
     def pack(path: Path, chunk=None, counts=None) -> Path:
-        """LAZ with chunks of ``chunk`` points, of ``counts`` points each, or in one stream without a table."""
+        """LAZ with chunks of ``chunk`` points, or of ``counts`` points each."""
         with laspy.open(path) as file:
             header, points = file.header, file.read().points.array
         record = lazrs.LazVlr.new_for_compression(
@@ -92,11 +92,6 @@ class LazMaker:
             compressor.finish_current_chunk()
         compressor.done()
         data = stream.getvalue()
-        if chunk is None and counts is None:
-            # One stream: no place of a table, no table.
-            (table,) = struct.unpack_from("<q", data)
-            record, data = struct.pack("<H", 1) + record[2:], data[8:table]
-            return LazMaker.join(path, [(b"laszip encoded", 22204, record)], data)
         start = LazMaker.points_at(path, [len(record)])
         (table,) = struct.unpack_from("<q", data)
         return LazMaker.join(path, [(b"laszip encoded", 22204, record)], struct.pack("<q", table + start) + data[8:])

@@ -56,16 +56,13 @@ def in_order(points):
 
 
 PACKINGS = [(*made, packing) for made in FORMATS for packing in ("plain", "chunks", "variable")]
-PACKINGS += [(*made, "stream") for made in FORMATS if made[1] < 6]  # layers need chunks
 
 
 @pytest.mark.parametrize(("version", "fmt", "packing"), PACKINGS)
 def test_chunks_are_what_laspy_reads(las, laz, batches, table, version, fmt, packing):
     path = survey(las, version=version, fmt=fmt, geokeys={1024: 1, 3072: 2276})
     expected, dropped = oracle(path, 1200 / 3937)
-    if packing == "stream":
-        path = laz.pack(path)
-    elif packing != "plain":
+    if packing != "plain":
         path = laz.pack(path, 256) if packing == "chunks" else laz.pack(path, counts=[1, 700, 299, 1500, 500])
     reader = open_survey(path)
     found = batches(reader, 700)
@@ -101,10 +98,10 @@ def pcd(folder, rows, encoding):
     return path
 
 
-KINDS = ["las", "chunks", "stream", "huge", "octree", "text ply", "binary ply", *Encoding]
+KINDS = ["las", "chunks", "octree", "text ply", "binary ply", *Encoding]
 
 
-def of_kind(kind, las, laz, monkeypatch):
+def of_kind(kind, las, laz):
     rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3)
     if kind == "text ply":
         return text_ply(las.folder, rows)
@@ -112,17 +109,14 @@ def of_kind(kind, las, laz, monkeypatch):
         return binary_ply(las.folder, rows)
     if isinstance(kind, Encoding):
         return pcd(las.folder, rows, kind)
-    path = survey(las, count=400, fmt=1 if kind == "stream" else 7)
-    if kind == "huge":
-        monkeypatch.setattr("bumpymap.readers.las.HUGE_CHUNK", 1000)
-    packed = {"chunks": {"chunk": 30}, "stream": {}, "huge": {"chunk": 100}}
-    return laz.pack(path, **packed[kind]) if kind in packed else laz.octree(path) if kind == "octree" else path
+    path = survey(las, count=400, fmt=7)
+    return laz.pack(path, 30) if kind == "chunks" else laz.octree(path) if kind == "octree" else path
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS, ids=str)
-def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches, table, monkeypatch, kind):
-    path = of_kind(kind, las, laz, monkeypatch)
+def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches, table, kind):
+    path = of_kind(kind, las, laz)
     reader = open_survey(path)
     whole = batches(reader)
     rng = np.random.default_rng(1)
@@ -135,15 +129,6 @@ def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches
         assert merged(mixed) == merged(whole)
         back = batches(reader, points, np.argsort(order)[::-1])
         assert np.array_equal(in_order(table(back)), in_order(table(whole)))
-
-
-@pytest.mark.parametrize("size", [0, 1, 50_000, 2**32 - 1])
-def test_a_stream_without_chunks_does_not_mind_their_size(las, laz, batches, table, size):
-    plain = survey(las, fmt=3, version="1.2", count=200)
-    path = laz.pack(plain)
-    record = path.read_bytes().index(b"laszip encoded") - 2 + 54
-    las.patch(path, record + 12, "<I", size)
-    assert np.array_equal(table(batches(open_survey(path), 70)), oracle(plain)[0])
 
 
 def test_a_piece_of_no_points(las):

@@ -15,9 +15,9 @@ import pytest
 
 from bumpymap.core import processes
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.processes import Child, SharedMemory
+from bumpymap.core.processes import Child, Guard, SharedMemory
 from bumpymap.readers import decoder, open_survey
-from bumpymap.readers.decoder import Decoder, LocalDecoder
+from bumpymap.readers.decoder import Decoder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="no process of its own here")
 
@@ -36,14 +36,11 @@ def child(monkeypatch):
 
 @pytest.fixture
 def survey(las, laz):
-    """LAZ of 4,000 points: in chunks, in chunks of any size, or in one stream."""
+    """LAZ of 4,000 points in chunks of 300, or of any size."""
 
-    def write(kind, name="a.las", seed=0):
+    def write(name="a.las", seed=0, **chunks):
         points = np.random.default_rng(seed).uniform(0, 100, (4000, 3))
-        path = las.write(
-            name, points + CORNER, version="1.2" if kind == "stream" else "1.4", fmt=1 if kind == "stream" else 7
-        )
-        return laz.pack(path, **{"chunks": {"chunk": 300}, "variable": {"counts": [1, 1999, 2000]}, "stream": {}}[kind])
+        return laz.pack(las.write(name, points + CORNER, version="1.4", fmt=7), **(chunks or {"chunk": 300}))
 
     return write
 
@@ -53,19 +50,19 @@ def records(reader, points=700):
 
 
 def pid_of(child):
-    return child.guard.child.process.pid
+    return child.guards[-1].child.process.pid
 
 
 def kill(child):
     os.kill(pid_of(child), signal.SIGKILL)
-    child.guard.child.process.wait()
+    child.guards[-1].child.process.wait()
 
 
-@pytest.mark.parametrize("kind", ["chunks", "variable", "stream"])
-def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, kind):
-    path = survey(kind)
+@pytest.mark.parametrize("chunks", [{"chunk": 300}, {"counts": [1, 1999, 2000]}])
+def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, chunks):
+    path = survey(**chunks)
     theirs = records(open_survey(path))
-    monkeypatch.setattr(decoder, "current", LocalDecoder())
+    monkeypatch.setattr(decoder, "current", Decoder(0))
     ours = records(open_survey(path))
     assert all(np.array_equal(a, b) for a, b in zip(theirs, ours, strict=True))
     assert sum(map(len, ours)) == 4000
@@ -82,9 +79,8 @@ def test_a_child_loads_none_of_our_libraries():
     assert ran.stdout == "set()\n"
 
 
-@pytest.mark.parametrize("kind", ["chunks", "stream"])
-def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child, kind):
-    path = survey(kind)
+def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child):
+    path = survey()
     expected = records(open_survey(path))
     reader = open_survey(path)
     first = pid_of(child)
@@ -97,7 +93,7 @@ def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child, kind):
 
 
 def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, child, monkeypatch):
-    bad, good = survey("chunks", "bad.las"), survey("chunks", "good.las")
+    bad, good = survey("bad.las"), survey("good.las")
     expected = records(open_survey(good))
     reader = open_survey(bad)
     ask = child._call
@@ -106,7 +102,7 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
         os.kill(pid_of(child), signal.SIGSEGV)
         return ask(what, *args, **more)
 
-    monkeypatch.setattr(type(child.guard), "is_alive", True)  # does not look whether it lives
+    monkeypatch.setattr(Guard, "is_alive", True)  # does not look whether it lives
     monkeypatch.setattr(child, "_call", die)
     with pytest.raises(BadInputError, match=r"bad\.laz: the decoder crashed \(SIGSEGV\).*damaged"):
         reader.fetch(reader.chunks()[0])
@@ -116,9 +112,9 @@ def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, c
 
 
 def test_a_kill_from_outside_is_no_fault_of_the_file(survey, child, monkeypatch):
-    reader = open_survey(survey("chunks"))
+    reader = open_survey(survey())
     kill(child)
-    monkeypatch.setattr(type(child.guard), "is_alive", True)
+    monkeypatch.setattr(Guard, "is_alive", True)
     with pytest.raises(UsageError, match=r"was killed \(SIGKILL\)"):
         reader.fetch(reader.chunks()[0])
 
@@ -138,7 +134,7 @@ def test_a_decoder_that_comes_to_no_end_is_ended(las, child, monkeypatch):
 
 
 def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child, monkeypatch):
-    path = survey("chunks")
+    path = survey()
     expected = records(open_survey(path))
     reader = open_survey(path)
 
@@ -154,7 +150,7 @@ def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child,
 
 
 def test_threads_share_a_child(survey, child):
-    paths = [survey("stream" if seed % 2 else "chunks", f"{seed}.las", seed) for seed in range(4)]
+    paths = [survey(f"{seed}.las", seed) for seed in range(4)]
     expected = [records(open_survey(path)) for path in paths]
     found = {}
 
@@ -171,18 +167,17 @@ def test_threads_share_a_child(survey, child):
 
 
 def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):
-    reader = open_survey(survey("chunks"))
+    reader = open_survey(survey())
     assert reader.info.parallel
-    assert not open_survey(survey("stream", "stream.las")).info.parallel
     chunks = reader.chunks(700)[:3]
     expected = [reader.fetch(chunk).copy() for chunk in chunks]
     meeting = threading.Barrier(3, timeout=60)
     processes_used, finish = set(), Child.finish
 
-    def together(used, read_at=None):
+    def together(used):
         meeting.wait()  # every request has begun
         processes_used.add(used.process.pid)
-        return finish(used, read_at)
+        return finish(used)
 
     monkeypatch.setattr(Child, "finish", together)
     with ThreadPoolExecutor(3) as pool:
@@ -196,7 +191,7 @@ def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(surve
 
 
 def test_a_fork_has_a_child_of_its_own(survey, child):
-    reader = open_survey(survey("chunks"))
+    reader = open_survey(survey())
     expected = reader.fetch(reader.chunks(4000)[0]).copy()
     mine = pid_of(child)
     forked = os.fork()
@@ -211,10 +206,10 @@ def test_a_fork_has_a_child_of_its_own(survey, child):
 
 
 def test_closing_gives_everything_back_and_costs_nothing_but_time(survey, child):
-    reader = open_survey(survey("chunks"))
+    reader = open_survey(survey())
     held = reader.fetch(reader.chunks(700)[0])
     expected = held.copy()
-    process = child.guard.child.process
+    process = child.guards[-1].child.process
     decoder.close_decoder()
     assert process.poll() is not None
     assert processes.MEMORY.size > 0, "an array is still in use"
@@ -243,10 +238,10 @@ def test_no_child_outlives_its_parent(survey, how):
         from pathlib import Path
         from bumpymap.readers import decoder, open_survey
         open_survey(Path(sys.argv[1]))
-        print(decoder.decoder().guard.child.process.pid, flush=True)
+        print(decoder.decoder().guards[-1].child.process.pid, flush=True)
         {f"os.kill(os.getpid(), {how})" if how else ""}
     """
-    command = [sys.executable, "-c", textwrap.dedent(code), str(survey("chunks"))]
+    command = [sys.executable, "-c", textwrap.dedent(code), str(survey())]
     ran = subprocess.run(command, capture_output=True, text=True, check=False)
     pid = int(ran.stdout)
     for _ in range(500):

@@ -51,14 +51,6 @@ def test_infinite_coordinates_are_refused(tmp_path, encoding):
         list(open_survey(write(tmp_path / "a.pcd", points, encoding)).clouds())
 
 
-def test_classes(tmp_path, read):
-    reader = open_survey(write(tmp_path / "a.pcd", classification=np.array([2, 7, 1, 2], np.uint8)))
-    points, ground = read(reader)
-    assert np.array_equal(points, POINTS[[0, 2, 3]])
-    assert ground.tolist() == [True, False, True]
-    assert reader.info.has_classes is True
-
-
 def test_count_line_may_be_left_out_and_blanks_may_abound(tmp_path, read):
     path = tmp_path / "a.pcd"
     path.write_text(
@@ -72,12 +64,6 @@ def test_the_pose_of_the_sensor_is_noted(tmp_path):
     path = write(tmp_path / "a.pcd")
     path.write_bytes(path.read_bytes().replace(b"VIEWPOINT 0.0 0.0 0.0", b"VIEWPOINT 9.0 0.0 0.0"))
     assert any("VIEWPOINT" in note for note in open_survey(path).info.notes)
-
-
-def test_units_come_from_the_options(tmp_path, read):
-    path = write(tmp_path / "a.pcd")
-    points, _ = read(open_survey(path, ReadOptions(crs="EPSG:32614", z_unit="ft")))
-    assert np.allclose(points, POINTS * [1, 1, 0.3048], rtol=1e-15)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)

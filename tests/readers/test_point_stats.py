@@ -1,6 +1,3 @@
-import json
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -65,15 +62,6 @@ def test_stats_of_parts_add_up_however_they_are_grouped(points, data):
         mixed = parts[i].merge(mixed)
     assert left == right == mixed == whole
     assert whole.bad == any(part.bad for part in parts)
-
-
-@settings(deadline=None)
-@given(rows)
-def test_stats_travel_and_are_stored(points):
-    stats = batch(points, first=3).stats
-    stored = json.loads(json.dumps(stats.to_record(), allow_nan=False))
-    assert pickle.loads(pickle.dumps(stats)) == stats  # noqa: S301 (our own bytes)
-    assert PointStats.from_record(stored) == stats
 
 
 GOOD = PointStats(5, west=1.0, south=1.0, east=99.0, north=49.0, highest=20.0)

@@ -41,7 +41,6 @@ def kinds(las, laz):
     plain = las.write("a.las", classes=las.classes, withheld=las.withheld, version="1.4", fmt=6)
     yield plain
     yield laz.pack(las.write("b.las", version="1.4", fmt=6), 2)
-    yield laz.pack(las.write("c.las", fmt=1))
     yield laz.octree(las.write("d.las", version="1.4", fmt=6))
     head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
     text = las.folder / "e.ply"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bumpymap.readers.las as las_module
-from bumpymap.core import hash_file
+from bumpymap.core import hash_file, run_spec
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.errors import BadInputError
 from bumpymap.readers import PointStats, PointSummaryBuilder, ReadOptions, open_survey, protocol
@@ -44,7 +44,6 @@ def write_pcd(path, points, data):
 FORMATS = {
     "las": lambda las, _, points: las.write(points=points),
     "laz": lambda las, laz, points: laz.pack(las.write(points=points, version="1.4", fmt=6), 500),
-    "one stream": lambda las, laz, points: laz.pack(las.write(points=points)),
     "copc": lambda las, laz, points: laz.octree(las.write(points=points, version="1.4", fmt=6)),
     "ply": lambda las, _, points: write_ply(las.folder / "a.ply", points, "binary_little_endian"),
     "text ply": lambda las, _, points: write_ply(las.folder / "a.ply", points, "ascii"),
@@ -78,18 +77,6 @@ def test_a_survey_that_is_written_again_between_two_chunks(las, laz, kind):
 
 
 @pytest.mark.parametrize("kind", ["laz", "text ply"])
-def test_a_survey_that_is_cut_short_between_two_chunks(las, laz, kind):
-    path = FORMATS[kind](las, laz, POINTS)
-    chunks = open_survey(path).clouds(500)
-    next(chunks)
-    size = path.stat().st_size
-    os.truncate(path, size // 2)
-    later(path)
-    with pytest.raises(BadInputError, match=rf"changed while it was read: it had {size:,} bytes and has"):
-        list(chunks)
-
-
-@pytest.mark.parametrize("kind", ["laz", "text ply"])
 def test_a_survey_that_goes_away_between_two_chunks(las, laz, kind):
     path = FORMATS[kind](las, laz, POINTS)
     chunks = open_survey(path).clouds(500)
@@ -97,15 +84,6 @@ def test_a_survey_that_goes_away_between_two_chunks(las, laz, kind):
     path.unlink()
     with pytest.raises(BadInputError, match="changed while it was read: it was removed"):
         list(chunks)
-
-
-def test_a_change_after_the_last_piece_is_too_late_for_the_verdict(las, laz):
-    path = FORMATS["las"](las, laz, POINTS)
-    chunks = open_survey(path).clouds(COUNT)
-    next(chunks)
-    later(path)
-    with pytest.raises(BadInputError, match="the same size, but was written again"):
-        next(chunks)
 
 
 def test_a_change_while_the_header_is_read(las, laz, monkeypatch):
@@ -131,7 +109,8 @@ def test_one_that_stays_the_same_is_read_and_says_which_version_it_is(las, laz):
 
 @pytest.fixture
 def read_again(monkeypatch):
-    """The number of bytes that were read only for a checksum."""
+    """The number of bytes that were read only for a checksum, of pieces of 1 kB."""
+    monkeypatch.setattr(run_spec, "PIECE", 1 << 10)
     sizes, original = [], protocol.read_range
 
     def read_range(path, start, size):
@@ -150,8 +129,8 @@ def test_the_checksum_is_made_while_the_file_is_read(las, laz, kind, points, rea
     assert reader.checksum is None
     assert sum(cloud.easting.size for cloud in reader.clouds(points)) == COUNT
     assert reader.checksum == hash_file(path)
-    # Copies of the chunk table and of the octree are freed when the file has been opened.
-    assert sum(read_again) <= (1 << 14 if kind in {"laz", "copc"} else 0)
+    if kind not in {"copc", "text ply", "text pcd"}:  # parts in the order of the octree; streams are not hashed
+        assert sum(read_again) <= 1 << 13  # header, chunk table
 
 
 @pytest.mark.parametrize("kind", FORMATS)
@@ -163,7 +142,7 @@ def test_the_checksum_does_not_depend_on_the_order(las, laz, kind, read_again):
         stats = stats.merge(reader.convert(chunk, reader.fetch(chunk)).stats)
     reader.verify(stats)
     assert reader.checksum == hash_file(path)
-    assert sum(read_again) <= 1 << 14
+    assert kind in {"copc", "text ply", "text pcd"} or sum(read_again) <= 1 << 13
 
 
 def test_no_checksum_unless_it_is_asked_for(las, laz, read_again):

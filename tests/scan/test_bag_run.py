@@ -5,7 +5,6 @@ import json
 import shutil
 from dataclasses import replace
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -92,15 +91,6 @@ def test_frames_have_the_names_of_their_stamps_and_the_poses_of_the_bag(ran):
     assert {frame["sha256"] for frame in record["frames"]} == {None}
     assert {file["path"].rpartition("/")[2] for file in record["side_files"]} == {"metadata.yaml", "drive.mcap"}
     assert record["bag"]["sha256"] == hashlib.sha256(config.bag.read_bytes()).hexdigest()
-
-
-def test_the_map_of_the_drive_is_made_from_the_poses_of_the_bag(ran):
-    config, result = ran
-    las = laspy.read(config.out / "gathered.laz")
-    ground = las.classification == 2
-    north = las.y > 2.0
-    np.testing.assert_allclose(las.z[ground & north], 0.0, atol=0.01)
-    assert result.drive.summary.tiles > 100
 
 
 def test_a_file_of_poses_is_matched_with_the_times_of_the_bag(bag, tmp_path):
@@ -205,31 +195,6 @@ def test_a_complete_run_is_recognised(ran, bag, tmp_path):
         scan_frames(replace(ran[0], topic="/points"))
 
 
-class _Ends:
-    def __init__(self, after):
-        self.left = after
-
-    def start(self, stage, total):
-        pass
-
-    def advance(self, steps):
-        self.left -= steps
-        if self.left <= 0:
-            raise KeyboardInterrupt
-
-
-def test_an_interrupted_run_goes_on_and_gives_the_same_bytes(ran, tmp_path):
-    config = replace(ran[0], out=tmp_path / "out", bag=tmp_path / "out.mcap")
-    with pytest.raises(KeyboardInterrupt):
-        scan_frames(config, _Ends(2))
-    assert not config.bag.exists()
-    scan_frames(config)
-    assert config.bag.read_bytes() == ran[0].bag.read_bytes()
-    for name in ("sectors.parquet", "gathered.laz"):
-        assert (config.out / name).read_bytes() == (ran[0].out / name).read_bytes()
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "out.mcap"]
-
-
 def test_a_bad_message_is_skipped(tmp_path):
     messages = [("/points", stamp, cloud(lidar_rows(seen(stamp)), stamp)) for stamp in STAMPS[:3]]
     messages[1][2].point_step = 5
@@ -245,17 +210,6 @@ def test_a_bad_message_is_skipped(tmp_path):
     assert scan_frames(config).already_done
     with pytest.raises(UsageError, match="needs the pose of every frame"):
         scan_frames(replace(config, out=tmp_path / "other", bag=None, crs="EPSG:32614"))
-
-
-def test_frames_of_files_have_a_made_up_time(tmp_path):
-    for number in range(2):
-        points = seen(STAMPS[number])
-        np.column_stack([points, np.ones(len(points))]).astype("<f4").tofile(tmp_path / f"{number}.bin")
-    scan_frames(
-        ScanConfig((tmp_path,), tmp_path / "out", method="filter", products=("table",), bag=tmp_path / "g.mcap")
-    )
-    found = messages_of(tmp_path / "g.mcap")["/ground/occupancy"]
-    assert [(time, message.header.frame_id) for time, message in found] == [(0, "sensor"), (100_000_000, "sensor")]
 
 
 def test_where_the_grids_cannot_be_written(bag, tmp_path):
@@ -289,13 +243,10 @@ def test_where_the_grids_cannot_be_written(bag, tmp_path):
         (["--topic", "/none"], 3, "--topic NAME"),
         (["--odometry", "/none"], 3, "--odometry NAME"),
         (["--odometry", "/odom", "--poses", "poses.txt"], 2, "--poses and --odometry"),
-        (["--fit", "own.json", "--out"], 2, "leave out --out"),
     ],
 )
 def test_the_command_line(bag, tmp_path, words, code, said):
     place = ["--out", str(tmp_path / "out"), "--bag", str(tmp_path / "g.mcap")]
-    if "--fit" in words:
-        words = ["--fit", str(tmp_path / "own.json")]
     done = CliRunner().invoke(main, ["scan", str(bag), *place, "--method", "filter", "--set", "products=table", *words])
     assert done.exit_code == code, done.output
     assert said in done.output

@@ -63,15 +63,6 @@ def test_a_grid_from_the_sensor_on_leaves_out_beams_without_return(radius_m):
     assert (alone.sector_class < 255).sum() > 50
 
 
-def test_a_return_straight_below_the_sensor_has_no_direction():
-    polar = {"zone_starts_m": (0.0, 4.0), "sectors": (16, 24), "rings": (2, 4), "end_m": 30.0}
-    classify = ScanClassifier(method="filter", polar=polar, robot={"radius_m": 0.0})
-    points = revolution(0, lost=0.0)
-    below = classify(np.vstack([points, np.float32([0.0, 0.0, -1.5])]))
-    assert below.sectors.sectors.azimuth_start_rad == classify(points).sectors.sectors.azimuth_start_rad
-    assert below.point_class[-1] < 255
-
-
 @pytest.mark.parametrize("given", ["float32", "float64", "columns"])
 @pytest.mark.parametrize("reuse", [False, True])
 def test_results_are_overwritten_only_where_asked_for(given, reuse):

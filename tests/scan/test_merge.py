@@ -8,7 +8,6 @@ import pytest
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.layers import open_accumulated
-from bumpymap.scan import merge
 from bumpymap.scan.align import MOST_METRES, DriveHeights, GroundHeights, align_frames
 from bumpymap.scan.merge import MOST_GROUND, MOST_OTHERS, open_merge
 
@@ -139,14 +138,6 @@ def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path, by):
     assert record["moving"] == pytest.approx(drive[2]["moving"], abs=5)
 
 
-def test_a_table_that_grows_is_the_one_that_was_large(frames, drive, tmp_path, monkeypatch):
-    made = merge._empty_table
-    monkeypatch.setattr(merge, "_empty_table", lambda rows: made(rows if rows != 1 << 16 else 4))
-    xyz, ground, _ = merged(tmp_path / "out", frames, way_along())
-    np.testing.assert_array_equal(xyz, drive[0])
-    np.testing.assert_array_equal(ground, drive[1])
-
-
 def test_what_most_frames_do_not_take_for_ground_is_no_ground(frames, tmp_path):
     def roofs(number, points):
         high = way_along()[number, 2, 3] + points[:, 2] > 0.3
@@ -234,16 +225,3 @@ def scaled(by):
 def test_wrong_poses_are_refused_with_what_is_likely_wrong(frames, tmp_path, poses, words):
     with pytest.raises(BadInputError, match=f"according to the poses, .*{words}.*`poses`"):
         merged(tmp_path / "out", frames, poses)
-
-
-def test_poses_that_smear_the_ground_are_refused_without_a_reason_too(frames, tmp_path):
-    poses = way_along()
-    poses[:, 2, 3] += np.random.default_rng(1).normal(0.0, 3.0, FRAMES)
-    with pytest.raises(BadInputError, match=r"the same ground differs by \d\.\d m between frames\. Are `poses` those"):
-        merged(tmp_path / "out", frames, poses)
-
-
-def test_frames_without_points_leave_none(tmp_path):
-    nothing = (np.empty((0, 3), np.float32), np.empty(0, np.bool_))
-    xyz, _, record = merged(tmp_path / "out", [nothing, nothing], way_along(2))
-    assert (len(xyz), record["points"], record["poses"]["before_m"]) == (0, 0, None)

@@ -19,14 +19,12 @@ from scipy.spatial.transform import Rotation
 
 from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
-from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
-from bumpymap.scan import classify_filter, load_stripes, polar_sectors
+from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.pipeline import scan_frames
-from bumpymap.scan.stripes import fit_frames
 
 pytestmark = pytest.mark.slow
 
@@ -177,15 +175,6 @@ def test_the_map_of_a_drive_has_the_ground_at_its_height_and_the_crs_of_the_pose
     assert known[north > 2008.0].mean() > known[north < 2004.0].mean() + 1.0
 
 
-def test_the_same_drive_gives_the_same_bytes(mapped, tmp_path):
-    _, _, config = mapped
-    scan_frames(replace(config, out=tmp_path / "again"))
-    first, second = checksums(mapped[0]), checksums(tmp_path / "again")
-    for name in ("scan.json", "map/run.json"):  # how long it took, and where it lies
-        del first[name], second[name]
-    assert first == second
-
-
 class _Ends:
     """A progress that ends the run after so many frames."""
 
@@ -212,29 +201,6 @@ def done_frames(monkeypatch):
 
     monkeypatch.setattr("bumpymap.scan.frames.read_scan", reading)
     return read
-
-
-class _Appears:
-    """A progress that writes a file after the first frame."""
-
-    def __init__(self, path, content):
-        self.path, self.content = path, content
-
-    def start(self, stage, total):
-        pass
-
-    def advance(self, steps):
-        if not self.path.exists():
-            self.path.write_bytes(self.content)
-
-
-def test_labels_that_appear_during_the_run_are_no_input_of_it(drive, tmp_path):
-    frames = shutil.copytree(drive / "frames", tmp_path / "frames")
-    config = ScanConfig((frames,), tmp_path / "out", method="filter", products=("table",), threads=1)
-    scan_frames(config, _Appears(frames / "0.label", bytes((frames / "0.bin").stat().st_size // 4)))
-    assert json.loads((config.out / "scan.json").read_text(encoding="utf-8"))["side_files"] == []
-    with pytest.raises(OutputError, match=r"0\.label is given now, but was not an input"):
-        scan_frames(config)
 
 
 def test_poses_that_change_during_the_run_are_not_recorded_as_those_that_were_used(drive, tmp_path):
@@ -356,6 +322,27 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
+    out = tmp_path / "out"
+    config = replace(mapped[2], out=out)
+
+    def full(name, *rest):
+        if name == "1":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        write_polygons(name, *rest)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
+        with pytest.raises(OutputError, match="No space left") as failed:
+            scan_frames(config)
+    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
+    done_frames.clear()
+    scan_frames(config)
+    assert done_frames == ["1"]
+    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
+
+
+@pytest.mark.slow
 def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
     drive, mapped, tmp_path, monkeypatch, done_frames
 ):
@@ -377,39 +364,6 @@ def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
     assert done_frames == []
     assert not result.already_done
     assert checksums(out)["map/roughness.tif"] == checksums(mapped[0])["map/roughness.tif"]
-
-
-@pytest.mark.slow
-def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
-    out = tmp_path / "out"
-    config = replace(mapped[2], out=out)
-
-    def full(name, *rest):
-        if name == "1":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write_polygons(name, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
-        with pytest.raises(OutputError, match="No space left") as failed:
-            scan_frames(config)
-    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
-    done_frames.clear()
-    scan_frames(config)
-    assert done_frames == ["1"]
-    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
-
-
-def test_a_run_in_a_folder_that_another_run_writes_to_touches_nothing(drive, mapped):
-    out, _, config = mapped
-    with locked(out):
-        (out / ".bumpymap-layers-0").mkdir()
-        before = inodes(out)
-        for extra in ({}, {"overwrite": True}):
-            with pytest.raises(OutputError, match=f"another run is writing to .*: pid {os.getpid()} on "):
-                scan_frames(replace(config, **extra))
-        assert inodes(out) == before
-        (out / ".bumpymap-layers-0").rmdir()
 
 
 def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tmp_path):
@@ -514,36 +468,6 @@ def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
     assert set(pq.read_table(tmp_path / "out" / "sectors.parquet")["frame"].to_pylist()) == {"000000_a", "000001_a"}
 
 
-def test_a_fit_writes_one_file_that_a_run_takes(drive, tmp_path):
-    pytest.importorskip("sklearn")
-    config = ScanConfig((drive / "frames",), tmp_path / "own.json")
-    model, skipped = fit_frames(config)
-    assert (model.scans, skipped, files(tmp_path)) == (2, {}, ["own.json"])
-    assert load_stripes(tmp_path / "own.json") == model
-    with pytest.raises(OutputError, match="exists already"):
-        fit_frames(config)
-    assert fit_frames(replace(config, overwrite=True))[0] == model
-    out = tmp_path / "out"
-    scan_frames(ScanConfig((drive / "frames" / "0.bin",), out, stripes=tmp_path / "own.json", products=("table",)))
-    table = pq.read_table(out / "sectors.parquet").to_pydict()
-    for stripes, class_id, traversable in zip(table["stripes"], table["class"], table["traversable"], strict=True):
-        assert (stripes is None) == (class_id is None) == (not traversable)
-        if traversable:  # what stands on the ground may raise it
-            assert class_id >= int(np.argmin(np.abs(np.float32(stripes) - np.array(model.centres, np.float32))))
-    with pytest.raises(OutputError, match="no folder"):
-        fit_frames(replace(config, out=tmp_path / "nowhere" / "own.json"))
-
-
-def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
-    pytest.importorskip("sklearn")
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(-12, 12, (2, 9000))
-    write_bin(tmp_path / "a.bin", np.column_stack([x, y, np.full(9000, -1.0)]))
-    with pytest.raises(BadInputError, match="fewer than 3 different stripe counts"):
-        fit_frames(ScanConfig((tmp_path / "a.bin",), tmp_path / "own.json"))
-    assert not (tmp_path / "own.json").exists()
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -555,8 +479,7 @@ def test_a_fit_on_even_ground_says_that_it_cannot(tmp_path):
         ({"threads": 0}, "`threads` is 0"),
         ({"method": "learned", "compat": "paper"}, "options of one"),
         ({"method": "filter", "model": "a.onnx"}, "options of one"),
-        ({"model": "a.onnx", "stripes": "a.json"}, "options of one"),
-        ({"stripes": "a.json", "compat": "paper"}, "cannot use those of `stripes`"),
+        ({"model": "a.onnx", "compat": "paper"}, "options of one"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

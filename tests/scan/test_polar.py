@@ -97,17 +97,6 @@ def test_heights_stand_over_the_plane_and_holes_take_their_neighbours_mean():
     assert stack.traversable.all()
 
 
-def test_wide_holes_are_filled_from_the_rim():
-    settings = replace(FIXED, zone_starts_m=(10.0,), end_m=20.0, sectors=(8,), rings=(1,), least_points=20)
-    r = np.repeat([10.3, 19.7], 40)
-    turn = np.tile(np.linspace(0.01, 0.99, 40), 2) * 2 * np.pi / 8
-    points = np.column_stack([r * np.cos(turn), r * np.sin(turn), 0.1 * r * np.cos(turn) - 2.0]).astype(np.float32)
-    stack = polar_sectors(Scan(points), settings)
-    assert np.isfinite(stack.heights).all()
-    assert np.abs(stack.heights).max() < 1e-5
-    assert stack.coverage[0] == pytest.approx(30 / 225)
-
-
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.5, 0.9, 1.0])
 def test_holes_are_filled_as_those_of_surveys_are_to_the_same_bits(share):
     rng = np.random.default_rng(int(100 * share))
@@ -150,16 +139,6 @@ def test_a_ceiling_is_no_ground():
     assert polar_sectors(Scan(above), PolarSettings(overhead_m=math.inf)).traversable.all()
 
 
-@pytest.mark.parametrize("tilt", [-0.5, 0.0, 0.5])
-def test_one_scan_line_under_a_ceiling_is_no_ground_whatever_tilt_its_bend_gives(tilt):
-    turn = np.linspace(0.01, 0.12, 80)
-    r = 30.0 + 0.5 * turn
-    for height, ground in ((9.0, False), (-1.5, True)):
-        z = height + tilt * (r * np.cos(turn) - 29.9)
-        stack = polar_sectors(Scan(np.column_stack([r * np.cos(turn), r * np.sin(turn), z]).astype(np.float32)), FIXED)
-        assert stack.traversable.tolist() == [ground]
-
-
 def test_the_anchor_turns_with_the_scan_and_sectors_keep_their_points():
     scan = made_scan(5)
     stack = polar_sectors(scan)
@@ -184,12 +163,6 @@ def test_labels_are_the_most_frequent_the_smallest_of_equals():
     assert (polar_sectors(made_scan(7)).label == -1).all()
 
 
-def test_the_same_scan_gives_the_same_bits():
-    one, two = polar_sectors(made_scan(9)), polar_sectors(made_scan(9))
-    for name in ("normal", "heights", "variance", "residual", "coverage", "count", "point_sector"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-
-
 @pytest.mark.parametrize(
     "points", [np.empty((0, 3)), np.zeros((1, 3)), np.full((40, 3), np.nan), np.full((200, 3), 0.5)]
 )
@@ -199,21 +172,6 @@ def test_a_scan_without_a_full_sector_gives_an_empty_result(points):
     assert len(classed.class_id) == len(classed.stripes) == 0
     assert (point_classes(scan, classed) == NOT_TRAVERSABLE).all()
     assert len(point_classes(scan, classed)) == len(points)
-
-
-def test_points_on_one_line_or_one_place_are_not_traversable():
-    line = np.column_stack([np.linspace(10, 11, 100), np.full(100, 1.0), np.full(100, -1.0)])
-    for points in (line, np.tile(line[:1], (100, 1))):
-        stack = polar_sectors(Scan(points.astype(np.float32)), replace(FIXED, sectors=(3,) * 5, rings=(1,) * 5))
-        assert stack.count.tolist() == [100]
-        assert not stack.traversable.any()
-        assert np.isnan(stack.residual).all()
-
-
-def test_classes_of_another_scan_are_refused():
-    classed = classify_filter(polar_sectors(made_scan(1, 1000)))
-    with pytest.raises(ValueError, match="1000 points"):
-        point_classes(made_scan(1, 500), classed)
 
 
 def test_labels_beyond_semantic_ids_are_refused():
@@ -248,15 +206,6 @@ def test_labels_beyond_semantic_ids_are_refused():
 def test_settings_that_make_no_grid_are_refused(wrong, words):
     with pytest.raises(UsageError, match=words):
         PolarSettings(**wrong)
-
-
-def test_records_with_columns_of_different_length_are_refused():
-    scan = made_scan(1)
-    with pytest.raises(ValueError, match="label"):
-        replace(scan, label=np.zeros(3, np.uint16))
-    stack = polar_sectors(scan)
-    with pytest.raises(ValueError, match="variance"):
-        replace(stack, variance=stack.variance[1:])
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -7,10 +7,10 @@ import laspy
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from scan_scenes.things import make_field
 
 import bumpymap
-from bumpymap.core import NO_CLASS, PolarSettings, Scan, UsageError, sector_bounds
-from bumpymap.lab.worlds.scans.things import make_field
+from bumpymap.core import NO_CLASS, Scan, UsageError, sector_bounds
 from bumpymap.rating import find_calibration
 from bumpymap.scan import ScanConfig, polar_sectors, scan_frames
 from bumpymap.scan.methods import SectorRater
@@ -111,13 +111,6 @@ def test_nothing_is_known_where_there_is_no_ground(points, rater):
     assert (np.isnan(ride.c_r) == (ride.class_id == NO_CLASS)).all()
 
 
-def test_the_same_points_give_the_same_bits(points, rater):
-    stack = polar_sectors(Scan(points))
-    one, other = rater(Scan(points), stack), SectorRater(find_calibration("warthog"))(Scan(points), stack)
-    assert one.c_r.tobytes() == other.c_r.tobytes()
-    assert one.c_r_high.tobytes() == other.c_r_high.tobytes()
-
-
 def test_a_run_writes_what_the_classifier_returns(points, tmp_path):
     np.column_stack([points, np.zeros(len(points))]).astype("<f4").tofile(tmp_path / "a.bin")
     config = ScanConfig(
@@ -141,14 +134,6 @@ def test_a_run_writes_what_the_classifier_returns(points, tmp_path):
     np.testing.assert_allclose(
         [math.nan if each["properties"]["c_r"] is None else each["properties"]["c_r"] for each in features], c_r, 1e-6
     )
-
-
-def test_without_a_vehicle_nothing_is_told(points):
-    result = bumpymap.classify_scan(points)
-    assert result.sectors.ride is None
-    assert np.isnan(result.sector_c_r).all()
-    assert (result.sector_ride_class == NO_CLASS).all()
-    assert result.sectors.sectors.settings == PolarSettings()
 
 
 def test_settings_that_contradict_the_vehicle():

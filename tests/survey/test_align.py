@@ -8,10 +8,9 @@ import pyarrow.parquet as pq
 import pytest
 from alike_surveys import alike_surveys
 from click.testing import CliRunner
-from small_surveys import write_las
+from small_surveys import layers_of, write_las
 
 from bumpymap.cli import main
-from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.survey.engine.collector import Checkpoints
 
 pytestmark = pytest.mark.slow
@@ -44,10 +43,6 @@ def mapped(out, *words):
         result = CliRunner().invoke(main, ["map", "--out", str(out), *map(str, words)])
     assert result.exit_code == 0, result.output
     return result.output
-
-
-def layers_of(out):
-    return {name: (out / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def lines_of(out):

@@ -105,19 +105,6 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 
-@pytest.mark.later
-def test_map_on_a_cluster_refuses_one_that_changes_while_it_is_read(survey, tmp_path, monkeypatch, dask_scheduler):
-    original = ResultCollector.add
-
-    def add(self, result):
-        again(survey, lambda path: write_survey(path, lift=5.0))
-        original(self, result)
-
-    monkeypatch.setattr(ResultCollector, "add", add)
-    out = tmp_path / "layers"
-    refused(run("map", survey, "--out", out, "--set", f"scheduler={dask_scheduler}"), survey, out)
-
-
 def test_info_refuses_it_too(lifted_when_read):
     result = run("info", lifted_when_read)
     assert result.exit_code == 3

@@ -13,7 +13,7 @@ import pytest
 import rasterio
 from made_quarry import QuarrySite
 from pyproj import CRS
-from small_surveys import run, write_las
+from small_surveys import layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
@@ -74,10 +74,6 @@ def test_run_json_tells_what_made_the_layers(layers, survey):
     assert record["vehicle"] == {"name": "warthog", "speed_mps": 1.0} | outline
 
 
-def product_bytes(folder):
-    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
-
-
 def test_a_survey_in_feet_gives_the_tiles_of_the_same_survey_in_metres(site, tmp_path):
     x, y, z = site
     in_feet = (1_600_000, 13_000_000, 0)
@@ -114,19 +110,23 @@ def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
         with rasterio.open(tmp_path / ground / "class.tif") as raster:
             under[ground] = raster.read(1)[7, 2]
     assert under["auto"] == under["class"] < under["all"] == 3
-    assert product_bytes(tmp_path / "auto") == product_bytes(tmp_path / "class")
+    assert layers_of(tmp_path / "auto") == layers_of(tmp_path / "class")
+    bare = write_las(tmp_path / "bare.laz", x, y, z, classification=np.full(len(x), 5, np.uint8))
+    refused = run("map", bare, "--out", tmp_path / "bare", "--ground", "class")
+    assert refused.exit_code == 3
+    assert "no point of the survey has class 2" in refused.output
 
 
 def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):
-    before = product_bytes(layers)
+    before = layers_of(layers)
     refused = run("map", survey, "--out", layers, "--ground", "all", "--tile-size", 3.0)
     assert refused.exit_code == 3
     assert "ground was auto, is all\n" in refused.output
     assert "tile_size" not in refused.output
     assert "--overwrite" in refused.output
-    assert product_bytes(layers) == before
+    assert layers_of(layers) == before
     assert run("map", survey, "--out", layers, "--overwrite").exit_code == 0
-    assert product_bytes(layers) == before
+    assert layers_of(layers) == before
 
 
 def inodes(folder):
@@ -234,7 +234,7 @@ def test_products_that_are_links_are_replaced_and_not_followed(survey, layers, t
     done = run("map", survey, "--out", out, "--overwrite")
     assert done.exit_code == 0, done.output
     assert inodes(mine) == before
-    assert product_bytes(real) == product_bytes(layers)
+    assert layers_of(real) == layers_of(layers)
     assert not [path for path in real.iterdir() if path.is_symlink()]
 
 
@@ -303,7 +303,7 @@ def test_bad_files_among_good_ones(survey, layers, tmp_path):
     result = run("map", tmp_path, "--out", tmp_path / "out", "--crs", "EPSG:32614", "--skip-bad")
     assert result.exit_code == 4, result.output
     assert "cut.laz" in result.output
-    assert product_bytes(tmp_path / "out") == product_bytes(layers)
+    assert layers_of(tmp_path / "out") == layers_of(layers)
     assert len(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == 10
 
 
@@ -311,7 +311,7 @@ def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
     file = tmp_path / "site.toml"
     file.write_text(f'surveys = ["{survey}"]\nout = "layers"\n')
     assert run("map", "--config", file).exit_code == 0
-    assert product_bytes(tmp_path / "layers") == product_bytes(layers)
+    assert layers_of(tmp_path / "layers") == layers_of(layers)
     assert run("map", "--config", file, "--out", tmp_path / "elsewhere").exit_code == 0
     assert (tmp_path / "elsewhere" / "class.tif").exists()
 
@@ -338,15 +338,18 @@ def test_an_empty_path_is_not_the_current_folder(survey, tmp_path, monkeypatch):
 def demo(tmp_path_factory):
     """What the demo makes of the sample survey."""
     out = tmp_path_factory.mktemp("demo")
-    result = run("demo", "--survey", QUARRY, "--out", out)
+    result = run("demo", "--out", out)
     assert result.exit_code == 0, result.output
     return out
 
 
 def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
-    result = run("demo", "--survey", QUARRY, "--out", demo)
+    result = run("demo", "--out", demo)
     assert result.exit_code == 0, result.output
     assert str(demo / "layers" / "map.qgs") in result.output
+    assert (demo / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
+    refused = run("demo", "--out", QUARRY)
+    assert (refused.exit_code, "cannot write the survey" in refused.output) == (3, True)
     assert str(demo / "layers" / "report.html") in result.output
     with rasterio.open(demo / "layers" / "class.tif") as raster:
         assert raster.crs.to_epsg() == 32632
@@ -355,17 +358,6 @@ def test_the_demo_maps_the_sample_survey_and_runs_twice(demo):
 
 
 @pytest.mark.later
-def test_the_demo_copies_the_survey_that_comes_with_bumpymap(tmp_path):
-    assert run("demo", "--out", tmp_path / "demo", "--quiet").exit_code == 0
-    assert (tmp_path / "demo" / "survey" / "quarry.laz").read_bytes() == QUARRY.read_bytes()
-    counts = json.loads((tmp_path / "demo" / "layers" / "run.json").read_text())["counts"]
-    assert counts["points"] == 1_228_501 + 4  # ground, and the strays among it
-    (tmp_path / "file").write_text("in the way", encoding="utf-8")
-    refused = run("demo", "--out", tmp_path / "file")
-    assert refused.exit_code == 3
-    assert "cannot write the survey" in refused.output
-
-
 def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
     with rasterio.open(demo / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
@@ -389,13 +381,6 @@ def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path)
     result = run("map", nowhere, "--out", out, "--overwrite", "--crs", "IAU_2015:49910")
     assert result.exit_code == 3, result.output
     assert {path.name: path.read_bytes() for path in out.iterdir()} == before
-
-
-LAYERS = ("roughness.tif", "class.tif", "cost.tif", "heightmap.tif", "tiles.parquet", "cost.geojson", "cost.fgb")
-
-
-def layers_of(folder):
-    return [(folder / name).read_bytes() for name in LAYERS]
 
 
 @pytest.fixture

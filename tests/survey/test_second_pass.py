@@ -97,10 +97,6 @@ def test_an_added_column_replaces_one_of_the_same_name(tmp_path, tiles):
     np.testing.assert_array_equal(table.read(("number",))["number"], before.read(("number",))["number"] + 1)
     assert table.window == before.window
     assert table.tiles == before.tiles
-    key = next(iter(table.pack_of))
-    assert set(table.pack_of[key].read(key, ("number",))) == {"number"}
-    assert set(table.pack_of[key].read(key, ("col", "height"))) == {"col", "height"}
-    assert BLOCK_TILES == 16
 
 
 def test_blocks_that_are_left_are_left_as_a_whole(tmp_path, tiles):

@@ -11,7 +11,6 @@ from small_surveys import write_las, write_survey
 import bumpymap
 from bumpymap.cli import main
 from bumpymap.layers import map_facts, placement, sheets as writing, write_products
-from bumpymap.layers.sheet_paths import sheet_folders
 
 SIDE = 0.096
 """km: two blocks of 16 tiles of 3 m."""
@@ -114,12 +113,6 @@ def test_the_output_folder_may_be_a_link(survey, whole, tmp_path, settings):
     assert done.manifest["counts"] == whole.manifest["counts"]
 
 
-@pytest.mark.later
-def test_a_cluster_makes_the_same_sheets(survey, whole, tmp_path, dask_scheduler):
-    bumpymap.map_survey(survey, tmp_path / "out", sheets=SIDE, scheduler=dask_scheduler)
-    assert_same_pixels(tmp_path / "out", whole.folder)
-
-
 def test_a_sheet_names_the_files_that_it_was_made_from(tmp_path):
     for number, east in enumerate((500_010.0, 501_010.0)):
         _write_points(tmp_path / "site" / f"part_{number}.las", np.array([east]), 4_000_002.0)
@@ -149,28 +142,17 @@ def _write_points(path, east, north):
     write_las(path, x, y, np.full(x.shape, 7.0))
 
 
-class TestCommandLine:
-    def test_the_option_and_the_settings_file(self, survey, tmp_path):
-        settings = tmp_path / "site.toml"
-        settings.write_text(f"sheets = {SIDE}\n")
-        for number, words in enumerate((["--sheets", str(SIDE)], ["--config", str(settings)])):
-            done = CliRunner().invoke(main, ["map", str(survey), "--out", str(tmp_path / str(number)), *words])
-            assert done.exit_code == 0, done.output
-            assert f"Layers of {len(sheet_folders(tmp_path / str(number)))} sheets in" in done.output
-        told = json.loads((tmp_path / "0" / "run.json").read_text())["settings"]["sheets"]
-        assert told == SIDE
-
-    @pytest.mark.parametrize("quick", [[], ["--quick"]])
-    def test_info_says_that_a_site_needs_sheets(self, tmp_path, quick):
-        """40 km x 40 km."""
-        _write_points(tmp_path / "south.las", np.array([500_010.0, 540_010.0]), 4_000_002.0)
-        _write_points(tmp_path / "north.las", np.array([500_010.0]), 4_040_002.0)
-        both = CliRunner().invoke(main, ["info", str(tmp_path), *quick])
-        assert "one map: bumpymap map" in both.output
-        assert "--sheets 5 --out DIR" in both.output
-        assert "--sheets 5 writes it in several folders" in both.output
-        told = json.loads(CliRunner().invoke(main, ["info", str(tmp_path), *quick, "--json"]).stdout)
-        assert told["sheets_km"] == 5
-        assert [file["sheets_km"] for file in told["files"]] == [None, None]
-        one = CliRunner().invoke(main, ["info", str(tmp_path / "south.las"), *quick])
-        assert "--sheets" not in one.output
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+def test_info_says_that_a_site_needs_sheets(tmp_path, quick):
+    """40 km x 40 km."""
+    _write_points(tmp_path / "south.las", np.array([500_010.0, 540_010.0]), 4_000_002.0)
+    _write_points(tmp_path / "north.las", np.array([500_010.0]), 4_040_002.0)
+    both = CliRunner().invoke(main, ["info", str(tmp_path), *quick])
+    assert "one map: bumpymap map" in both.output
+    assert "--sheets 5 --out DIR" in both.output
+    assert "--sheets 5 writes it in several folders" in both.output
+    told = json.loads(CliRunner().invoke(main, ["info", str(tmp_path), *quick, "--json"]).stdout)
+    assert told["sheets_km"] == 5
+    assert [file["sheets_km"] for file in told["files"]] == [None, None]
+    one = CliRunner().invoke(main, ["info", str(tmp_path / "south.las"), *quick])
+    assert "--sheets" not in one.output

@@ -10,7 +10,8 @@ from small_surveys import run, write_las
 
 import bumpymap
 from bumpymap.core import UsageError
-from bumpymap.survey.batch.source import read_table
+
+pytestmark = pytest.mark.slow
 
 NAMES = tuple(f"{name}_{speed}" for speed in ("0.5", "1", "2") for name in ("c_r", "c_roll", "a_w"))
 
@@ -42,7 +43,6 @@ def bands(path):
         return dict(zip(file.descriptions, file.read(), strict=True))
 
 
-@pytest.mark.slow
 def test_the_other_layers_keep_their_bytes(maps):
     same = [path.name for path in (maps / "plain").glob("*.tif")]
     assert len(same) == 9
@@ -50,7 +50,6 @@ def test_the_other_layers_keep_their_bytes(maps):
     assert not (maps / "plain" / "speeds.tif").exists()
 
 
-@pytest.mark.slow
 def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
     for name, own in (("speeds", "c_r_1"), ("fast", "c_r_2")):
         felt, map_bands = bands(maps / name / "speeds.tif"), bands(maps / name / "roughness.tif")
@@ -58,7 +57,6 @@ def test_at_the_speed_of_the_map_c_r_is_that_of_the_map(maps):
         np.testing.assert_array_equal(felt[own], map_bands["c_r"])
 
 
-@pytest.mark.slow
 def test_every_rated_tile_has_all_values(maps):
     felt, c_r = bands(maps / "speeds" / "speeds.tif"), bands(maps / "speeds" / "roughness.tif")["c_r"]
     thin = bands(maps / "speeds" / "roughness.tif")["coverage"] < 0.25
@@ -70,14 +68,12 @@ def test_every_rated_tile_has_all_values(maps):
     assert (felt["a_w_1"] > felt["a_w_0.5"])[known].all()
 
 
-@pytest.mark.slow
 def test_rubble_rolls_and_lifts_more_than_smooth_ground(maps):
     felt = bands(maps / "speeds" / "speeds.tif")
     for name in ("c_roll_1", "a_w_1"):
         assert np.nanmedian(felt[name][:, 6:]) > 3 * np.nanmedian(felt[name][:, :4])
 
 
-@pytest.mark.slow
 def test_one_map_tells_the_same_as_two(maps):
     """C_r at 2 m/s is the same, whether the map is made at 1 m/s or at 2; tiles of few points and steps nearly."""
     slow, fast = bands(maps / "speeds" / "speeds.tif")["c_r_2"], bands(maps / "fast" / "roughness.tif")["c_r"]
@@ -86,7 +82,6 @@ def test_one_map_tells_the_same_as_two(maps):
     assert np.nanmax(error) < 0.25
 
 
-@pytest.mark.slow
 def test_layers_say_their_speed_and_fail_as_before(maps):
     with rasterio.open(maps / "fast" / "class.tif") as file:
         tags = file.tags()
@@ -99,7 +94,6 @@ def test_layers_say_their_speed_and_fail_as_before(maps):
     np.testing.assert_allclose(fast[dense], slow[dense], rtol=1e-5)
 
 
-@pytest.mark.slow
 def test_they_open_in_python(maps):
     pytest.importorskip("rioxarray")
     speeds = bumpymap.open(maps / "speeds").speeds()
@@ -112,7 +106,6 @@ def test_they_open_in_python(maps):
         bumpymap.open(maps / "plain").speeds()
 
 
-@pytest.mark.slow
 def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp_path):
     assert run("map", survey, "--out", tmp_path / "out", "--set", "speeds=2").exit_code == 0
     assert (tmp_path / "out" / "speeds.tif").exists()
@@ -125,7 +118,6 @@ def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp
     assert not list(Path(tmp_path / "out").glob("speeds*"))
 
 
-@pytest.mark.slow
 def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tmp_path):
     made = run("map", survey, "--out", tmp_path / "out", "--set", "speeds=0.5,1,2", "--sheets", "0.048")
     assert made.exit_code == 0, made.output
@@ -153,9 +145,3 @@ def test_speeds_that_cannot_be_are_refused(survey, tmp_path, options, said):
     assert made.exit_code == 2
     assert said in made.output
     assert not (tmp_path / "out").exists()
-
-
-def test_a_table_of_a_batch_takes_speeds(tmp_path):
-    (tmp_path / "a.laz").touch()
-    ((_, _, settings),) = read_table("survey,speed,speeds\na.laz,0.5,0.5 1 2\n", "list.csv", tmp_path)
-    assert settings == {"speed": 0.5, "speeds": (0.5, 1.0, 2.0)}

@@ -109,18 +109,3 @@ def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(
         words = ["map", str(folder), "--out", str(tmp_path / "again"), "--skip-bad"]
         assert CliRunner().invoke(main, words).exit_code == 130
     assert record("again")["survey"] == run["survey"]
-
-
-@pytest.mark.later
-def test_a_cluster_changes_nothing_of_it(tmp_path, dask_scheduler):
-    survey = dated(tmp_path / "site.laz", date(2021, 2, 28))
-    records = []
-    for name, options in {"alone": (), "cluster": ("--set", f"scheduler={dask_scheduler}")}.items():
-        result = CliRunner().invoke(main, ["map", str(survey), "--out", str(tmp_path / name), *options])
-        assert result.exit_code == 0, result.output
-        records.append(json.loads((tmp_path / name / "run.json").read_text()))
-    first, second = (record["survey"] for record in records)
-    assert first == second
-    assert first == {
-        "name": "site", "checksum": records[0]["inputs"][0]["checksum"], "dates": ["2021-02-28", "2021-02-28"],
-    }  # fmt: skip

@@ -4,7 +4,6 @@ import json
 import shutil
 
 import pytest
-import rasterio
 from small_surveys import run, write_survey
 
 from bumpymap.layers.products import VIEW_NAMES
@@ -59,16 +58,6 @@ def test_views_that_were_deleted_are_not_missed(survey, viewed):
     result = run("map", survey, "--out", viewed, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout.splitlines()[-1])["already_done"]
-
-
-def test_ways_are_planned_over_them(viewed, tmp_path):
-    with rasterio.open(viewed / "barred.tif") as raster:
-        rows, cols = (raster.read(1) == 0).nonzero()
-        start, goal = (raster.xy(rows[at], cols[at]) for at in (0, -1))
-    ends = ["--from", f"{start[0]},{start[1]}", "--to", f"{goal[0]},{goal[1]}"]
-    result = run("route", viewed, *ends, "--out", tmp_path / "way")
-    assert result.exit_code == 0, result.output
-    assert (tmp_path / "way" / "route.geojson").exists()
 
 
 def test_overwriting_brings_the_styles_back(survey, mapped, viewed):

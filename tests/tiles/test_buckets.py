@@ -1,7 +1,5 @@
 """Whatever waits in memory or on disk, and in whatever order it came: the same blocks come out."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -90,22 +88,6 @@ def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets, together):
     assert flat(again.blocks()) == flat(plain.blocks())
 
 
-def test_a_pack_covers_whole_lots_one_after_another(tmp_path):
-    buckets = TileBuckets(GRID, MemoryLimits(26 * 300, 10_000, tmp_path))
-    columns = survey(1)
-    for lot, chunk in enumerate(chunks(columns, 100)):
-        add(buckets, chunk, lot // 2)
-    while not buckets.is_empty:
-        buckets.spill()
-    buckets.wait()
-    spans = [(pack.meta["first"], pack.meta["last"]) for pack in buckets.packs]
-    assert spans[0][0] == 0
-    assert spans[-1][1] == 9
-    assert all(after[0] == before[1] + 1 for before, after in itertools.pairwise(spans))
-    again = TileBuckets(GRID, packs=[Pack(pack.path) for pack in buckets.packs])
-    assert flat(again.blocks()) == in_memory(columns)
-
-
 def test_what_is_not_final_can_be_dropped(tmp_path):
     good, bad = survey(2, 500), survey(3, 1500)
     buckets = TileBuckets(GRID, MemoryLimits(26 * 200, 10_000, tmp_path))
@@ -171,20 +153,13 @@ def test_one_tile_too_large_for_memory_says_so(tmp_path):
         list(buckets.blocks())
 
 
-def test_marks_count_tiles_and_flagged_tiles():
-    buckets = TileBuckets(GRID)
-    buckets.add(np.array([0.5, 1.0, 3.5, 6.5]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
-    assert buckets.marks((0, 0)) == (3, 2)
-    assert buckets.points((0, 0)) == 4
-
-
 def test_points_far_apart_are_grouped_too():
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-2e9, 2e9, (2, 50))
     grouped = group_points(GRID, x, y, np.arange(50.0), np.zeros(50, bool))
     assert grouped.keys == sorted(grouped.keys)
     for place, (row, col) in enumerate(grouped.keys):
-        part = grouped.block(place)
+        part = grouped.block(place, ("easting", "northing"))
         assert np.all(GRID.index(part.columns["easting"]) // 16 == col)
         assert np.all(GRID.index(part.columns["northing"]) // 16 == row)
     assert sorted(grouped.points["upward"].tolist()) == list(range(50))

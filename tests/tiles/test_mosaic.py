@@ -2,16 +2,14 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpytiles import BLOCK_TILES, Column, Grid, Pack, PackError, PackWriter, TileTable, TileWindow
+from bumpytiles import BLOCK_TILES, Column, Grid, Pack, PackError, TileTable, TileWindow, write_pack
 
 COLUMNS = (Column("col", "<i8"), Column("row", "<i8"), Column("value", "<f4", (2,)))
 
 
 def write(path, blocks, meta=None):
-    with PackWriter(path, COLUMNS, meta or {}) as writer:
-        for key, columns in blocks.items():
-            halves = {name: (array[:1], array[1:]) for name, array in columns.items()}
-            writer.add(key, len(columns["col"]), halves)
+    rows = {key: len(columns["col"]) for key, columns in blocks.items()}
+    write_pack(path, COLUMNS, rows, lambda column: [block[column.name] for block in blocks.values()], meta or {})
     return Pack(path)
 
 
@@ -36,60 +34,39 @@ def test_a_pack_gives_back_what_was_written(pack):
     assert pack.read((0, 0), ["row"], 1, 2)["row"].tolist() == [4]
 
 
-def test_blocks_read_together_are_those_read_one_by_one(tmp_path, monkeypatch):
+def test_blocks_are_read_together_in_any_order_from_any_packs(tmp_path):
     rng = np.random.default_rng(1)
-    sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2]
+    sizes = [1, 2, 300, 1, 1, 0, 3, 40, 1, 2, 5, 1]
     blocks = {
         (number // 4 - 1, number % 4 - 2): columns_of(rng.integers(0, 99, (n, 2))) for number, n in enumerate(sizes)
     }
-    pack = write(tmp_path / "a.pack", blocks)
-    assert pack.counts() == [pack.rows(key) for key in pack.keys]
-    keys = [list(blocks)[number] for number in rng.permutation(len(blocks))]
-    monkeypatch.setattr("bumpytiles.pack._SMALL", 500)  # some blocks are large,
-    monkeypatch.setattr("bumpytiles.pack._SPAN", 64)  # and some pieces end between blocks
-    for names in (["row", "value"], ["col"]):
-        found = pack.read_blocks(keys, names)
-        assert list(found) == names
-        for name in names:
-            np.testing.assert_array_equal(found[name], np.concatenate([pack.read(key, names)[name] for key in keys]))
-    with pytest.raises(KeyError):
-        pack.read_blocks([keys[0], (7, 7)], ["row"])
+    packs = [write(tmp_path / str(first), dict(list(blocks.items())[first::3])) for first in range(3)]
+    table = TileTable(Grid(), packs)
+    for number in range(20):
+        keys = [key for key in blocks if len(blocks[key]["col"])]
+        keys = [keys[n] for n in rng.permutation(len(keys))[: 1 + number]] if number else keys
+        for names in (["row", "value"], ["col"]):
+            found = table.read_blocks(keys, names)
+            assert list(found) == names
+            for name in names:
+                np.testing.assert_array_equal(found[name], np.concatenate([blocks[key][name] for key in keys]))
 
 
-def test_columns_kept_in_memory_are_those_of_the_packs(tmp_path, monkeypatch):
-    rng = np.random.default_rng(2)
-    place = rng.permutation(60 * 60)[:500]
-    tiles = columns_of(np.stack([place % 60 - 30, place // 60 - 30], axis=1))
-    by_block = {}
-    for n, key in enumerate(zip(tiles["row"] // BLOCK_TILES, tiles["col"] // BLOCK_TILES, strict=True)):
-        by_block.setdefault(key, []).append(n)
-    table = TileTable(
-        Grid(), [write(tmp_path / "a.pack", {k: {m: a[n] for m, a in tiles.items()} for k, n in by_block.items()})]
-    )
-    for window in (None, TileWindow(-7, -20, 30, 21), TileWindow(90, 90, 3, 3)):
-        kept = table.read(("row", "value"), window)
-        with monkeypatch.context() as patch:
-            patch.setattr("bumpytiles.tile_table._KEPT_TILES", 0)
-            read = table.read(("row", "value"), window)
-        for name in ("col", "row", "value"):
-            np.testing.assert_array_equal(kept[name], read[name])
-        np.testing.assert_array_equal(kept["value"], np.stack([kept["col"], kept["row"]], axis=1))
-
-
-def test_blocks_written_together_make_the_same_file(tmp_path):
-    blocks = {(0, 3): columns_of([(1, 2), (3, 4)]), (0, 4): columns_of([]), (5, -1): columns_of([(5, 6)])}
-    apart = write(tmp_path / "a.pack", blocks)
-    joined = {name: np.concatenate([block[name] for block in blocks.values()]) for name in ("col", "row", "value")}
-    with PackWriter(tmp_path / "b.pack", COLUMNS, {}) as writer:
-        writer.add_blocks(list(blocks), [2, 0, 1], joined)
-    assert (tmp_path / "b.pack").read_bytes() == apart.path.read_bytes()
-    with pytest.raises(ValueError, match="has shape"), PackWriter(tmp_path / "c", COLUMNS, {}) as writer:
-        writer.add_blocks(list(blocks), [2, 0, 2], joined)
+def test_added_columns_join_those_that_are_there_and_take_the_place_of_their_names(tmp_path):
+    table = TileTable.of(Grid(), columns_of([(1, 2), (3, 4), (33, -5)]))
+    more = (Column("value", "<i8"), Column("own", "|u1"))
+    own = {"value": np.array([5, 6, 7]), "own": np.array([1, 2, 3])}
+    write_pack(tmp_path / "b", more, {(-1, 2): 1, (0, 0): 2}, lambda column: [own[column.name]], {})
+    found = table.with_columns([Pack(tmp_path / "b")]).read(["own", "value"])
+    assert {name: values.tolist() for name, values in found.items()} == {
+        "col": [3, 1, 33], "row": [4, 2, -5], "own": [3, 2, 1], "value": [7, 6, 5],
+    }  # fmt: skip
 
 
 def test_a_pack_appears_whole_or_not_at_all(tmp_path):
-    with pytest.raises(ValueError, match="rows need"), PackWriter(tmp_path / "a", COLUMNS, {}) as writer:
-        writer.add((0, 0), 5, {name: [array] for name, array in columns_of([(1, 2)]).items()})
+    columns = columns_of([(1, 2)])
+    with pytest.raises(ValueError, match="rows need"):
+        write_pack(tmp_path / "a", COLUMNS, {(0, 0): 5}, lambda column: [columns[column.name]], {})
     assert list(tmp_path.iterdir()) == []
 
 
@@ -118,36 +95,13 @@ tiles = st.sets(st.tuples(st.integers(-40, 40), st.integers(-40, 40)), min_size=
 def test_a_window_of_a_mosaic_is_a_window_of_all_tiles(chosen, col, row, cols, rows):
     table = TileTable.of(Grid(), columns_of(sorted(chosen)))
     assert table.tiles == len(chosen)
+    assert table.window == TileWindow.around(*np.array(sorted(chosen)).T)
     window = TileWindow(col, row, cols, rows)
     inside = [(c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows]
     expected = sorted(inside, key=lambda tile: (-tile[1], tile[0]))
     found = table.read(["value"], window)
     assert list(zip(found["col"].tolist(), found["row"].tolist(), strict=True)) == expected
     assert found["value"].tolist() == [list(tile) for tile in expected]
-
-
-@given(tiles, st.integers(1, 600))
-def test_strips_hold_each_tile_once(chosen, most):
-    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
-    held = []
-    for strip in table.strips(most):
-        found = table.read([], strip)
-        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
-        blocks = {(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in held[-len(found["col"]) :]}
-        assert len(found["col"]) <= most or len(blocks) == 1
-    assert sorted(held) == sorted(chosen)
-
-
-@given(tiles)
-def test_the_window_of_a_mosaic_is_tight(chosen):
-    col, row = np.array(sorted(chosen)).T
-    assert TileTable.of(Grid(), columns_of(sorted(chosen))).window == TileWindow.around(col, row)
-
-
-def test_packs_join(tmp_path):
-    first = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)])})
-    second = write(tmp_path / "b", {(0, 1): columns_of([(17, 2)])})
-    assert TileTable(Grid(), [first, second]).read([])["col"].tolist() == [1, 17]
 
 
 def test_a_mosaic_without_tiles_is_refused():
@@ -171,8 +125,10 @@ def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, 
     held, corners = [], []
     for strip in table.strips(most, window):
         found = table.read([], strip)
-        held += list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        here = list(zip(found["col"].tolist(), found["row"].tolist(), strict=True))
+        held += here
         corners.append((-strip.row, strip.col))
+        assert len(here) <= most or len({(c // BLOCK_TILES, r // BLOCK_TILES) for c, r in here}) == 1
     assert corners == sorted(corners)
     assert sorted(held) == sorted((c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows)
     assert table.holds(window) >= bool(held)

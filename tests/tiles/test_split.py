@@ -59,12 +59,6 @@ def test_every_point_is_in_its_own_tile_and_none_is_lost():
     assert sorted(seen) == sorted(set(zip(*columns, strict=True)))
 
 
-def test_tiles_come_once():
-    blocks = gather(survey(4), np.arange(3000), [])
-    tiles = [(int(c), int(r)) for block in blocks for c, r in zip(block.col, block.row, strict=True)]
-    assert len(tiles) == len(set(tiles))
-
-
 def test_exact_duplicates_count_once_and_a_flagged_twin_wins():
     columns = survey(5, duplicates=500)
     distinct = set(zip(*columns[:3], strict=True))
@@ -145,18 +139,12 @@ def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
     assert Scaling.of(scaling.numbers().tolist()) == scaling
 
 
-def test_the_window_holds_every_tile():
-    buckets = TileBuckets(GRID)
-    buckets.add(np.array([-1.0, 200.0]), np.array([5.0, -50.0]), np.zeros(2), np.zeros(2, bool))
-    window = buckets.window()
-    assert (window.col, window.row, window.cols, window.rows) == (-16, -32, 96, 48)
-
-
-def test_share_of_flagged_tiles():
+def test_tiles_with_points_and_with_flagged_points_are_counted():
     buckets = TileBuckets(GRID)
     assert buckets.flagged_share() == 0.0
     buckets.add(np.array([0.5, 1.0, 3.5, 100.0]), np.zeros(4), np.zeros(4), np.array([True, False, False, True]))
     assert buckets.flagged_share() == 2 / 3
+    assert (buckets.marks((0, 0)), buckets.points((0, 0))) == ((2, 1), 3)
 
 
 def test_the_order_is_a_fair_sample():

@@ -20,14 +20,12 @@ from numpy.typing import NDArray
 from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceTrack, WheelTrack, atomic
+from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceTrack, atomic
 
 Floats = NDArray[np.float64]
 
 GRAVITY = 9.80665
 """m/s2."""
-_SAMPLED_HZ = 100.0
-"""Rate at which pitch motion is summed, as in the drives of a calibration."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,22 +49,6 @@ class TrueDrive:
     def time(self) -> Floats:
         """(n,) s."""
         return np.arange(len(self.place)) / self.rate_hz
-
-    @property
-    def sampled(self) -> tuple[Floats, Floats, Floats]:
-        """Time [s], way [m] and pitch motion [rad] since the start, at 100 Hz, as in the drives of a calibration."""
-        every = round(self.rate_hz / _SAMPLED_HZ)
-        steps = np.hypot(*np.diff(self.place[::every, :2], axis=0).T)
-        speed = np.abs(self.rates[::every, 1])
-        pitched = (speed[1:] + speed[:-1]) / 2 * every / self.rate_hz
-        way, turned = (np.concatenate([[0.0], np.cumsum(values)]) for values in (steps, pitched))
-        return self.time[::every], way, turned
-
-    def ride(self, start_s: Floats, end_s: Floats) -> tuple[Floats, Floats]:
-        """Return the true way [m] and C_r [rad/m] between times, each (m,); C_r is NaN without a way."""
-        time, way, pitched = self.sampled
-        metres, turned = (np.interp(end_s, time, total) - np.interp(start_s, time, total) for total in (way, pitched))
-        return metres, np.divide(turned, metres, out=np.full_like(metres, np.nan), where=metres > 0)
 
     def place_of(self, arm_m: tuple[float, float, float]) -> Floats:
         """Return the places (n, 3) of a sensor ``arm_m`` forward, left and up of the centre of mass, m."""
@@ -178,12 +160,6 @@ class GnssGrade:
     sample_hz: float = 10.0
     latency_s: float = 0.0
     """From the fix to its time stamp."""
-    gaps: int = 0
-    """Number of dropouts."""
-    gap_s: tuple[float, float] = (5.0, 20.0)
-    """Shortest and longest dropout."""
-    stated: bool = True
-    """Whether the receiver states its error."""
 
     @property
     def error_m(self) -> float:
@@ -223,7 +199,7 @@ class DriveSensors:
     """All sensors of a vehicle and how they are fitted."""
 
     imu: ImuGrade
-    gnss: GnssGrade | None
+    gnss: GnssGrade
     mount_deg: _Axes = (0.0, 0.0, 0.0)
     """Roll, pitch and yaw of the IMU in the vehicle: turned by yaw about up, then by pitch about left, then by roll."""
     imu_arm_m: _Axes = (0.0, 0.0, 0.0)
@@ -231,8 +207,6 @@ class DriveSensors:
     antenna_arm_m: _Axes = (0.0, 0.0, 0.0)
     clock: ClockFault = field(default_factory=ClockFault)
     vibration: Vibration | None = field(default_factory=Vibration)
-    wheels_hz: float | None = None
-    """Rate at which wheel speeds are recorded; None: they are not."""
 
 
 IMUS: Mapping[str, ImuGrade] = MappingProxyType(
@@ -245,20 +219,6 @@ IMUS: Mapping[str, ImuGrade] = MappingProxyType(
             cutoff_hz=80.0,
             jitter_s=0.0002,
         ),
-        "cheap": ImuGrade(
-            SensorGrade(0.011 * _DEG, 1.0 * _DEG, 0.05 * _DEG, _DEG / 131, 0.01, 0.007),
-            SensorGrade(400e-6 * GRAVITY, 15e-3 * GRAVITY, 2e-3 * GRAVITY, GRAVITY / 16384, 0.01, 0.007),
-            sample_hz=100.0,
-            cutoff_hz=42.0,
-            jitter_s=0.002,
-        ),
-        "cheap_unfiltered": ImuGrade(
-            SensorGrade(0.011 * _DEG, 1.0 * _DEG, 0.05 * _DEG, _DEG / 131, 0.01, 0.007),
-            SensorGrade(400e-6 * GRAVITY, 15e-3 * GRAVITY, 2e-3 * GRAVITY, GRAVITY / 16384, 0.01, 0.007),
-            sample_hz=100.0,
-            cutoff_hz=None,
-            jitter_s=0.002,
-        ),
     }
 )
 """Grades by name."""
@@ -266,12 +226,9 @@ GNSS: Mapping[str, GnssGrade] = MappingProxyType(
     {
         "perfect": GnssGrade(0.0, 0.0),
         "rtk": GnssGrade(white_m=0.015, slow_m=0.013, latency_s=0.05),
-        "sbas": GnssGrade(white_m=0.1, slow_m=0.8, latency_s=0.1),
-        "single": GnssGrade(white_m=0.25, slow_m=1.48, latency_s=0.15, gaps=1),
-        "worst": GnssGrade(white_m=0.5, slow_m=2.96, latency_s=0.2, gaps=2, stated=False),
     }
 )
-"""Receivers by name: errors of 2 cm, 0.8 m, 1.5 m and 3 m."""
+"""Receivers by name."""
 
 
 _WANDER_S = 100.0
@@ -281,24 +238,13 @@ _MOST_JITTER = 0.4
 """Largest error of a time stamp, in sample periods: stamps stay in order."""
 
 
-@dataclass(frozen=True, slots=True)
-class SensedImu:
-    """What an inertial sensor reads, and how much of it is not motion."""
-
-    track: ImuTrack
-    floor: Floats
-    """(n,) part of the rates about the vehicle's left axis that sensor and idle motors make, bias included, rad/s."""
-    delay_s: float
-    """By which the sensor's filter delays slow motion."""
-
-
 def mount_rotation(mount_deg: tuple[float, float, float]) -> Floats:
     """Return the rotation (3, 3) from the axes of a sensor, mounted at roll, pitch and yaw, to those of the vehicle."""
     roll, pitch, yaw = mount_deg
     return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix(), np.float64)
 
 
-def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> SensedImu:
+def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> ImuTrack:
     """Simulate the readings of the inertial sensor; the same generator state gives the same bits."""
     grade, mount = sensors.imu, mount_rotation(sensors.mount_deg)
     idle, moving = _vibration(drive, sensors.vibration, rng)
@@ -307,11 +253,9 @@ def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator)
     # Rows of vectors: v @ mount turns from the vehicle's axes to the sensor's.
     rates = (drive.rates + idle[0] + moving[0]) @ mount
     felt = (force + idle[1] + moving[1]) @ mount
-    read, added = _read(_sampled(rates, grade, drive, at), grade.rate, grade, rng)
-    felt, _ = _read(_sampled(felt, grade, drive, at), grade.acceleration, grade, rng)
-    floor = (added @ mount.T)[:, 1] + _sampled(idle[0], grade, drive, at)[:, 1]
-    delay = np.sqrt(2) / (2 * np.pi * grade.cutoff_hz) if grade.cutoff_hz else 0.0
-    return SensedImu(ImuTrack(stamp, read, felt), floor, float(delay))
+    read = _read(_sampled(rates, grade, drive, at), grade.rate, grade, rng)
+    felt = _read(_sampled(felt, grade, drive, at), grade.acceleration, grade, rng)
+    return ImuTrack(stamp, read, felt)
 
 
 def _vibration(
@@ -354,8 +298,8 @@ def _sampled(signal: Floats, grade: ImuGrade, drive: TrueDrive, at: Floats) -> F
     return np.stack([np.interp(at, drive.time, column) for column in signal.T], axis=1)
 
 
-def _read(signal: Floats, grade: SensorGrade, imu: ImuGrade, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return the digital readings of a signal (n, 3), and the part of them that does not depend on the signal."""
+def _read(signal: Floats, grade: SensorGrade, imu: ImuGrade, rng: np.random.Generator) -> Floats:
+    """Return the digital readings of a signal (n, 3)."""
     scale = np.eye(3) * (1 + grade.scale * rng.standard_normal(3))
     scale += grade.cross * rng.standard_normal((3, 3)) * (1 - np.eye(3))
     added = grade.bias * rng.standard_normal(3)
@@ -364,28 +308,20 @@ def _read(signal: Floats, grade: SensorGrade, imu: ImuGrade, rng: np.random.Gene
     read = signal @ scale + added
     if grade.step > 0:
         read = grade.step * np.round(read / grade.step)
-    return read, added
+    return np.asarray(read)
 
 
-def sense_places(drive: TrueDrive, sensors: DriveSensors, grade: GnssGrade, rng: np.random.Generator) -> PlaceTrack:
+def sense_places(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> PlaceTrack:
     """Simulate the fixes of a receiver, in the coordinates of the drive; time stamps are those of its own clock."""
+    grade = sensors.gnss
     at = np.arange(rng.uniform(0, 1 / grade.sample_hz), drive.time[-1], 1 / grade.sample_hz)
     true = drive.place_of(sensors.antenna_arm_m)
     shape = (len(at), 2)
     error = grade.white_m * rng.standard_normal(shape)
     error = error + grade.slow_m * slow_noise(rng, shape, grade.slow_s, grade.sample_hz)
     x, y = (np.interp(at, drive.time, true[:, axis]) + error[:, axis] for axis in (0, 1))
-    kept = _without_gaps(at, grade, rng)
-    stated = np.full(len(at), grade.error_m if grade.stated else np.nan)
     stamp = _on_clock(at + grade.latency_s, sensors.clock, drive)
-    return PlaceTrack(stamp[kept], x[kept], y[kept], stated[kept], "projected")
-
-
-def sense_wheels(drive: TrueDrive, sensors: DriveSensors, rate_hz: float) -> WheelTrack:
-    """Simulate wheel encoders on the clock of the positions."""
-    at = np.arange(0.0, drive.time[-1], 1 / rate_hz)
-    left, right = (np.interp(at, drive.time, drive.wheels[:, side]) for side in (0, 1))
-    return WheelTrack(_on_clock(at, sensors.clock, drive), (left + right) / 2, right - left)
+    return PlaceTrack(stamp, x, y, np.full(len(at), grade.error_m), "projected")
 
 
 def _on_clock(at: Floats, clock: ClockFault, drive: TrueDrive) -> Floats:
@@ -393,48 +329,13 @@ def _on_clock(at: Floats, clock: ClockFault, drive: TrueDrive) -> Floats:
     return np.asarray(at - clock.offset_s - 1e-6 * clock.drift_ppm * (at - drive.time[-1] / 2))
 
 
-def _without_gaps(at: Floats, grade: GnssGrade, rng: np.random.Generator) -> NDArray[np.bool_]:
-    """Return which fixes are left after dropouts at random times, not during the first and last tenth of the drive."""
-    kept = np.ones(len(at), np.bool_)
-    for _ in range(grade.gaps):
-        start, seconds = rng.uniform(0.1, 0.9) * at[-1], rng.uniform(*grade.gap_s)
-        kept &= (at < start) | (at >= start + min(seconds, 0.9 * at[-1] - start))
-    return kept
-
-
-_BAND_HZ = 10.0
-_START_S = 1_760_000_000.0
+START_S = 1_760_000_000.0
 """Time of the first sample: loggers write seconds since 1970."""
-
-
-@dataclass(frozen=True, slots=True)
-class SensorTruth:
-    """The true values of what can be found out about the sensors of a drive."""
-
-    clock_offset_s: float
-    """Time to add to the times of the positions for those of the IMU, in the middle of the drive: clock, latency of
-    the receiver and delay of the IMU's filter."""
-    clock_drift_ppm: float
-    mount_deg: tuple[float, float, float]
-    floor_radps: float
-    """Mean absolute pitch rate of sensor and idle motors below 10 Hz, rad/s."""
-    position_error_m: float
-    """Standard deviation, east and north each; NaN without positions."""
-
-
-@dataclass(frozen=True, slots=True)
-class SensedDrive:
-    """A drive log and its truth."""
-
-    log: DriveLog
-    truth: SensorTruth
-    start_s: float
-    """Time of the log at which the true motion begins."""
 
 
 def sense_drive(
     drive: TrueDrive, sensors: DriveSensors, seed: int, name: str = "simulated", crs: str | None = None
-) -> SensedDrive:
+) -> DriveLog:
     """Simulate the log of a drive; the same arguments give the same bits.
 
     Parameters
@@ -448,34 +349,14 @@ def sense_drive(
     """
     imu_stream, place_stream = np.random.SeedSequence(seed).spawn(2)
     imu = sense_imu(drive, sensors, np.random.default_rng(imu_stream))
-    places = (
-        None
-        if sensors.gnss is None
-        else sense_places(drive, sensors, sensors.gnss, np.random.default_rng(place_stream))
-    )
-    wheels = None if sensors.wheels_hz is None else sense_wheels(drive, sensors, sensors.wheels_hz)
-    latency = sensors.gnss.latency_s if sensors.gnss else 0.0
-    truth = SensorTruth(
-        clock_offset_s=sensors.clock.offset_s - latency + imu.delay_s,
-        clock_drift_ppm=sensors.clock.drift_ppm,
-        mount_deg=sensors.mount_deg,
-        floor_radps=_floor(imu, sensors.imu.sample_hz),
-        position_error_m=sensors.gnss.error_m if sensors.gnss else float("nan"),
-    )
-    log = DriveLog(
+    places = sense_places(drive, sensors, np.random.default_rng(place_stream))
+    return DriveLog(
         name=name,
         paths=(),
-        imu=replace(imu.track, time=imu.track.time + _START_S),
-        places=None if places is None else _geographic(replace(places, time=places.time + _START_S), crs),
-        wheels=None if wheels is None else replace(wheels, time=wheels.time + _START_S),
+        imu=replace(imu, time=imu.time + START_S),
+        places=_geographic(replace(places, time=places.time + START_S), crs),
+        wheels=None,
     )
-    return SensedDrive(log, truth, _START_S)
-
-
-def _floor(imu: SensedImu, rate_hz: float) -> float:
-    """Return the mean absolute reading below 10 Hz without its mean."""
-    sos = butter(4, _BAND_HZ, fs=rate_hz, output="sos")
-    return float(np.abs(sosfiltfilt(sos, imu.floor - imu.floor.mean())).mean())
 
 
 def _geographic(places: PlaceTrack, crs: str | None) -> PlaceTrack:
@@ -492,24 +373,16 @@ _IMU = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y
 _PLACES = {
     "lonlat": ("time [s],longitude [deg],latitude [deg],horizontal_error [m]", "%.9f"),
     "projected": ("time [s],easting [m],northing [m],horizontal_error [m]", "%.4f"),
-    "local": ("time [s],x [m],y [m],horizontal_error [m]", "%.4f"),
 }
-_WHEELS = "time [s],speed_left [m/s],speed_right [m/s]"
 
 
 def write_drive_files(log: DriveLog, folder: Path) -> list[Path]:
-    """Write a log as NAME_imu.csv, NAME_gnss.csv and NAME_wheels.csv, the latter two if there are such readings."""
+    """Write a log as NAME_imu.csv and NAME_gnss.csv."""
     columns = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
-    files = [_write(folder / f"{log.name}_imu.csv", _IMU, columns, ["%.6f"] * 7)]
-    if log.places is not None:
-        header, form = _PLACES[log.places.kind]
-        columns = np.column_stack([log.places.time, log.places.x, log.places.y, log.places.error])
-        files.append(_write(folder / f"{log.name}_gnss.csv", header, columns, ["%.6f", form, form, "%.3f"]))
-    if log.wheels is not None:
-        half = log.wheels.difference / 2
-        columns = np.column_stack([log.wheels.time, log.wheels.speed - half, log.wheels.speed + half])
-        files.append(_write(folder / f"{log.name}_wheels.csv", _WHEELS, columns, ["%.6f"] * 3))
-    return files
+    imu = _write(folder / f"{log.name}_imu.csv", _IMU, columns, ["%.6f"] * 7)
+    header, form = _PLACES[log.places.kind]
+    columns = np.column_stack([log.places.time, log.places.x, log.places.y, log.places.error])
+    return [imu, _write(folder / f"{log.name}_gnss.csv", header, columns, ["%.6f", form, form, "%.3f"])]
 
 
 def _write(path: Path, header: str, columns: Floats, form: list[str]) -> Path:

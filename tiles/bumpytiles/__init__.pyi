@@ -38,12 +38,12 @@ from .native import (
 from .pack import (
     BlockKey as BlockKey,
     Column as Column,
-    JoinedPack as JoinedPack,
     Pack as Pack,
     PackError as PackError,
-    PackWriter as PackWriter,
+    write_pack as write_pack,
 )
 from .run import (
+    grouped_blocks as grouped_blocks,
     run_blocks as run_blocks,
 )
 from .scaling import (

@@ -5,7 +5,7 @@ finished. One of which little is left, such as a coarse node of an octree that c
 border of a region that is not read yet, can be copied without the rest.
 """
 
-from collections.abc import Collection, Iterable, Iterator, KeysView
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,127 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpytiles._group_kernels import BLOCK_TILES
-from bumpytiles.grid import Grid, TileWindow
+from bumpytiles.grid import Grid
 from bumpytiles.grouping import GroupedPoints, PointPart, TilePoints, columns_of, group_points, sort_block
-from bumpytiles.pack import BlockKey, Pack, PackWriter
+from bumpytiles.pack import BlockKey, Column, Pack, write_pack
 from bumpytiles.scaling import Scaling
 
-__all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError", "WaitingChunk", "WaitingPoints"]
-
-
-class WaitingChunk:
-    """A chunk in memory.
-
-    Parameters
-    ----------
-    number : int
-    points : GroupedPoints
-    done : collection of BlockKey
-        Blocks whose points are not needed.
-    """
-
-    __slots__ = ("_places", "number", "points")
-
-    def __init__(self, number: int, points: GroupedPoints, done: Collection[BlockKey] = ()) -> None:
-        self.number, self.points = number, points
-        self._places = {key: place for place, key in enumerate(points.keys) if key not in done}
-
-    @property
-    def keys(self) -> KeysView[BlockKey]:
-        """Blocks that are not finished, south-west first."""
-        return self._places.keys()
-
-    def place(self, key: BlockKey) -> int:
-        """Return the place of a block that is not finished among those of ``points``."""
-        return self._places[key]
-
-    def counts(self) -> NDArray[np.int64]:
-        """Return the number of points of each of ``keys``."""
-        counts: NDArray[np.int64] = np.diff(self.points.starts)[list(self._places.values())]
-        return counts
-
-    def finish(self, key: BlockKey) -> None:
-        """Forget a block."""
-        del self._places[key]
-
-    def compact(self, share: float) -> int:
-        """Copy what is needed if at least a ``share`` of the points is not; return how many bytes that frees."""
-        if len(self._places) == len(self.points.keys) or self.counts().sum() > (1 - share) * len(self.points):
-            return 0
-        before = self.points.size_bytes
-        self.points = self.points.of_blocks(list(self._places.values()))
-        self._places = {key: place for place, key in enumerate(self.points.keys)}
-        return before - self.points.size_bytes
-
-
-class WaitingPoints:
-    """Chunks in memory."""
-
-    def __init__(self) -> None:
-        self._chunks: dict[int, WaitingChunk] = {}
-        """By their ``id``, oldest first."""
-        self._index: dict[BlockKey, list[WaitingChunk]] = {}
-        self.size_bytes = 0
-        """Memory that the points take."""
-
-    def __iter__(self) -> Iterator[WaitingChunk]:
-        """Iterate over the chunks, oldest first."""
-        return iter(self._chunks.values())
-
-    def __len__(self) -> int:
-        """Return the number of chunks."""
-        return len(self._chunks)
-
-    @property
-    def keys(self) -> KeysView[BlockKey]:
-        """Blocks that are not finished."""
-        return self._index.keys()
-
-    def parts(self, key: BlockKey) -> list[tuple[GroupedPoints, int]]:
-        """Return the points that hold some of a block, each with the place of the block in them."""
-        return [(chunk.points, chunk.place(key)) for chunk in self._index.get(key, ())]
-
-    def counts(self) -> NDArray[np.int64]:
-        """Return row, column and number of points of each block of each chunk, (n, 3)."""
-        found = [np.column_stack([np.array(list(chunk.keys), np.int64), chunk.counts()]) for chunk in self]
-        return np.concatenate([np.empty((0, 3), np.int64), *found])
-
-    def add(self, number: int, points: GroupedPoints, done: Collection[BlockKey]) -> None:
-        """Add a chunk, unless all of its blocks are ``done``."""
-        chunk = WaitingChunk(number, points, done)
-        if not chunk.keys:
-            return
-        self._chunks[id(chunk)] = chunk
-        self.size_bytes += points.size_bytes
-        for key in chunk.keys:
-            self._index.setdefault(key, []).append(chunk)
-
-    def finish(self, key: BlockKey) -> None:
-        """Forget a block, and the chunks that have no other blocks."""
-        for chunk in self._index.pop(key, ()):
-            chunk.finish(key)
-            if not chunk.keys:
-                del self._chunks[id(chunk)]
-                self.size_bytes -= chunk.points.size_bytes
-
-    def compact(self, share: float) -> None:
-        """Copy what is needed of the chunks of which at least a ``share`` (0..1) is not."""
-        for chunk in self:
-            self.size_bytes -= chunk.compact(share)
-
-    def drop(self, chunks: Iterable[WaitingChunk]) -> None:
-        """Forget chunks."""
-        keys: set[BlockKey] = set()
-        for chunk in chunks:
-            del self._chunks[id(chunk)]
-            self.size_bytes -= chunk.points.size_bytes
-            keys |= chunk.keys
-        for key in keys:
-            left = [chunk for chunk in self._index[key] if id(chunk) in self._chunks]
-            if left:
-                self._index[key] = left
-            else:
-                del self._index[key]
+__all__ = ["MemoryLimits", "TileBuckets", "TooManyPointsError"]
 
 
 _TILES = BLOCK_TILES**2
@@ -146,6 +31,21 @@ _COMPACTED = (0.5, 0.125)
 an eighth is: less time than to write the points and read them again."""
 _SLICE = 1 << 20
 """Points that are read together from a block on disk that is too large to read as a whole."""
+
+
+@dataclass(slots=True, eq=False)
+class _WaitingChunk:
+    """A chunk in memory."""
+
+    number: int
+    points: GroupedPoints
+    places: dict[BlockKey, int]
+    """Blocks that are not done, south-west first, with their places among those of ``points``."""
+
+    def counts(self) -> NDArray[np.int64]:
+        """Return the number of points of each of these blocks."""
+        counts: NDArray[np.int64] = np.diff(self.points.starts)[list(self.places.values())]
+        return counts
 
 
 class TooManyPointsError(Exception):
@@ -196,7 +96,12 @@ class TileBuckets:
         """Blocks whose points are no longer needed."""
         self.final: int | None = None
         """Chunks before this number can no longer be dropped; None: no chunk can. A pack never mixes both kinds."""
-        self._waiting = WaitingPoints()
+        self._chunks: dict[_WaitingChunk, None] = {}
+        """Those in memory, oldest first."""
+        self._by_block: dict[BlockKey, list[_WaitingChunk]] = {}
+        """The same, by the blocks that are not done."""
+        self._bytes = 0
+        """Memory that their points take."""
         self._spilling: Future[Pack] | None = None
         self._writer = ThreadPoolExecutor(1)
 
@@ -216,23 +121,33 @@ class TileBuckets:
 
     def add_chunk(self, chunk: GroupedPoints, number: int = 0) -> None:
         """Add a grouped chunk. Numbers must not decrease; chunks of the same number stay together."""
-        self._waiting.add(number, chunk, self.done)
+        waiting = _WaitingChunk(number, chunk, {key: n for n, key in enumerate(chunk.keys) if key not in self.done})
+        if waiting.places:
+            self._chunks[waiting] = None
+            self._bytes += chunk.size_bytes
+        for key in waiting.places:
+            self._by_block.setdefault(key, []).append(waiting)
 
     @property
     def is_full(self) -> bool:
         """Whether points in memory take more than the limit: finish complete blocks, then ``compact``."""
-        return self.limits is not None and self._waiting.size_bytes > self.limits.waiting_bytes
+        return self.limits is not None and self._bytes > self.limits.waiting_bytes
 
     @property
     def must_spill(self) -> bool:
         """Whether too little is free after ``compact``: call ``spill``."""
-        return self.limits is not None and self._waiting.size_bytes > (1 - _LEAST_ROOM) * self.limits.waiting_bytes
+        return self.limits is not None and self._bytes > (1 - _LEAST_ROOM) * self.limits.waiting_bytes
 
     def compact(self) -> None:
         """Free the memory of finished blocks in chunks with others, by copying these: only as much as is needed."""
         for share in _COMPACTED:
-            if self.must_spill:
-                self._waiting.compact(share)
+            for chunk in self._chunks if self.must_spill else ():
+                whole = len(chunk.places) == len(chunk.points.keys)
+                if not whole and chunk.counts().sum() <= (1 - share) * len(chunk.points):
+                    self._bytes -= chunk.points.size_bytes
+                    chunk.points = chunk.points.of_blocks(list(chunk.places.values()))
+                    chunk.places = {key: place for place, key in enumerate(chunk.points.keys)}
+                    self._bytes += chunk.points.size_bytes
 
     def spill(self) -> tuple[int, int]:
         """Start to write the older half of the points, without those of done blocks; return the first and last chunk.
@@ -245,11 +160,11 @@ class TileBuckets:
         chosen = self._oldest()
         held: dict[BlockKey, list[tuple[GroupedPoints, int]]] = {}
         for chunk in chosen:
-            for key in chunk.keys:
-                held.setdefault(key, []).append((chunk.points, chunk.place(key)))
+            for key, place in chunk.places.items():
+                held.setdefault(key, []).append((chunk.points, place))
         held = {key: held[key] for key in sorted(held)}
         first, last = chosen[0].number, chosen[-1].number
-        self._waiting.drop(chosen)
+        self._drop(chosen)
         path = self.limits.scratch / f"points-{first:08d}-{last:08d}.pack"
         self._spilling = self._writer.submit(_write, path, held, {"first": first, "last": last})
         return first, last
@@ -265,47 +180,55 @@ class TileBuckets:
     def finish(self, key: BlockKey) -> None:
         """Note that a block is done. Its points are freed when all blocks of their chunk are, or by ``compact``."""
         self.done.add(key)
-        self._waiting.finish(key)
+        for chunk in self._by_block.pop(key, ()):
+            del chunk.places[key]
+            if not chunk.places:
+                self._drop([chunk])
 
     def drop_from(self, first: int) -> None:
         """Drop the points of chunk ``first`` and all later ones, which must not be final."""
         self.wait()
-        self._waiting.drop([chunk for chunk in self._waiting if chunk.number >= first])
+        self._drop([chunk for chunk in self._chunks if chunk.number >= first])
         for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
             self.packs.remove(pack)
             pack.path.unlink(missing_ok=True)
 
+    def _drop(self, chunks: Iterable[_WaitingChunk]) -> None:
+        """Forget chunks."""
+        for chunk in chunks:
+            del self._chunks[chunk]
+            self._bytes -= chunk.points.size_bytes
+            for key in chunk.places:
+                self._by_block[key].remove(chunk)
+                if not self._by_block[key]:
+                    del self._by_block[key]
+
     def in_memory(self) -> NDArray[np.int64]:
         """Return row, column and number of points of each block of each chunk in memory, (n, 3)."""
-        return self._waiting.counts()
+        found = [np.column_stack([np.array(list(chunk.places), np.int64), chunk.counts()]) for chunk in self._chunks]
+        return np.concatenate([np.empty((0, 3), np.int64), *found])
 
     def chunks_in_memory(self) -> set[int]:
         """Return the numbers of the chunks with points in memory that are not done."""
-        return {chunk.number for chunk in self._waiting}
+        return {chunk.number for chunk in self._chunks}
 
     def keys_in_memory(self) -> list[BlockKey]:
         """Return the blocks with points in memory that are not done, south-west first."""
-        return sorted(self._waiting.keys)
+        return sorted(self._by_block)
 
     @property
     def is_empty(self) -> bool:
         """Whether no point is in memory."""
-        return not len(self._waiting)
+        return not self._chunks
 
     def keys(self) -> list[BlockKey]:
         """Return the blocks that hold points and are not done, south-west first."""
         self.wait()
-        return sorted({*self._waiting.keys, *(key for pack in self.packs for key in pack.keys)} - self.done)
-
-    def window(self) -> TileWindow:
-        """Return the smallest window of whole blocks around all points (at least one)."""
-        rows, cols = (np.array(axis) for axis in zip(*{*self.keys(), *self.done}, strict=True))
-        around = TileWindow.around(cols, rows)
-        return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
+        return sorted({*self._by_block, *(key for pack in self.packs for key in pack.keys)} - self.done)
 
     def points(self, key: BlockKey) -> int:
         """Return the number of points of a block, duplicates included."""
-        in_memory = sum(int(np.diff(chunk.starts[place : place + 2])[0]) for chunk, place in self._waiting.parts(key))
+        in_memory = sum(chunk.points.count(chunk.places[key]) for chunk in self._by_block.get(key, ()))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
     def marks(self, key: BlockKey) -> tuple[int, int]:
@@ -372,9 +295,8 @@ class TileBuckets:
 
     def _parts(self, key: BlockKey, names: Iterable[str], most: int | None = None) -> Iterator[PointPart]:
         names = tuple(names)
-        for chunk, place in self._waiting.parts(key):
-            part = chunk.block(place)
-            yield PointPart({name: part.columns[name] for name in names}, part.scaling)
+        for chunk in self._by_block.get(key, ()):
+            yield chunk.points.block(chunk.places[key], names)
         for pack in self.packs:
             rows = pack.rows(key)
             for start in range(0, rows, most or max(rows, 1)):
@@ -382,11 +304,11 @@ class TileBuckets:
                 numbers = pack.meta["scaling"]
                 yield PointPart(read, None if numbers is None else Scaling.of(numbers))
 
-    def _oldest(self) -> list[WaitingChunk]:
+    def _oldest(self) -> list[_WaitingChunk]:
         """Choose the oldest chunks, about half of the limit: all of a number, of one grid, and final or not, each."""
-        chosen: list[WaitingChunk] = []
+        chosen: list[_WaitingChunk] = []
         is_final, held, scaling = False, 0, None
-        for chunk in self._waiting:
+        for chunk in self._chunks:
             same = self.final is None or chunk.number < self.final
             full = self.limits is not None and held >= self.limits.waiting_bytes // 2
             other = chosen and chunk.number != chosen[-1].number
@@ -401,12 +323,13 @@ def _write(path: Path, held: dict[BlockKey, list[tuple[GroupedPoints, int]]], me
     """Write points of blocks to a pack: on the grid of their file if they are of one, else in metres."""
     scalings = {chunk.scaling for entries in held.values() for chunk, _ in entries}
     scaling = scalings.pop() if len(scalings) == 1 else None
-    columns = columns_of(scaling)
     noted = None if scaling is None else scaling.numbers().tolist()
-    with PackWriter(path, columns, {**meta, "scaling": noted}) as writer:
-        for key, entries in held.items():
-            parts = [chunk.block(place) for chunk, place in entries]
-            parts = parts if scaling is not None else [part.in_metres() for part in parts]
-            rows = sum(len(part.columns["tile"]) for part in parts)
-            writer.add(key, rows, {c.name: [part.columns[c.name] for part in parts] for c in columns})
+    blocks = {key: sum(chunk.count(place) for chunk, place in entries) for key, entries in held.items()}
+
+    def parts_of(column: Column) -> Iterator[NDArray[Any]]:
+        for chunk, place in (entry for entries in held.values() for entry in entries):
+            values = chunk.block(place, (column.name,))
+            yield (values if scaling is not None else values.in_metres()).columns[column.name]
+
+    write_pack(path, columns_of(scaling), blocks, parts_of, {**meta, "scaling": noted})
     return Pack(path)

@@ -10,7 +10,7 @@ order has three advantages:
 - the first k points of a tile are a random sample of it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -105,8 +105,10 @@ class PointPart(NamedTuple):
         """Return the same points with coordinates in metres."""
         if self.scaling is None:
             return self
-        there = {axis: self.scaling.coordinates(n, self.columns[axis]) for n, axis in enumerate(_AXES)}
-        return PointPart(self.columns | there, None)
+        there = [(n, axis) for n, axis in enumerate(_AXES) if axis in self.columns]
+        return PointPart(
+            self.columns | {axis: self.scaling.coordinates(n, self.columns[axis]) for n, axis in there}, None
+        )
 
 
 def sort_block(grid: Grid, key: BlockKey, parts: Sequence[PointPart]) -> TilePoints:
@@ -177,10 +179,14 @@ class GroupedPoints:
     scaling: Scaling | None = None
     """None: coordinates are in metres."""
 
-    def block(self, place: int) -> PointPart:
-        """Return views of the points of the block ``keys[place]``."""
+    def count(self, place: int) -> int:
+        """Return the number of points of the block ``keys[place]``."""
+        return int(self.starts[place + 1] - self.starts[place])
+
+    def block(self, place: int, names: Iterable[str]) -> PointPart:
+        """Return views of some columns of the points of the block ``keys[place]``."""
         span = slice(int(self.starts[place]), int(self.starts[place + 1]))
-        return PointPart({name: array[span] for name, array in self.points.items()}, self.scaling)
+        return PointPart({name: self.points[name][span] for name in names}, self.scaling)
 
     def of_blocks(self, places: Sequence[int]) -> "GroupedPoints":
         """Return a copy with some of the blocks, given by their places in increasing order."""

@@ -28,7 +28,6 @@ import ctypes
 import gc
 import hashlib
 import importlib.util
-import json
 import logging
 import os
 import signal
@@ -36,7 +35,7 @@ import stat
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import cache, cached_property
 from importlib import import_module
@@ -66,7 +65,8 @@ _INSIDE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of what only compiled code calls; saves a fifth of the time."""
 _LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow", "sqrt"})
 """What machine code may call outside itself."""
-_SAFE_PATH = "PYTHONSAFEPATH"
+_HEAD = 2 * hashlib.sha256().digest_size
+"""Bytes before the machine code in a file: the key of what it must be of, and the digest of the code."""
 
 P = ParamSpec("P")
 F = TypeVar("F", bound=Callable[..., Any])
@@ -103,16 +103,6 @@ class Leaf(NamedTuple):
     dims: int
 
 
-class Code(NamedTuple):
-    """Machine code of a kernel."""
-
-    symbol: str
-    outside: list[str]
-    """What it calls outside itself."""
-    code: bytes
-    """An object file."""
-
-
 class Kernel(Generic[P]):
     """A compiled function that Python calls; its C function takes the lengths of all arrays, then a value a leaf.
 
@@ -127,7 +117,6 @@ class Kernel(Generic[P]):
     def __init__(self, function: Callable[P, None]) -> None:
         self.plain, self.name = function, function.__name__
         self._call: Callable[..., None] | None = None
-        self._lock = threading.Lock()
         _kernels.setdefault(function.__module__, []).append(self)
 
     def __call__(self, *arguments: P.args, **named: P.kwargs) -> None:
@@ -135,8 +124,7 @@ class Kernel(Generic[P]):
         if named:
             raise TypeError(f"{self.name} takes its arguments by position")
         if self._call is None:
-            with self._lock:
-                self._call = self._call or self._ready()
+            self._call = self._ready()
         self._call(*self._c_arguments(arguments))
 
     def _ready(self) -> Callable[..., None]:
@@ -147,9 +135,13 @@ class Kernel(Generic[P]):
         if code is None:
             code = self.compile()
             self.save(code)
-        numbers = np.ctypeslib.as_ctypes_type
-        kinds = (ctypes.c_void_p if leaf.dims else numbers(leaf.dtype) for leaf in self._leaves)
-        return ctypes.CFUNCTYPE(None, ctypes.c_void_p, *kinds)(_link(code))
+        kinds = [ctypes.c_void_p if leaf.dims else np.ctypeslib.as_ctypes_type(leaf.dtype) for leaf in self._leaves]
+        return ctypes.CFUNCTYPE(None, ctypes.c_void_p, *kinds)(_link(self.symbol, code))
+
+    @property
+    def symbol(self) -> str:
+        """Name of the C function: all kernels are linked together, and each has its own."""
+        return f"{self.plain.__module__}.{self.name}"
 
     @cached_property
     def _parameters(self) -> list[tuple[type[Any] | None, list[Leaf]]]:
@@ -176,60 +168,60 @@ class Kernel(Generic[P]):
         return called
 
     @cached_property
-    def _kept(self) -> tuple[str, list[Path]]:
+    def _kept(self) -> tuple[bytes, list[Path]]:
         """Return what the machine code must be of, and the files that may hold it."""
-        processor = _machine()
         parts = [repr([[tuple(map(str, leaf)) for leaf in leaves] for _, leaves in self._parameters]).encode()]
         for each in self.called:
             numbers = [pair for pair in _globals(each) if isinstance(pair[1], int | float | tuple | np.generic)]
             parts += [Path(each.__code__.co_filename).read_bytes(), repr(numbers).encode()]
-        parts += [Path(__file__).read_bytes(), _versions(), processor, self.name.encode()]
+        parts += [Path(__file__).read_bytes(), _compiler(), _processor(), self.symbol.encode()]
         source = Path(self.plain.__code__.co_filename)
-        name = f"{source.stem}.{self.name}.{hashlib.sha256(processor).hexdigest()[:8]}.native"
-        return hashlib.sha256(b"\0".join(parts)).hexdigest(), [folder / name for folder in _folders(source)]
+        name = f"{source.stem}.{self.name}.{hashlib.sha256(_processor()).hexdigest()[:8]}.native"
+        return hashlib.sha256(b"\0".join(parts)).digest(), [folder / name for folder in _folders(source)]
 
     def can_keep(self) -> bool:
         """Return whether there is a folder for the machine code; where there is none, it is said once why."""
         faults = {}
         for file in self._kept[1]:
-            faults[file.parent] = _fault(file.parent)
-            if faults[file.parent] is None:
-                return True
+            try:
+                with _trusted(file.parent, make=True):
+                    if os.access(file.parent, os.W_OK):
+                        return True
+                    faults[file.parent] = "it cannot be written"
+            except OSError as error:
+                faults[file.parent] = error.strerror or str(error)
         _say_once(", ".join(f"{folder} ({fault})" for folder, fault in faults.items()))
         return False
 
-    def load(self) -> Code | None:
-        """Return the machine code; None where none is kept for this source, compiler and processor."""
+    def load(self) -> bytes | None:
+        """Return the machine code, an object file; None where none is kept for this source, compiler and processor."""
         key, files = self._kept
         for file in files:
-            with suppress(OSError, ValueError, KeyError):
-                head, _, code = _read(file).partition(b"\n")
-                record = json.loads(head)
-                whole = record["digest"] == hashlib.sha256(code).hexdigest()
-                if whole and record["key"] == key and _linkable(record["outside"]):
-                    return Code(record["symbol"], record["outside"], code)
+            with suppress(OSError):
+                content = _read(file)
+                code = content[_HEAD:]
+                if content[:_HEAD] == key + hashlib.sha256(code).digest():
+                    return code
         return None
 
-    def save(self, code: Code) -> None:
+    def save(self, code: bytes) -> None:
         """Keep machine code in the first folder that will do; a file appears whole or not at all."""
         key, files = self._kept
-        digest = hashlib.sha256(code.code).hexdigest()
-        record = {"key": key, "digest": digest, "symbol": code.symbol, "outside": code.outside}
         for file in files:
             try:
-                file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-                _write(file, json.dumps(record).encode() + b"\n" + code.code)
+                _write(file, key + hashlib.sha256(code).digest() + code)
             except OSError as error:
                 _log.debug("cannot keep compiled kernels in %s: %s", file.parent, error)
             else:
                 return
 
-    def compile(self) -> Code:
+    def compile(self) -> bytes:
         """Compile in this process; raises TypeError where the kernel needs more than itself and libm."""
         from numba import carray, cfunc, from_dtype, types
 
         with _compiling:
-            _register({**_helpers, self.plain: {}})
+            for each in self.called:
+                _register(each)
             plain = [(from_dtype(leaf.dtype), leaf.dims) for leaf in self._leaves]
             kinds = [types.CPointer(kind) if dims else kind for kind, dims in plain]
             names = {"carray": carray, "kernel": self.plain}
@@ -239,13 +231,11 @@ class Kernel(Generic[P]):
             module = _alone(compiled.inspect_llvm(), compiled.native_name)
             outside = {f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")}
             outside |= {g.name for g in module.global_variables if g.is_declaration}
-            if not _linkable(outside):
+            if not outside <= _libm().keys():
                 raise TypeError(f"the kernel {self.name} cannot be kept: it calls {', '.join(sorted(outside))}")
-            # All kernels are linked together, and numba's names of two with equal parameters may be the same.
-            symbol = f"{self.name}_{hashlib.sha256(str(module).encode()).hexdigest()}"
-            module.get_function(compiled.native_name).name = symbol
+            module.get_function(compiled.native_name).name = self.symbol
             code: bytes = _target().emit_object(module)
-            return Code(symbol, sorted(outside), code)
+            return code
 
     def _c_arguments(self, arguments: tuple[Any, ...]) -> Iterator[Any]:
         """Turn the kernel's arguments into those of the C function; raises TypeError where one does not fit."""
@@ -312,66 +302,52 @@ def _folders(source: Path) -> list[Path]:
     return folders
 
 
-def _fault(folder: Path) -> str | None:
-    """Make a folder that is not there; say why nothing can be kept in it, None where it can."""
+@contextmanager
+def _trusted(folder: Path, *, make: bool = False) -> Iterator[int]:
+    """Open a folder that nobody but the user or root can have written; ``make`` one that is not there."""
+    if make and not os.path.lexists(folder):
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
-        if not os.path.lexists(folder):
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        os.close(_open_folder(folder))
-    except OSError as error:
-        return error.strerror or str(error)
-    return None if os.access(folder, os.W_OK) else "it cannot be written"
+        _refuse_strangers(descriptor)
+        yield descriptor
+    finally:
+        os.close(descriptor)
 
 
-def _open_folder(folder: Path) -> int:
-    return _only_ours(os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW))
-
-
-def _only_ours(descriptor: int) -> int:
-    """Close a descriptor and raise where others can have written what it stands for."""
+def _refuse_strangers(descriptor: int) -> None:
+    """Raise where others can have written what a descriptor stands for."""
     status = os.fstat(descriptor)
-    if status.st_uid in {os.geteuid(), 0} and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return descriptor
-    os.close(descriptor)
-    raise PermissionError(0, "others can write to it")
+    if status.st_uid not in {os.geteuid(), 0} or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(0, "others can write to it")
 
 
 def _read(file: Path) -> bytes:
-    folder = _open_folder(file.parent)
-    try:
+    with _trusted(file.parent) as folder:
         # Without O_NONBLOCK a named pipe would wait for its writer.
         descriptor = os.open(file.name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK, dir_fd=folder)
-    finally:
-        os.close(folder)
-    with open(_only_ours(descriptor), "rb") as data:
-        if not stat.S_ISREG(os.fstat(descriptor).st_mode):
-            raise OSError(0, "it is not a file")
-        return data.read()
+        with open(descriptor, "rb") as data:  # noqa: PTH123 (of a descriptor)
+            _refuse_strangers(descriptor)
+            if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+                raise OSError(0, "it is not a file")
+            return data.read()
 
 
 def _write(file: Path, content: bytes) -> None:
-    folder = _open_folder(file.parent)
-    try:
-        part = f".{file.name}.{uuid4().hex}"
+    part = f".{file.name}.{uuid4().hex}"
+    with _trusted(file.parent, make=True) as folder:
         descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o644, dir_fd=folder)
         try:
-            with open(descriptor, "wb") as data:  # noqa: PTH123 (the same)
+            with open(descriptor, "wb") as data:  # noqa: PTH123 (of a descriptor)
                 data.write(content)
             os.replace(part, file.name, src_dir_fd=folder, dst_dir_fd=folder)
         except BaseException:
             os.unlink(part, dir_fd=folder)
             raise
-    finally:
-        os.close(folder)
 
 
-_said: list[str] = []
-
-
+@cache
 def _say_once(where: str) -> None:
-    if _said:
-        return
-    _said.append(where)
     _log.warning(
         "the numerical kernels are compiled in every run, which takes many seconds, because they cannot be cached%s. "
         "Set NUMBA_CACHE_DIR to a folder of your own that nobody else can write to",
@@ -379,17 +355,12 @@ def _say_once(where: str) -> None:
     )
 
 
-_registered: set[Callable[..., Any]] = set()
-
-
-def _register(helpers: Mapping[Callable[..., Any], Mapping[str, Any]]) -> None:
-    """Tell numba of helpers."""
+@cache
+def _register(function: Callable[..., Any]) -> None:
+    """Tell numba of a helper, or of the plain function of a kernel."""
     from numba.extending import register_jitable
 
-    for function, options in helpers.items():
-        if function not in _registered:
-            _registered.add(function)
-            register_jitable(**_OPTIONS, **_INSIDE, **options)(function)
+    register_jitable(**_OPTIONS, **_INSIDE, **_helpers.get(function, {}))(function)
 
 
 def _alone(text: str, symbol: str) -> Any:
@@ -401,30 +372,21 @@ def _alone(text: str, symbol: str) -> Any:
     for function in module.functions:
         if not function.is_declaration and function.name != symbol:
             function.linkage = "internal"
-    # What numba does with a whole library: bring loops into the form that vectorises, drop pairs of reference counts.
-    _optimise(module, "add_loop_rotate_pass", "add_instruction_combine_pass")
-    # A kernel raises nothing; with that known, what would print an exception is dead.
-    _optimise(
-        module,
-        "add_ipsccp_pass",
-        "add_simplify_cfg_pass",
-        "add_global_dead_code_eliminate_pass",
-        "add_strip_dead_prototype_pass",
-    )
-    return module
-
-
-def _optimise(module: Any, *more: str) -> None:
-    """Run LLVM's passes of level 3 over a module, and more passes after them."""
-    llvm = _llvm()
     tuning = llvm.create_pipeline_tuning_options(speed_level=3)
     tuning.loop_vectorization = tuning.slp_vectorization = True
-    builder = llvm.create_pass_builder(_target(), tuning)
-    passes = builder.getModulePassManager()
-    for name in more:
-        getattr(passes, name)()
-    passes.add_refprune_pass()
-    passes.run(module, builder)
+    for more in (
+        # What numba does with a whole library: bring loops into the form that vectorises, drop pairs of reference
+        # counts. Then: a kernel raises nothing; with that known, what would print an exception is dead.
+        ("loop_rotate", "instruction_combine"),
+        ("ipsccp", "simplify_cfg", "global_dead_code_eliminate", "strip_dead_prototype"),
+    ):
+        builder = llvm.create_pass_builder(_target(), tuning)
+        passes = builder.getModulePassManager()
+        for name in more:
+            getattr(passes, f"add_{name}_pass")()
+        passes.add_refprune_pass()
+        passes.run(module, builder)
+    return module
 
 
 @cache
@@ -437,44 +399,38 @@ def _llvm() -> Any:
 
 
 @cache
-def _machine() -> bytes:
+def _processor() -> bytes:
     """Say which processor this is."""
     llvm = _llvm()
     return f"{llvm.get_process_triple()} {llvm.get_host_cpu_name()} {llvm.get_host_cpu_features().flatten()}".encode()
 
 
 @cache
-def _versions() -> bytes:
+def _compiler() -> bytes:
     """Say which compiler would be at work, without importing it."""
     import llvmlite
 
     spec = importlib.util.find_spec("numba")
-    numba = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else None
-    stated = numba.read_bytes() if numba is not None and numba.is_file() else b""
+    stated = Path(spec.origin).with_name("_version.py") if spec is not None and spec.origin else Path()
     own: bytes = llvmlite.__version__.encode()
-    return own + stated
+    return own + (stated.read_bytes() if stated.is_file() else b"")
 
 
 @cache
 def _target() -> Any:
     llvm = _llvm()
+    features = llvm.get_host_cpu_features().flatten()
     return llvm.Target.from_default_triple().create_target_machine(
-        cpu=llvm.get_host_cpu_name(),
-        features=llvm.get_host_cpu_features().flatten(),
-        opt=3,
-        codemodel="jitdefault",
-        jit=True,
+        cpu=llvm.get_host_cpu_name(), features=features, opt=3, codemodel="jitdefault", jit=True
     )
 
 
-def _linkable(outside: Iterable[str]) -> bool:
-    """Tell the linker where libm is; False where something else is wanted (the linker would end the process)."""
+@cache
+def _libm() -> dict[str, int | None]:
+    """Return the functions that machine code may call outside itself, and where they are in this process."""
     process = ctypes.CDLL("ucrtbase" if os.name == "nt" else None)
-    for name in outside:
-        if name not in _LIBM or not hasattr(process, name):
-            return False
-        _llvm().add_symbol(name, ctypes.cast(getattr(process, name), ctypes.c_void_p).value)
-    return True
+    there = {name: getattr(process, name) for name in _LIBM if hasattr(process, name)}
+    return {name: ctypes.cast(function, ctypes.c_void_p).value for name, function in there.items()}
 
 
 _linking = threading.Lock()
@@ -485,17 +441,19 @@ _linked: dict[str, int] = {}
 @cache
 def _engine() -> Any:
     """Hold the machine code of all kernels in memory for as long as the process lives; an engine takes 1 ms to make."""
+    for name, address in _libm().items():
+        _llvm().add_symbol(name, address)
     return _llvm().create_mcjit_compiler(_llvm().parse_assembly(""), _target())
 
 
-def _link(code: Code) -> int:
+def _link(symbol: str, code: bytes) -> int:
     """Load machine code; returns the address of its C function."""
     with _linking:
-        if code.symbol not in _linked:
-            _engine().add_object_file(_llvm().ObjectFileRef.from_data(code.code))
+        if symbol not in _linked:
+            _engine().add_object_file(_llvm().ObjectFileRef.from_data(code))
             _engine().finalize_object()
-            _linked[code.symbol] = int(_engine().get_function_address(code.symbol))
-        return _linked[code.symbol]
+            _linked[symbol] = int(_engine().get_function_address(symbol))
+        return _linked[symbol]
 
 
 def compile_modules(*modules: str) -> None:
@@ -548,45 +506,48 @@ def compiling_reports(report: Callable[[int, int], None]) -> Iterator[None]:
 
 
 class _Children:
-    """Processes that compile all kernel modules at once, started when one of them is needed."""
+    """Processes that compile all kernel modules at once, started when one of them is needed; a thread follows each."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
-        self._by_module: dict[str, subprocess.Popen[bytes] | None] = {}
+        self._threads: dict[str, threading.Thread | None] = {}
+        """By module; None: it has nothing to compile, or no thread can be started."""
         self._done = self._total = 0
 
     def compile(self, *modules: str) -> None:
         """Return when kernel modules have been compiled, or cannot be compiled in this way."""
         with self._lock:
-            new = {name: [each for each in own if each.load() is None] for name, own in _kernels.items()}
-            missing = {name: own for name, own in new.items() if own and name not in self._by_module}
-            self._by_module = dict.fromkeys(_kernels) | self._by_module
+            new = {name: own for name, own in _kernels.items() if name not in self._threads}
+            missing = {name: [each for each in own if each.load() is None] for name, own in new.items()}
             # How long it takes goes with the bytes of bytecode.
             size = {
                 name: sum(len(called.__code__.co_code) for each in own for called in each.called)
                 for name, own in missing.items()
             }
-            shares: list[list[str]] = [[] for _ in range(min(os.cpu_count() or 1, len(size)))]
-            for name in sorted(size, key=lambda name: -size[name]):
+            shares: list[list[str]] = [[] for _ in range(os.cpu_count() or 1)]
+            for name in sorted(filter(size.get, size), key=lambda name: -size[name]):
                 min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
-            started = [(child, share) for share in shares if (child := _start(share)) is not None]
-            counts = [(child, sum(len(missing[name]) for name in share)) for child, share in started]
-            self._by_module |= {name: child for child, share in started for name in share}
-            if counts:
-                self._count(sum(kernels for _, kernels in counts), 0)
-            for counted in counts:
-                with suppress(RuntimeError):  # no thread can be started: it is not told how far it is
-                    threading.Thread(target=self._follow, args=counted, daemon=True, name="compiling").start()
-            children = {child for child in map(self._by_module.get, modules) if child is not None}
-        for child in children:
-            child.wait()
+            self._threads |= dict.fromkeys(new)
+            for share in filter(None, shares):
+                kernels = sum(len(missing[name]) for name in share)
+                follower = threading.Thread(target=self._follow, args=(share, kernels), daemon=True, name="compiling")
+                with suppress(RuntimeError):
+                    follower.start()
+                    self._count(kernels, 0)
+                    self._threads |= dict.fromkeys(share, follower)
+            threads = {thread for thread in map(self._threads.get, modules) if thread is not None}
+        for thread in threads:
+            thread.join()
 
-    def _follow(self, child: "subprocess.Popen[bytes]", kernels: int) -> None:
-        """Count a child's kernels as it compiles them."""
+    def _follow(self, modules: list[str], kernels: int) -> None:
+        """Compile modules in a child, and count its kernels as it compiles them."""
+        child = _start(modules)
         for _ in range(kernels):
-            if child.stdout is not None:
+            if child is not None and child.stdout is not None:
                 child.stdout.read(1)  # returns at once when the child has ended
             self._count(0, 1)
+        if child is not None:
+            child.wait()
 
     def _count(self, kernels: int, done: int) -> None:
         with self._lock:
@@ -635,7 +596,7 @@ def start_python(
     return subprocess.Popen(  # noqa: S603 (this Python)
         [sys.executable, *flags, *arguments],
         stdin=subprocess.DEVNULL,
-        env={**os.environ, _SAFE_PATH: "1", **(environment or {})},
+        env={**os.environ, "PYTHONSAFEPATH": "1", **(environment or {})},
         **settings,
     )
 

@@ -1,6 +1,7 @@
 """All tiles of a run as one table, which is read from packs window by window and never held in memory as a whole."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -8,14 +9,51 @@ from numpy.typing import NDArray
 
 from bumpytiles._group_kernels import BLOCK_TILES
 from bumpytiles.grid import Grid, TileWindow
-from bumpytiles.pack import BlockKey, JoinedPack, MemoryPack, Pack, read_joined
+from bumpytiles.pack import BlockKey, Column, MemoryPack, Pack, find_key, key_codes, keys_of
 
 __all__ = ["TileTable"]
 
-_KEPT_TILES = 1 << 16
-"""Up to this number of tiles, columns of numbers stay in memory once they are read: some 10 MB."""
-_KEPT_BYTES = 8
-"""Most bytes per tile of such a column."""
+
+@dataclass(frozen=True, slots=True)
+class _ColumnSource:
+    """Packs that hold some columns of all blocks of a table."""
+
+    packs: Sequence[Pack | MemoryPack]
+    columns: Mapping[str, Column]
+    pack: NDArray[np.int32]
+    """(blocks,) which of the packs holds each block of the table."""
+    start: NDArray[np.int64]
+    """(blocks,) where the rows of each block begin there."""
+
+    @classmethod
+    def of(cls, packs: Sequence[Pack | MemoryPack]) -> "tuple[_ColumnSource, NDArray[np.int64], NDArray[np.int64]]":
+        """Return the source, its blocks in order, and their numbers of rows; blocks without rows are left out."""
+        nothing = np.empty(0, np.int64)
+        codes, counts, starts = (
+            np.concatenate([nothing, *(getattr(pack, name) for pack in packs)])
+            for name in ("codes", "counts", "starts")
+        )
+        number = np.repeat(np.arange(len(packs), dtype=np.int32), [len(pack.codes) for pack in packs])
+        order = np.argsort(codes, kind="stable")
+        order = order[counts[order] > 0]
+        columns = {column.name: column for column in packs[0].columns} if packs else {}
+        return cls(packs, columns, number[order], starts[order]), codes[order], counts[order]
+
+    def of_blocks(self, places: NDArray[np.int64]) -> "_ColumnSource":
+        """Return the same for some of the blocks."""
+        return _ColumnSource(self.packs, self.columns, self.pack[places], self.start[places])
+
+    def read(self, places: NDArray[np.int64], counts: NDArray[np.int64], names: Sequence[str]) -> dict[str, Any]:
+        """Read columns of blocks with so many rows, joined; those that follow each other in a pack at once."""
+        ends = np.cumsum(counts)
+        found = {name: self.columns[name].empty(int(counts.sum())) for name in names}
+        pack, start = self.pack[places], self.start[places]
+        begins = np.flatnonzero((pack[1:] != pack[:-1]) | (start[1:] != start[:-1] + counts[:-1])) + 1
+        for first, last in zip([0, *begins.tolist()], [*begins.tolist(), len(places)], strict=True):
+            if first < last:
+                rows = slice(int(ends[first] - counts[first]), int(ends[last - 1]))
+                self.packs[pack[first]].fill({name: array[rows] for name, array in found.items()}, int(start[first]))
+        return found
 
 
 class TileTable:
@@ -26,47 +64,53 @@ class TileTable:
     Parameters
     ----------
     grid : Grid
-    packs : sequence of Pack, MemoryPack or JoinedPack
+    packs : sequence of Pack or MemoryPack
         At least one block with at least one tile.
+
+    Raises
+    ------
+    ValueError
+        There is no tile.
     """
 
-    def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack | JoinedPack]) -> None:
-        pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack] = {}
-        tiles: dict[BlockKey, int] = {}
-        for pack in packs:
-            held = {key: rows for key, rows in zip(pack.keys, pack.counts(), strict=True) if rows}
-            pack_of |= dict.fromkeys(held, pack)
-            tiles |= held
-        self._index(grid, pack_of, tiles)
+    def __init__(self, grid: Grid, packs: Sequence[Pack | MemoryPack]) -> None:
+        source, codes, counts = _ColumnSource.of(packs)
+        self._set(grid, codes, counts, [source])
 
-    def _index(
-        self, grid: Grid, pack_of: dict[BlockKey, Pack | MemoryPack | JoinedPack], tiles: Mapping[BlockKey, int]
+    def _set(
+        self, grid: Grid, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_ColumnSource]
     ) -> None:
-        """Set all attributes, given the pack and the number of tiles of each block."""
-        self.grid, self.pack_of = grid, pack_of
-        self.tiles = sum(tiles.values())
+        """Set all attributes, given blocks in order, their numbers of tiles, and where their columns are."""
+        self.grid = grid
+        self.tiles = int(counts.sum())
         """Number of tiles."""
         if not self.tiles:
             raise ValueError("a table needs at least one tile")
-        keys = sorted(tiles)
-        self._rows, self._cols = np.ascontiguousarray(np.array(keys, dtype=np.int64).T)
-        self._counts = np.array([tiles[key] for key in keys], dtype=np.int64)
-        self._ends = np.cumsum(self._counts)
-        self._kept: dict[str, NDArray[Any]] = {}
+        self._codes, self._counts, self._sources = codes, counts, sources
+        self._rows, self._cols = codes >> 32, (codes & 0xFFFFFFFF) - (1 << 31)
         self.window = self._tight_window()
         """The smallest window that contains every tile."""
 
     @classmethod
     def of(cls, grid: Grid, columns: Mapping[str, NDArray[Any]]) -> "TileTable":
         """Make a table of columns in memory, ``col`` and ``row`` included; one row per tile, in any order."""
-        pack = MemoryPack()
-        rows, cols = columns["row"] // BLOCK_TILES, columns["col"] // BLOCK_TILES
-        order = np.lexsort((cols, rows))
-        new = np.flatnonzero(np.diff(rows[order]) | np.diff(cols[order])) + 1
-        for members in np.split(order, new):
-            key = (int(rows[members[0]]), int(cols[members[0]])) if len(members) else (0, 0)
-            pack.add(key, {name: array[members] for name, array in columns.items()})
-        return cls(grid, [pack])
+        keys = np.stack([columns["row"], columns["col"]], axis=1) // BLOCK_TILES
+        order = np.lexsort((keys[:, 1], keys[:, 0]))
+        blocks, counts = np.unique(keys, axis=0, return_counts=True)
+        described = [Column(name, array.dtype.str, array.shape[1:]) for name, array in columns.items()]
+        arrays = {name: array[order] for name, array in columns.items()}
+        return cls(grid, [MemoryPack(described, np.column_stack([blocks, counts]), arrays)])
+
+    def with_columns(self, packs: Sequence[Pack]) -> "TileTable":
+        """Return the table with further columns of the same tiles; of two columns of a name the added one counts.
+
+        Parameters
+        ----------
+        packs : sequence of Pack
+            All blocks of the table, with their rows in the same order.
+        """
+        added, codes, counts = _ColumnSource.of(packs)
+        return self._with(codes, counts, [added, *self._sources])
 
     def part(self, window: TileWindow) -> "TileTable":
         """Return the tiles of a window that cuts no block as a table of their own, read from the same packs.
@@ -78,17 +122,31 @@ class TileTable:
         """
         if any(side % BLOCK_TILES for side in (window.col, window.row, window.cols, window.rows)):
             raise ValueError(f"{window} cuts blocks of {BLOCK_TILES} tiles")
-        runs = list(self._runs(window))
-        counts = [count for run in runs for count in self._counts[run].tolist()]
-        keys = [key for run in runs for key in self._keys(run)]
-        part = TileTable.__new__(TileTable)
-        packs = {key: self.pack_of[key] for key in keys}
-        part._index(self.grid, packs, dict(zip(keys, counts, strict=True)))  # noqa: SLF001 (of the same class)
-        return part
+        places = np.sort(self._places(window))
+        return self._with(
+            self._codes[places], self._counts[places], [source.of_blocks(places) for source in self._sources]
+        )
+
+    def _with(
+        self, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_ColumnSource]
+    ) -> "TileTable":  # fmt: skip
+        table = TileTable.__new__(TileTable)
+        table._set(self.grid, codes, counts, sources)  # noqa: SLF001 (of the same class)
+        return table
+
+    @property
+    def keys(self) -> list[BlockKey]:
+        """The blocks with tiles, south-west first."""
+        return keys_of(self._codes)
+
+    def count(self, key: BlockKey) -> int:
+        """Return the number of tiles of a block."""
+        place = find_key(self._codes, key)
+        return 0 if place is None else int(self._counts[place])
 
     def holds(self, window: TileWindow) -> bool:
         """Return False if a window has no tiles; True if blocks that overlap it have tiles, perhaps outside it."""
-        return next(self._runs(window), None) is not None
+        return len(self._places(window)) > 0
 
     def read(self, names: Sequence[str], window: TileWindow | None = None) -> dict[str, NDArray[Any]]:
         """Read columns of the tiles in a window (None: of all), north row first, then west column first.
@@ -102,12 +160,7 @@ class TileTable:
         """
         window = window or self.window
         wanted = tuple(dict.fromkeys(("col", "row", *names)))
-        runs = list(self._runs(window))
-        if runs:
-            part = _inside(self._joined(runs, wanted), window)
-        else:
-            some = (int(self._rows[0]), int(self._cols[0]))
-            part = self.pack_of[some].read(some, wanted, 0, 0)
+        part = _inside(self._read(self._places(window), wanted), window)
         col, row = part.pop("col"), part.pop("row")
         # One number per tile that increases in that order: sorting it takes a third of the time of sorting two columns.
         place = (window.row + window.rows - row) * window.cols + (col - window.col)
@@ -127,42 +180,36 @@ class TileTable:
         """
         window = window or self.window
         for run in self._runs(window):
-            keys = self._keys(run)
-            start, held = keys[0], 0
-            for key, tiles in zip(keys, self._counts[run].tolist(), strict=True):
+            cols, counts = self._cols[run].tolist(), self._counts[run].tolist()
+            row, start, held = int(self._rows[run.start]), cols[0], 0
+            for col, tiles in zip(cols, counts, strict=True):
                 if held and held + tiles > most:
-                    yield _strip(start, key[1], window)
-                    start, held = key, 0
+                    yield _strip(row, start, col, window)
+                    start, held = col, 0
                 held += tiles
-            yield _strip(start, keys[-1][1] + 1, window)
+            yield _strip(row, start, cols[-1] + 1, window)
 
     def read_blocks(self, keys: Sequence[BlockKey], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-        """Read columns of at least one block, joined in the order of ``keys``, the tiles of each in stored order."""
-        return read_joined(self.pack_of, keys, names)
+        """Read columns of blocks with tiles, joined in the order of ``keys``, the tiles of each in stored order."""
+        codes = key_codes(np.array(keys, np.int64).reshape(-1, 2))
+        return self._read(np.searchsorted(self._codes, codes), names)
 
-    def _joined(self, runs: Sequence[slice], names: Sequence[str]) -> dict[str, NDArray[Any]]:
-        """Read columns of runs of blocks."""
-        kept = self._keep(names) if self.tiles <= _KEPT_TILES else {}
-        others = [name for name in names if name not in kept]
-        keys = [key for run in runs for key in self._keys(run)]
-        found = read_joined(self.pack_of, keys, others) if others else {}
-        parts = [slice(self._ends[run.start] - self._counts[run.start], self._ends[run.stop - 1]) for run in runs]
-        return found | {name: np.concatenate([array[part] for part in parts]) for name, array in kept.items()}
+    def _read(self, places: NDArray[np.int64], names: Sequence[str]) -> dict[str, NDArray[Any]]:
+        """Read columns of blocks, given by their places in the table, joined."""
+        counts, found, left = self._counts[places], dict[str, NDArray[Any]](), list(names)
+        for source in self._sources:
+            if own := [name for name in left if name in source.columns]:
+                found |= source.read(places, counts, own)
+                left = [name for name in left if name not in source.columns]
+        return {name: found[name] for name in names}
 
-    def _keep(self, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-        """Return those of some columns that stay in memory, (tiles,) each, by block."""
-        first = (int(self._rows[0]), int(self._cols[0]))
-        sizes = self.pack_of[first].read(first, [name for name in names if name not in self._kept], 0, 0)
-        new = [name for name, array in sizes.items() if array.ndim == 1 and array.itemsize <= _KEPT_BYTES]
-        if new:
-            self._kept |= read_joined(self.pack_of, self._keys(slice(0, len(self._rows))), new)
-        return {name: self._kept[name] for name in names if name in self._kept}
-
-    def _keys(self, run: slice) -> list[BlockKey]:
-        return list(zip(self._rows[run].tolist(), self._cols[run].tolist(), strict=True))
+    def _places(self, window: TileWindow) -> NDArray[np.int64]:
+        """Return the places of the blocks that overlap a window, north row first, then west column first."""
+        runs = [np.arange(run.start, run.stop) for run in self._runs(window)]
+        return np.concatenate([np.empty(0, np.int64), *runs])
 
     def _runs(self, window: TileWindow) -> Iterator[slice]:
-        """Yield the blocks that overlap a window as places in ``_rows``, one slice per row, north row first."""
+        """Yield the same places, one slice per row of blocks."""
         west, south = window.col // BLOCK_TILES, window.row // BLOCK_TILES
         east = (window.col + window.cols - 1) // BLOCK_TILES
         north = (window.row + window.rows - 1) // BLOCK_TILES
@@ -176,15 +223,13 @@ class TileTable:
         """Return the smallest window around all tiles, from those of the outermost blocks."""
         row, col = self._rows, self._cols
         edge = (row == row.min()) | (row == row.max()) | (col == col.min()) | (col == col.max())
-        keys = list(zip(row[edge].tolist(), col[edge].tolist(), strict=True))
-        found = read_joined(self.pack_of, keys, ("col", "row"))
+        found = self._read(np.flatnonzero(edge), ("col", "row"))
         return TileWindow.around(found["col"], found["row"])
 
 
-def _strip(start: BlockKey, stop: int, window: TileWindow) -> TileWindow:
-    """Clip blocks of one row, from ``start`` up to but without block column ``stop``, to a window."""
-    row, col = start
-    west, east = max(col * BLOCK_TILES, window.col), min(stop * BLOCK_TILES, window.col + window.cols)
+def _strip(row: int, start: int, stop: int, window: TileWindow) -> TileWindow:
+    """Clip blocks of a row, from column ``start`` up to but without ``stop``, to a window."""
+    west, east = max(start * BLOCK_TILES, window.col), min(stop * BLOCK_TILES, window.col + window.cols)
     south, north = max(row * BLOCK_TILES, window.row), min((row + 1) * BLOCK_TILES, window.row + window.rows)
     return TileWindow(west, south, east - west, north - south)
 

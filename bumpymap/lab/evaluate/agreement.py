@@ -296,24 +296,3 @@ def compare(
         auc_most_below_limit=most["auc_below_limit"],
         agreement=found,
     )
-
-
-def compare_order(rating: str, verdicts: Mapping[str, Verdict], driven: Mapping[str, DriveStats]) -> dict[str, Any]:
-    """Compare the predicted and driven order of the C_r of two or more vehicles; both mappings by name of the vehicle.
-
-    Returns
-    -------
-    dict
-        ``rating``; ``vehicles``; ``patches`` on which every vehicle has a comparable C_r, the share of them with the
-        ``same`` order; ``clear_patches``, on which neighbours in the driven order differ by more than two standard
-        errors, and ``clear_same``.
-    """
-    names = tuple(driven)
-    good = np.all([driven[name].comparable for name in names], axis=0)
-    truth, error = (np.stack([getattr(driven[name], kind)[good] for name in names]) for kind in ("c_r", "error"))
-    place = np.argsort(truth, axis=0)
-    same = np.all(np.argsort(np.stack([verdicts[name].c_r[good] for name in names]), axis=0) == place, axis=0)
-    ranked, spread = np.take_along_axis(truth, place, 0), np.take_along_axis(error, place, 0)
-    clear = np.all(np.diff(ranked, axis=0) > 2 * np.hypot(spread[1:], spread[:-1]), axis=0)
-    shares = {"same": mean_share(same), "clear_patches": int(clear.sum()), "clear_same": mean_share(same[clear])}
-    return {"rating": rating, "vehicles": names, "patches": int(good.sum())} | shares

@@ -35,17 +35,7 @@ from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, fi
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
 
 Rate = Callable[[PatchStack, TextureMap, Georeference], CostMap]
-MAPPED = ("ride", "table")
-"""Ratings of ``map``."""
 _PLACELESS = Georeference(None)
-
-
-class NoisyRide(RideModel):
-    """The ride model without noise correction; it rates the measured ground, over which the drives run too."""
-
-    def ground(self, patches: PatchStack) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Return the relief as measured, and no noise."""
-        return patches.relief_map, np.zeros(len(patches.count))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +72,7 @@ class Subject:
     calibration: Calibration
     profile: Vehicle
     ratings: Mapping[str, Rate]
-    """Name -> rating: ``ride``, ``ride_raw`` (see `NoisyRide`), ``table``. Patches are chosen by the first."""
+    """Name -> rating: ``ride``, ``table``. Patches are chosen by the first."""
     textures: TextureModel
 
     @classmethod
@@ -103,7 +93,7 @@ class Subject:
 
         ratings: dict[str, Rate] = {}
         if rating != "table":
-            ratings |= {"ride": RideModel(calibration).rate, "ride_raw": NoisyRide(calibration).rate}
+            ratings["ride"] = RideModel(calibration).rate
         return cls(calibration, profile, ratings | {"table": by_table}, textures)
 
     @property
@@ -117,14 +107,10 @@ class Subject:
         text = json.dumps(self.calibration.vehicle, sort_keys=True)
         return f"{self.name}-{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
-    def judge(self, patches: PatchStack, names: "Sequence[str] | None" = None) -> dict[str, Verdict]:
-        """Rate tiles with the named ratings; with all by default."""
+    def judge(self, patches: PatchStack) -> dict[str, Verdict]:
+        """Rate tiles with all ratings."""
         seen = classify(patches, self.textures)
-        return {
-            name: Verdict.of(rating(patches, seen, _PLACELESS))
-            for name, rating in self.ratings.items()
-            if names is None or name in names
-        }
+        return {name: Verdict.of(rating(patches, seen, _PLACELESS)) for name, rating in self.ratings.items()}
 
 
 MOST_BYTES = 260_000_000

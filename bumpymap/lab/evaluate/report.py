@@ -12,7 +12,6 @@ import numpy as np
 
 from bumpymap.core import CLASS_NAMES, UsageError, atomic
 from bumpymap.lab.evaluate.agreement import Comparison
-from bumpymap.lab.evaluate.rated_survey import MAPPED
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
 from bumpymap.lab.evaluate.survey_trial import ComparedPatches, Findings
 
@@ -82,16 +81,15 @@ def require_matplotlib() -> None:
 
 def write_report(findings: Findings, out: Path) -> list[Path]:
     """Write the plots, ``report.json`` and ``report.md`` of a survey, in this order."""
-    pictures = _draw(findings, out)
+    pictures, found = _draw(findings, out), findings.comparison
     classes = [*_class_lines(findings.classes), ""] if findings.classes else []
     sections = [
         section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
-        *(_driven(vehicle, found, pictures) for vehicle, found in findings.comparisons.items()),
-        section("Order of the vehicles", _ORDER, _order_lines(findings.orders) if findings.orders else []),
+        section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found, pictures)),
     ]
     text = report_text("Can the map be trusted?", [*_opening(findings), *_conclusion(findings)], sections)
     files = write_document(out, text, "bumpymap-evaluation", asdict(findings))
-    return [*files, *(out / name for name in pictures.values())]
+    return [*files, *(out / name for name in pictures)]
 
 
 _PAPER_CLASSES = (
@@ -99,11 +97,6 @@ _PAPER_CLASSES = (
     ("paper, second site", (0.0096, 0.0693, 0.1517, 0.6955), (0.036, 0.0961, 0.0932, 0.1759)),
 )
 """The paper's Table I: variance [m2] and residual [m] of class 0 to 3."""
-_ORDER = (
-    "On each patch the vehicles are sorted by predicted and by driven C_r. Only patches on which the C_r of every "
-    "vehicle can be compared are counted. The drives separate the vehicles if neighbours differ by more than two "
-    "standard errors."
-)
 _PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
 
 
@@ -117,28 +110,20 @@ def _opening(findings: Findings) -> list[str]:
         f"{facts['judged_tiles']} tiles classified, {unknown}, "
         f"{facts['density']:.0f} points per m2 on the classified ones."
     )
-    rows = [
-        [
-            one["vehicle"],
-            f"`{one['calibration']}`",
-            " / ".join(map(number, one["class_limits"])),
-            ", ".join(f"`{name}`" for name in one["ratings"]),
-        ]
-        for one in findings.vehicles
-    ]
-    return [first, "", *table(("vehicle", "calibration", "class limits [rad/m]", "ratings"), rows)]
+    own = findings.vehicle
+    limits, ratings = " / ".join(map(number, own["class_limits"])), ", ".join(f"`{name}`" for name in own["ratings"])
+    row = [own["vehicle"], f"`{own['calibration']}`", limits, ratings]
+    return [first, "", *table(("vehicle", "calibration", "class limits [rad/m]", "ratings"), [row])]
 
 
 def _conclusion(findings: Findings) -> list[str]:
     """Summarise the comparison with the drives."""
     lines = [
-        f"- **{vehicle}, `{name}`**: C_r is off by {percent(own.median_error)} in the median"
-        + (f"; {percent(own.coverage['held'])} of its 80 % intervals contain it" if own.coverage else "")
-        + f"; {percent(own.steps['same'])} of the classes are the driven ones, {percent(own.steps['further'])} are "
-        "off by two or more."
-        for vehicle, found in findings.comparisons.items()
-        for name, own in found.agreement.items()
-        if name in MAPPED and found.patches > found.left_out
+        f"- **{findings.vehicle['vehicle']}, `{name}`**: C_r is off by {percent(own.median_error)} in the median; "
+        f"{percent(own.coverage['held'])} of its 80 % intervals contain it; {percent(own.steps['same'])} of the "
+        f"classes are the driven ones, {percent(own.steps['further'])} are off by two or more."
+        for name, own in findings.comparison.agreement.items()
+        if own.coverage and findings.comparison.patches > findings.comparison.left_out
     ]
     return [*lines, ""] if lines else []
 
@@ -173,12 +158,12 @@ def _class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[str]:
+def _driven(found: Comparison, pictures: tuple[str, str]) -> list[str]:
     confusions = [
         line
-        for name in MAPPED
-        if name in found.agreement
-        for line in confusion_lines(name, found.agreement[name].confusion, "driven", "predicted")
+        for name, own in found.agreement.items()
+        if own.coverage
+        for line in confusion_lines(name, own.confusion, "driven", "predicted")
     ]
     failures = [
         [f"`{name}`", number(one["predicted"]), number(one["share_failed"]), str(one["patches"])]
@@ -186,19 +171,18 @@ def _driven(vehicle: str, found: Comparison, pictures: dict[str, str]) -> list[s
         for one in (own.fail["reliability"] if own.fail else ())
         if one["patches"]
     ]
-    lines = [
+    return [
         *_predictor_lines(found),
         *_against_plain(found),
-        f"![Predicted against driven C_r]({pictures[f'scatter {vehicle}']})",
+        f"![Predicted against driven C_r]({pictures[0]})",
         "",
         *confusions,
         "Failed drives by predicted `p_fail`, in bins of width 0.2; all patches have the same weight:",
         "",
         *table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), failures),
-        f"![Predicted against driven failures]({pictures[f'reliability {vehicle}']})",
+        f"![Predicted against driven failures]({pictures[1]})",
         "",
     ]
-    return section(f"Predicted and driven: {vehicle}", _method(found), lines)
 
 
 def _predictor_lines(found: Comparison) -> list[str]:
@@ -222,25 +206,7 @@ def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, f
     return table((f"`{name}`", *(f"{found} {class_id}" for class_id in range(len(rows)))), rows)
 
 
-def _order_lines(orders: Sequence[dict[str, Any]]) -> list[str]:
-    """Return the table of the order of vehicles."""
-    rows = [
-        [
-            f"`{one['rating']}`",
-            ", ".join(one["vehicles"]),
-            *(str(one["patches"]), percent(one["same"]), str(one["clear_patches"]), percent(one["clear_same"])),
-        ]
-        for one in orders
-    ]
-    header = ("rating", "vehicles", "patches", "same order", "patches that separate them", "same order there")
-    return table(header, rows)
-
-
 def _method(found: Comparison) -> str:
-    noise = (
-        " `ride_raw` is `ride` without noise correction: the drives run on the measured relief and contain its noise "
-        "too, while `ride` predicts the ground without noise."
-    )
     return (
         f"{found.patches} patches, {found.drives} drives, {found.failed} of them failed. On {found.left_out} patches "
         "more than a quarter of the drives failed; their C_r, of the completed drives only, is not compared. The "
@@ -251,8 +217,8 @@ def _method(found: Comparison) -> str:
         f"As some drives over a patch fail and others do not, no p_fail can reach an AUC above {found.auc_most:.3f}, "
         f"or above {found.auc_most_below_limit:.3f} within the slope limit. Plain "
         "predictors get C_r from their best monotone fit to the drives over the other patches, which a map does not "
-        "have; *fitted to these* is the error if the fit includes the patch itself."
-        + (noise if "ride_raw" in found.agreement else "")
+        "have; *fitted to these* is the error if the fit includes the patch itself. The drives run on the measured "
+        "relief and contain its noise; `ride` predicts the ground without noise."
     )
 
 
@@ -268,15 +234,13 @@ def _against_plain(found: Comparison) -> list[str]:
 _COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
 
 
-def _draw(findings: Findings, out: Path) -> dict[str, str]:
-    """Draw all plots for which there are data; return part of the report -> name of the file."""
-    files: dict[str, str] = {}
-    for vehicle, patches in findings.patches.items():
-        names = [name for name in MAPPED if name in patches.verdicts]
-        plain = "".join(letter if letter.isalnum() else "_" for letter in vehicle)
-        files[f"scatter {vehicle}"] = _save(out / f"driven_{plain}.png", _scatter, len(names), patches, names)
-        files[f"reliability {vehicle}"] = _save(out / f"failures_{plain}.png", _reliability, 1, findings, vehicle)
-    return files
+def _draw(findings: Findings, out: Path) -> tuple[str, str]:
+    """Draw predicted against driven C_r, and failures; return the names of the files."""
+    plain = "".join(letter if letter.isalnum() else "_" for letter in findings.vehicle["vehicle"])
+    return (
+        _save(out / f"driven_{plain}.png", _scatter, len(findings.patches.verdicts), findings.patches),
+        _save(out / f"failures_{plain}.png", _reliability, 1, findings.comparison),
+    )
 
 
 def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> str:
@@ -291,13 +255,13 @@ def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> st
     return path.name
 
 
-def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
+def _scatter(axes: Any, patches: ComparedPatches) -> None:
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     good = patches.driven.comparable
     driven = patches.driven.c_r[good]
-    for axis, name in zip(axes, names, strict=True):
-        verdict = patches.verdicts[name].take(good)
+    for axis, (name, whole) in zip(axes, patches.verdicts.items(), strict=True):
+        verdict = whole.take(good)
         below, above = verdict.c_r - verdict.c_r_low, verdict.c_r_high - verdict.c_r
         axis.errorbar(driven, verdict.c_r, [below, above], fmt="none", ecolor="0.8", elinewidth=0.7, zorder=1)
         axis.scatter(driven, verdict.c_r, s=10, color=_COLOUR[name], zorder=2)
@@ -313,11 +277,11 @@ def _scatter(axes: Any, patches: ComparedPatches, names: list[str]) -> None:
         axis.set_title(f"{name}: {len(driven)} patches", loc="left")
 
 
-def _reliability(axes: Any, findings: Findings, vehicle: str) -> None:
+def _reliability(axes: Any, found: Comparison) -> None:
     axis = axes[0]
     axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    for name, own in findings.comparisons[vehicle].agreement.items():
-        if own.fail and name in MAPPED:
+    for name, own in found.agreement.items():
+        if own.fail:
             bins = [one for one in own.fail["reliability"] if one["patches"]]
             x, y = [one["predicted"] for one in bins], [one["share_failed"] for one in bins]
             axis.plot(x, y, "o-", color=_COLOUR[name], label=f"{name}, AUC {own.fail['auc']:.3f}")

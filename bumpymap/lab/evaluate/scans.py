@@ -24,8 +24,7 @@ from bumpymap.core import (
 )
 from bumpymap.lab.evaluate.agreement import confusion
 from bumpymap.lab.settings import ScanEvaluateSettings
-from bumpymap.lab.train.scan_sectors import UNSEEN, crowns_as_bushes, scene_scan
-from bumpymap.readers import LABEL_SETS, LabelSet, label_set, read_scan, require_label_set, tell_label_set
+from bumpymap.readers import LabelSet, label_set, read_scan, require_label_set, tell_label_set
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
 Floats = NDArray[np.float64]
@@ -242,12 +241,6 @@ class ScanFindings:
     """Method -> points of obstacles in sectors called free; empty without labels."""
 
 
-def simulated_scans(settings: ScanEvaluateSettings) -> Iterator[Scan]:
-    """Simulate scans of scenes that are never used in training."""
-    for index in range(settings.scenes):
-        yield crowns_as_bushes(scene_scan(settings.seed, UNSEEN + index))
-
-
 def read_frames(frames: Sequence[Path], labels: LabelSet | None = None) -> Iterator[Scan]:
     """Read scans one after another.
 
@@ -269,7 +262,6 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     Parameters
     ----------
     frames : paths
-        Frames; without any, scenes are simulated, whose labels are those of RELLIS-3D.
     name : str, optional
         A built-in set, or a file.
 
@@ -283,8 +275,6 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     BadInputError, UsageError
         As from `label_set` and `tell_label_set`; a set is named and no frame has labels.
     """
-    if not frames:
-        return LABEL_SETS["rellis"]
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
     there = [label for label in found if label is not None]
     if name is not None:

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -20,17 +20,15 @@ from bumpymap.core import (
     Progress,
     Reason,
     Steps,
-    UsageError,
 )
 from bumpymap.lab.evaluate.agreement import (
     Comparison,
     DriveStats,
     class_table,
     compare,
-    compare_order,
     plain_predictors,
 )
-from bumpymap.lab.evaluate.rated_survey import MAPPED, MeasuredSurvey, Subject, Verdict, load_survey
+from bumpymap.lab.evaluate.rated_survey import MeasuredSurvey, Subject, Verdict, load_survey
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, Key, drive_jobs
@@ -105,24 +103,22 @@ class ComparedPatches:
     verdicts: dict[str, Verdict]
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class Findings:
     """All results of an evaluation."""
 
     title: str
     facts: dict[str, Any]
     """Description of the survey."""
-    vehicles: list[dict[str, Any]]
-    """Name, calibration and class limits of each vehicle; the tables are about the first one."""
+    vehicle: dict[str, Any]
+    """Its name, calibration and class limits."""
     settings: dict[str, Any]
-    classes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    classes: dict[str, dict[str, Any]]
     """Rating -> Table I, see `class_table`."""
-    comparisons: dict[str, Comparison] = field(default_factory=dict)
-    """Vehicle -> comparison of predictions with drives."""
-    patches: dict[str, ComparedPatches] = field(default_factory=dict)
-    """Vehicle -> patches of the comparison."""
-    orders: list[dict[str, Any]] = field(default_factory=list)
-    """Of several vehicles, see `compare_order`."""
+    comparison: Comparison
+    """Predictions and drives."""
+    patches: ComparedPatches
+    """Patches of the comparison."""
 
 
 def driven_ground(patches: PatchStack) -> Floats:
@@ -177,11 +173,11 @@ def evaluate_survey(
     readers: Sequence[SurveyReader],
     options: ReadOptions,
     ground: Ground,
-    subjects: Sequence[Subject],
+    subject: Subject,
     settings: EvaluateSettings,
     trial: TrialOptions,
 ) -> Findings:
-    """Evaluate maps of a survey.
+    """Evaluate a map of a survey.
 
     Parameters
     ----------
@@ -191,8 +187,8 @@ def evaluate_survey(
         Options with which they were opened.
     ground : Ground
         Which points are used as ground.
-    subjects : sequence of Subject
-        Vehicles; the choice of patches and the tables are based on the first one.
+    subject : Subject
+        The vehicle.
     settings : EvaluateSettings
     trial : TrialOptions
 
@@ -201,13 +197,9 @@ def evaluate_survey(
     BadInputError
         A file is damaged, or no tile can be classified.
     """
-    grids = {(subject.calibration.tile_size, subject.calibration.pixels) for subject in subjects}
-    if len(grids) > 1:
-        listed = ", ".join(f"{size:g} m with {pixels} pixels" for size, pixels in sorted(grids))
-        raise UsageError(f"the calibrations are for different tiles: {listed}. Compare vehicles on tiles of one size")
-    grid = Grid(*grids.pop())
+    grid = Grid(subject.calibration.tile_size, subject.calibration.pixels)
     with load_survey(readers, ground, grid, settings.features, trial.out, trial.progress) as survey:
-        tiles, rated, unknown = _rate(survey, subjects[0], trial.progress)
+        tiles, rated, unknown = _rate(survey, subject, trial.progress)
         classes = {name: class_table(own, tiles["z_variance"], tiles["ransac_residual"]) for name, own in rated.items()}
         main = rated[next(iter(rated))]
         priority = uniform_by_key(settings.seed, tiles["col"], tiles["row"])
@@ -221,15 +213,21 @@ def evaluate_survey(
         "unknown_tiles": unknown,
         "density": float(tiles["count"].mean() / grid.tile_size**2),
     }
-    findings = Findings("survey", facts, [_about(subject) for subject in subjects], asdict(settings), classes)
     origin = {
         "files": sorted([str(file["size"]), file["digest"]] for file in (identity(r.info.path) for r in readers)),
         "options": {"crs": options.force_crs or options.crs, "z_unit": options.z_unit},
         "ground_only": survey.ground_only,
         "features": asdict(settings.features),
     }
-    _compare_drives(patches, subjects, settings, trial, origin, findings)
-    return findings
+    vehicle = {
+        "vehicle": subject.name,
+        "calibration": subject.calibration.id,
+        "class_limits": subject.calibration.class_limits,
+        "slope_limit_deg": subject.profile.slope_limit_deg,
+        "ratings": list(subject.ratings),
+    }
+    comparison = _compare_drives(patches, subject, settings, trial, origin)
+    return Findings("survey", facts, vehicle, asdict(settings), classes, *comparison)
 
 
 def _rate(
@@ -247,7 +245,7 @@ def _rate(
     for patches in survey.measured(survey.buckets.blocks()):
         judged = patches.reason == Reason.OK
         reasons += np.bincount(patches.reason, minlength=len(Reason))
-        verdicts.append({name: own.take(judged) for name, own in subject.judge(patches, MAPPED).items()})
+        verdicts.append({name: own.take(judged) for name, own in subject.judge(patches).items()})
         for name, parts in columns.items():
             parts.append(getattr(patches, name)[judged])
         progress.advance(1)
@@ -262,25 +260,10 @@ def _rate(
     return joined, {name: Verdict.join([part[name] for part in verdicts]) for name in verdicts[0]}, unknown
 
 
-def _about(subject: Subject) -> dict[str, Any]:
-    return {
-        "vehicle": subject.name,
-        "calibration": subject.calibration.id,
-        "class_limits": subject.calibration.class_limits,
-        "slope_limit_deg": subject.profile.slope_limit_deg,
-        "ratings": list(subject.ratings),
-    }
-
-
 def _compare_drives(
-    patches: PatchStack,
-    subjects: Sequence[Subject],
-    settings: EvaluateSettings,
-    trial: TrialOptions,
-    origin: dict[str, Any],
-    findings: Findings,
-) -> None:
-    """Drive all vehicles over all patches and add the comparison to the findings.
+    patches: PatchStack, subject: Subject, settings: EvaluateSettings, trial: TrialOptions, origin: dict[str, Any]
+) -> tuple[Comparison, ComparedPatches]:
+    """Drive the vehicle over all patches and compare.
 
     ``origin`` is everything that affects the ground, as JSON. Choice and rating of patches do not affect their drives,
     so the journal does not hold them.
@@ -289,35 +272,27 @@ def _compare_drives(
     jobs = [
         _PatchJob(key, heights, settings.min_starts) for key, heights in zip(keys, driven_ground(patches), strict=True)
     ]
-    size, plain, names = patches.grid.tile_size, plain_predictors(patches), [subject.name for subject in subjects]
-    for subject, name in zip(subjects, names, strict=True):
-        label = name if names.count(name) == 1 else f"{name} {subject.calibration.id}"
-        recorded = {
-            "vehicle": subject.profile.to_dict(),
-            "effort": asdict(settings.effort),
-            "seed": settings.seed,
-            "drive": asdict(settings.drive),
-            "tile_size": size,
-            "pixels": patches.grid.pixels,
-            "ground": origin,
-            "versions": {library: version(library) for library in ("dartpy", "numpy")},
-        }
-        trial.progress.start(f"driving {name} over patches", len(keys))
-        require_dart()
-        results = drive_jobs(
-            partial(drive_job, subject.profile, size, settings),
-            jobs,
-            Steps(trial.progress, settings.min_starts),
-            workers=trial.workers,
-            journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
-            discard_other=trial.overwrite,
-        )
-        driven, verdicts = DriveStats.of(list(results.values())), subject.judge(patches)
-        too_steep = patches.slope > subject.profile.slope_limit_deg
-        findings.comparisons[label] = compare(verdicts, plain, driven, too_steep, subject.calibration.class_limits)
-        findings.patches[label] = ComparedPatches(keys, driven, verdicts)
-    if len(subjects) > 1:
-        found = findings.patches
-        for rating in [name for name in MAPPED if all(name in own.verdicts for own in found.values())]:
-            verdicts = {label: own.verdicts[rating] for label, own in found.items()}
-            findings.orders.append(compare_order(rating, verdicts, {label: own.driven for label, own in found.items()}))
+    recorded = {
+        "vehicle": subject.profile.to_dict(),
+        "effort": asdict(settings.effort),
+        "seed": settings.seed,
+        "drive": asdict(settings.drive),
+        "tile_size": patches.grid.tile_size,
+        "pixels": patches.grid.pixels,
+        "ground": origin,
+        "versions": {library: version(library) for library in ("dartpy", "numpy")},
+    }
+    trial.progress.start(f"driving {subject.name} over patches", len(keys))
+    require_dart()
+    results = drive_jobs(
+        partial(drive_job, subject.profile, patches.grid.tile_size, settings),
+        jobs,
+        Steps(trial.progress, settings.min_starts),
+        workers=trial.workers,
+        journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
+        discard_other=trial.overwrite,
+    )
+    driven, verdicts = DriveStats.of(list(results.values())), subject.judge(patches)
+    too_steep = patches.slope > subject.profile.slope_limit_deg
+    found = compare(verdicts, plain_predictors(patches), driven, too_steep, subject.calibration.class_limits)
+    return found, ComparedPatches(keys, driven, verdicts)

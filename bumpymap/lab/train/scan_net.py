@@ -1,8 +1,7 @@
 """Train the scan network, score it on unseen scans, and write it as ONNX with its model card."""
 
 import math
-import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -17,6 +16,7 @@ from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
     EpochReport,
+    ModelFiles,
     OnnxGraph,
     Score,
     TrainedModel,
@@ -27,17 +27,7 @@ from bumpymap.lab.train.model_files import (
     score_table,
     versions,
 )
-from bumpymap.lab.train.scan_sectors import (
-    UNSEEN,
-    ScanProgress,
-    Sectors,
-    draw_epoch,
-    folder_frames,
-    folder_sectors,
-    join,
-    overhead_sectors,
-    simulated_sectors,
-)
+from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, folder_frames, folder_sectors
 from bumpymap.lab.train.textures import predict
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
@@ -160,41 +150,33 @@ def evaluate(net: ScanNet, unseen: Sectors, scans: int) -> ScanEvaluation:
 
 _CLASS_NAMES = tuple(map(str, range(CLASSES)))
 _LABELS = LABEL_SETS["rellis"]
-"""Meaning of the labels of scenes and of data sets to train on."""
+"""Meaning of the labels of data sets to train on."""
 
 
-_LIMITS_OF_SIMULATION = """\
-- The accuracy is measured on *synthetic* scenes. The network has not seen anything that the simulator lacks (snow,
-  crops, rain, moving objects, reflections in water).
-- Mud and water are distinguished from dirt by ruts, churned ground and missing returns: mud as flat as dry dirt is
-  classified as dirt, and so is a puddle of which only the margin returns light.
-- Natural ground is simulated with roots, clods and tussocks of 3 to 40 mm (standard deviation) and herbs up to 40 cm.
-  Rougher ground is classified as class 1, whatever grows there.
-"""
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """Sectors to train on and to score with, and what the card says of them."""
+
+    learn: Sectors
+    unseen: Sectors
+    unseen_scans: int
+    """Number of scans that ``unseen`` was cut from."""
+    command: str
+    """The command line of this training, without ``--out``."""
+    described: str = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
+    """Origin of the scans, for the card."""
+    limits: str = ""
+    """Lines for the card's list of limits."""
 
 
 def model_card(
-    settings: ScanTrainSettings,
-    evaluation: ScanEvaluation,
-    learned: Sequence[int],
-    made: tuple[int, int],
-    command: str,
+    settings: ScanTrainSettings, evaluation: ScanEvaluation, data: TrainingData, made: tuple[int, int]
 ) -> str:
     """Return the text of the card of a training.
 
-    Parameters
-    ----------
-    settings : ScanTrainSettings
-    evaluation : ScanEvaluation
-    learned : sequence of int
-        Number of training sectors of each class.
-    made : (int, int)
-        Number of trained parameters, and size of the ONNX file, bytes.
-    command : str
-        The command line of this training, without ``--out``; it says whether scans were simulated.
+    ``made``: number of trained parameters, and size of the ONNX file, bytes.
     """
-    simulated = "--scans simulated" in command
-    limits = _LIMITS_OF_SIMULATION if simulated else ""
+    learned = np.bincount(data.learn.class_id, minlength=CLASSES).tolist()
     every, widths = evaluation.every, ", ".join(map(str, settings.network.widths))
     classes = "; ".join(
         f"{k}: " + ", ".join(_LABELS.names[label] for label, class_id in _LABELS.class_of.items() if class_id == k)
@@ -222,7 +204,7 @@ Classifies the sectors of one LiDAR scan by roughness: class 0 (smooth) to 2 (ro
 
 ## Data
 
-{_simulated_data(settings) if simulated else _FOLDER_DATA}
+{data.described}
 Training sectors: {", ".join(f"{n:,} of class {k}" for k, n in enumerate(learned))}. An epoch draws
 {settings.sectors_per_class:,} of each class, half of them mirrored in azimuth; each scan was cut into sectors
 {settings.turns} more times after a random rotation, half of these times on another polar grid.
@@ -243,29 +225,16 @@ By label, number of sectors classified as 0, 1, 2:
 
 ## Reproduce
 
-    pip install 'bumpymap[learn,o3d]'
-    {command} --out scan.onnx
+    pip install 'bumpymap[learn]'
+    {data.command} --out scan.onnx
 
 Seed {settings.seed}, {settings.epochs} epochs. The same command gives the same bits on the same machine and libraries.
 
 ## Limits
 
-{limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
+{data.limits}- A sector has one class. If a kerb, a trunk or the margin of a puddle runs through it, the most
   frequent label counts as true; many of the errors are such sectors.
 - Ground that few beams reach is uncertain: beyond 20 m a sector often contains one or two scan lines.
-"""
-
-
-_FOLDER_DATA = "Labelled frames in the layout of RELLIS-3D; the last fifth of every sequence is unseen.\n"
-
-
-def _simulated_data(settings: ScanTrainSettings) -> str:
-    return f"""{settings.scenes} synthetic scenes with labels (`bumpymap.lab.worlds.scans`), each scanned once by a
-different sensor: 16 to 128 lines, evenly spaced or closer near the horizon, or a solid-state pattern of 60 to 360
-degrees; 0.4 to 2.1 m above the ground, upright or leaning by up to 15 degrees, with range noise of 0.8 to 3 cm, 0.1 to
-5 % of lost returns, stray returns and mirror images below wet ground. No real scan was used. The ground of every tenth
-scene is sampled once more from above, without shadows and with blocks piled on half of it.
-Unseen scenes have other numbers of the same seed.
 """
 
 
@@ -318,14 +287,10 @@ def _strides(layer: nn.Conv2d) -> dict[str, Any]:
     return {"strides": [layer.stride[0]] * 2, "group": layer.groups}
 
 
-UNSEEN_SCENES = 110
-"""Number of synthetic scenes in the scores: ten of every theme."""
-
-
 def make_scan_model(
     settings: ScanTrainSettings,
     out: Path,
-    scans: Path | None = None,
+    scans: Path,
     progress: Callable[[EpochReport], None] | None = None,
     scan_progress: ScanProgress | None = None,
 ) -> TrainedModel[ScanEvaluation]:
@@ -336,10 +301,10 @@ def make_scan_model(
     settings : ScanTrainSettings
         Together with the scans they determine every byte of the file on one machine.
     out : Path
-        The ONNX file. The model card is written next to it (``.md``), and while the job runs a folder of sectors
-        (``.sectors``) and a checkpoint (``.checkpoint``), from which the same call resumes after an interruption.
-    scans : Path, optional
-        A folder in the layout of RELLIS-3D. If None, scenes are simulated, which needs open3d.
+        The ONNX file. The model card is written next to it (``.md``), and while the job runs a checkpoint
+        (``.checkpoint``), from which the same call resumes after an interruption.
+    scans : Path
+        A folder in the layout of RELLIS-3D.
     progress : callable, optional
         Called with a report after every epoch.
     scan_progress : callable, optional
@@ -354,44 +319,33 @@ def make_scan_model(
     UsageError
         A checkpoint of another training exists.
     """
-    keep = out.with_name(out.name + ".sectors")
-    command = f"bumpymap train --scans {'simulated' if scans is None else 'RELLIS_FOLDER'} {settings.options}"
     with model_files(out) as files:
-        learn, unseen, unseen_scans = _collect_sectors(settings, scans, keep, scan_progress)
-        net = train(settings, learn, files.checkpoint, progress)
-        evaluation = evaluate(net, unseen, unseen_scans)
-        network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
-        training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": command}
-        scores = {
-            "accuracy_even": evaluation.every.balanced_accuracy,
-            "accuracy_unseen": evaluation.every.accuracy,
-            "confusion_unseen": evaluation.every.confusion,
-        }
-        content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
-        counts, made = np.bincount(learn.class_id, minlength=3).tolist(), (net.parameter_count(), len(content))
-        files.write(content, model_card(settings, evaluation, counts, made, command))
-        shutil.rmtree(keep, ignore_errors=True)
-    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
-
-
-def _collect_sectors(
-    settings: ScanTrainSettings, scans: Path | None, keep: Path, scan_progress: ScanProgress | None
-) -> tuple[Sectors, Sectors, int]:
-    """Return training sectors, test sectors and the number of scans of the test sectors."""
-    if scans is not None:
         learn, unseen = folder_frames(scans)
-        return (
+        data = TrainingData(
             folder_sectors(learn, settings.turns, settings.seed, scan_progress),
             folder_sectors(unseen, progress=scan_progress),
             len(unseen),
+            f"bumpymap train --scans RELLIS_FOLDER {settings.options}",
         )
-    unseen_scenes = range(UNSEEN, UNSEEN + UNSEEN_SCENES)
-    learned = [simulated_sectors(settings.seed, range(settings.scenes), settings.turns, keep, scan_progress)]
-    overhead = range(0, settings.scenes - 9, 10)  # every tenth, in every theme
-    if overhead:
-        learned.append(overhead_sectors(settings.seed, overhead))
-    return (
-        join(learned),
-        simulated_sectors(settings.seed, unseen_scenes, 0, keep, scan_progress),
-        UNSEEN_SCENES,
-    )
+        return train_and_write(settings, data, files, progress)
+
+
+def train_and_write(
+    settings: ScanTrainSettings,
+    data: TrainingData,
+    files: ModelFiles,
+    progress: Callable[[EpochReport], None] | None = None,
+) -> TrainedModel[ScanEvaluation]:
+    """Train on sectors, score, and write network and card; see `make_scan_model`."""
+    net = train(settings, data.learn, files.checkpoint, progress)
+    evaluation = evaluate(net, data.unseen, data.unseen_scans)
+    network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
+    training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": data.command}
+    scores = {
+        "accuracy_even": evaluation.every.balanced_accuracy,
+        "accuracy_unseen": evaluation.every.accuracy,
+        "confusion_unseen": evaluation.every.confusion,
+    }
+    content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
+    files.write(content, model_card(settings, evaluation, data, (net.parameter_count(), len(content))))
+    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())

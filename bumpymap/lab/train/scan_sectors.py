@@ -1,4 +1,4 @@
-"""Training and test sectors, from synthetic scenes or a labelled data set on disk."""
+"""Training and test sectors, from labelled frames."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, OutputError, PolarSettings, Scan, atomic
+from bumpymap.core import BadInputError, PolarSettings, Scan
 from bumpymap.readers import LABEL_SETS, find_frames, read_scan
 from bumpymap.scan import MEASURES, network_input, polar_sectors
 
-UNSEEN = 1_000_000
-"""Scenes from this number on are never used in training."""
 GRIDS = (
     PolarSettings(zone_starts_m=(4.0, 12.0, 28.0, 60.0), end_m=100.0, sectors=(24, 32, 48, 32), rings=(4, 4, 4, 2)),
     PolarSettings(zone_starts_m=(1.0, 5.0, 15.0, 30.0), end_m=60.0, sectors=(12, 24, 36, 48), rings=(2, 4, 4, 4)),
@@ -96,17 +94,6 @@ def labelled_sectors(scan: Scan, cuts: Iterable[tuple[float, PolarSettings]] = (
     return join(parts)
 
 
-def scene_scan(seed: int, index: int) -> Scan:
-    """Simulate the scan of one synthetic scene; every scene has another sensor."""
-    from bumpymap.lab.worlds.scans.lidar import draw_sensor, simulate_scan
-    from bumpymap.lab.worlds.scans.scene import make_scene
-
-    sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
-    seen = simulate_scan(make_scene(seed, index), sensor, index)
-    there = seen.points.any(axis=1)
-    return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
-
-
 def crowns_as_bushes(scan: Scan) -> Scan:
     """Return a labelled scan whose tree points higher than the vehicle are labelled as bush.
 
@@ -116,60 +103,6 @@ def crowns_as_bushes(scan: Scan) -> Scan:
     label = np.asarray(scan.label).copy()
     label[(label == _TREE) & (stack.point_height >= stack.settings.height_m)] = _BUSH
     return replace(scan, label=label)
-
-
-def simulated_sectors(
-    seed: int, scenes: Sequence[int], turns: int = 0, keep: Path | None = None, progress: ScanProgress | None = None
-) -> Sectors:
-    """Simulate scenes and return their sectors, in order.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the set of scenes.
-    scenes : ints
-        Numbers of the scenes.
-    turns : int
-        Number of additional cuts of each scan, each after a random rotation, half of them on another grid.
-    keep : Path, optional
-        Folder that caches the sectors of each scene, for resuming an interrupted run.
-    progress : callable, optional
-        Called after every scene.
-    """
-    parts = []
-    for done, index in enumerate(scenes, start=1):
-        cuts = draw_cuts(np.random.default_rng([seed, index, 3]), turns)
-        file = None if keep is None else keep / f"{seed}_{index}_{turns}.npz"
-        if file is not None and file.exists():
-            with np.load(file) as kept:
-                parts.append(Sectors(**kept))
-        else:
-            parts.append(labelled_sectors(scene_scan(seed, index), cuts))
-            if file is not None:
-                _save(file, parts[-1])
-        if progress:
-            progress(done, len(scenes))
-    return join(parts)
-
-
-def overhead_sectors(seed: int, scenes: Sequence[int]) -> Sectors:
-    """Return the sectors of the ground of one or more scenes, fully visible and partly covered with blocks."""
-    from bumpymap.lab.worlds.scans.lidar import overhead_scan
-    from bumpymap.lab.worlds.scans.scene import make_scene
-
-    parts = []
-    for index in scenes:
-        seen = overhead_scan(make_scene(seed, index), index)
-        parts.append(labelled_sectors(Scan(seen.points, seen.intensity, seen.label.astype(np.uint16))))
-    return join(parts)
-
-
-def _save(file: Path, sectors: Sectors) -> None:
-    if file.parent.is_symlink():
-        raise OutputError(f"{file.parent} is a link and was not touched. Remove it, or choose another --out")
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with atomic(file) as temporary:
-        np.savez(temporary, **{f.name: getattr(sectors, f.name) for f in fields(Sectors)})
 
 
 def folder_frames(folder: Path) -> tuple[list[Path], list[Path]]:

@@ -1,74 +1,20 @@
 """The signals of bags of ROS 2 and ROS 1: which topics are read, and what their messages hold."""
 
-import weakref
 from array import array
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from bumpymap.core import BadInputError, PlaceTrack, UsageError, WheelTrack
+from bumpymap.core import BadInputError, PlaceTrack, WheelTrack
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import check_lonlat, guess_local, refuse_odd_rates
 from bumpymap.readers.drives.signals import DriveSignals, Floats, Signal, attitudes
-from bumpymap.readers.frames.raw import BagReader, BagRecord
-from bumpymap.readers.source import decoding
+from bumpymap.readers.frames.raw import BagReader
 
-__all__ = ["Ros1Bag", "bag_signals", "is_ros1"]
-
-
-def is_ros1(path: Path) -> bool:
-    """Return whether a path is a bag of ROS 1, by its suffix."""
-    return path.suffix.lower() == ".bag" and not path.is_dir()
-
-
-class Ros1Bag:
-    """An open bag of ROS 1; it is closed when the object is collected.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    BadInputError
-        The bag cannot be read.
-    UsageError
-        The extra ``ros`` is not installed.
-    """
-
-    def __init__(self, path: Path) -> None:
-        try:
-            from rosbags.rosbag1 import Reader
-            from rosbags.typesys import Stores, get_typestore
-        except ImportError as error:
-            raise UsageError(
-                f"bags are read with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
-            ) from error
-        self.path = path
-        self._types = get_typestore(Stores.ROS1_NOETIC)
-        with decoding(path, "the bag"):
-            self._reader = Reader(path)
-            self._reader.open()
-            weakref.finalize(self, self._reader.close)
-            self.topics = {
-                topic: (str(info.msgtype), int(info.msgcount)) for topic, info in self._reader.topics.items()
-            }
-            """Type, as ROS 2 spells it, and number of messages of each topic."""
-
-    def messages(self, topics: Collection[str]) -> Iterator[BagRecord]:
-        """Yield the messages of some topics in order of time. Raises BadInputError if the bag is damaged."""
-        wanted = [connection for connection in self._reader.connections if connection.topic in topics]
-        with decoding(self.path, "the bag"):
-            for connection, time_ns, data in self._reader.messages(wanted) if wanted else ():
-                yield BagRecord(connection.topic, time_ns, bytes(data))
-
-    def decode(self, data: bytes, kind: str) -> Any:
-        """Deserialise a message. Raises BadInputError if it is damaged."""
-        with decoding(self.path, "the bag"):
-            return self._types.deserialize_ros1(data, kind)
+__all__ = ["bag_signals"]
 
 
 _TYPES: Mapping[str, tuple[str, ...]] = {
@@ -108,7 +54,7 @@ def bag_signals(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Drive
         The extra ``ros`` is not installed.
     """
     name = ", ".join(path.name for path in paths)
-    bags = [Ros1Bag(path) if is_ros1(path) else BagReader(path) for path in paths]
+    bags = [BagReader(path) for path in paths]
     held: dict[str, tuple[str, int]] = {}
     for bag in bags:
         for topic, (kind, count) in bag.topics.items():
@@ -119,7 +65,7 @@ def bag_signals(paths: Sequence[Path], columns: Mapping[str, str]) -> list[Drive
     return [*found, DriveSignals(name, listing=listing)]
 
 
-def _messages(bags: Sequence[Ros1Bag | BagReader], topics: Mapping[str, _Topic]) -> dict[str, Floats]:
+def _messages(bags: Sequence[BagReader], topics: Mapping[str, _Topic]) -> dict[str, Floats]:
     """Return what is read of the messages of each role, (n, k), times in s first."""
     rows: dict[str, array[float]] = {role: array("d") for role in topics}
     roles = {topic.name: role for role, topic in topics.items()}

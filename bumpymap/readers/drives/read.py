@@ -26,13 +26,13 @@ from bumpymap.core import (
     free_memory,
     missing_resource,
 )
-from bumpymap.readers.drives.bag_signals import bag_signals, is_ros1
+from bumpymap.readers.drives.bag_signals import bag_signals
 from bumpymap.readers.drives.clock import in_order, sorted_times
 from bumpymap.readers.drives.columns import TOPICS, check_lonlat, unknown_quantities
 from bumpymap.readers.drives.signals import QUANTITIES, DriveSignals, Floats, Signal, assemble, attitudes
 from bumpymap.readers.drives.table_signals import find_columns, refuse_binary, table_signals
 from bumpymap.readers.drives.text_table import TextTable, open_table
-from bumpymap.readers.frames.raw import bag_files, is_bag
+from bumpymap.readers.frames.raw import bag_files, is_bag, is_ros1
 from bumpymap.readers.source import decoding, open_source, size_of
 
 __all__ = ["close_log_reader", "drive_files", "is_ulog", "read_drive", "read_in_child", "ulog_signals"]

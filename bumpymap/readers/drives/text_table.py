@@ -1,4 +1,4 @@
-"""Read tables of text: CSV with any separator, with comments, and what ``ros2 topic echo --csv`` writes."""
+"""Read tables of text: CSV with any separator, with comments."""
 
 import csv
 import io
@@ -11,59 +11,7 @@ from bumpymap.core import BadInputError
 from bumpymap.readers.drives.signals import UNITS, plain_unit
 from bumpymap.readers.source import decoding, open_source, size_of
 
-__all__ = ["DATE_AND_TIME", "HEAD_BYTES", "TableHead", "TextTable", "echo_names", "open_table", "read_head"]
-
-_STAMP = ("header.stamp.sec", "header.stamp.nanosec", "header.frame_id")
-_POINT = tuple(f"pose.position.{axis}" for axis in "xyz")
-_TURN = tuple(f"orientation.{axis}" for axis in "xyzw")
-
-
-def _covariance(name: str, count: int) -> tuple[str, ...]:
-    return tuple(f"{name}_covariance_{place}" for place in range(count))
-
-
-def _vector(name: str) -> tuple[str, ...]:
-    return tuple(f"{name}.{axis}" for axis in "xyz")
-
-
-_IMU = (
-    *_STAMP,
-    *_TURN,
-    *_covariance("orientation", 9),
-    *_vector("angular_velocity"),
-    *_covariance("angular_velocity", 9),
-    *_vector("linear_acceleration"),
-    *_covariance("linear_acceleration", 9),
-)
-_FIX = (
-    *_STAMP,
-    *("status.status", "status.service", "latitude", "longitude", "altitude"),
-    *_covariance("position", 9),
-    "position_covariance_type",
-)
-_ODOMETRY = (
-    *_STAMP,
-    "child_frame_id",
-    *_POINT,
-    *_TURN,
-    *_covariance("pose", 36),
-    *_vector("twist.linear"),
-    *_vector("twist.angular"),
-    *_covariance("twist", 36),
-)
-_POSE = (*_STAMP, *_POINT, *_TURN)
-_TWIST = (*_STAMP, *_vector("twist.linear"), *_vector("twist.angular"))
-_BY_WIDTH = {len(names): names for names in (_IMU, _FIX, _ODOMETRY, _POSE, _TWIST)}
-
-
-def echo_names(row: Sequence[str]) -> tuple[str, ...] | None:
-    """Return the columns of a row of Imu, NavSatFix, Odometry, PoseStamped or TwistStamped; None if it is none.
-
-    Their third value is the name of a coordinate frame, and the first two are whole numbers.
-    """
-    is_stamp = len(row) > 3 and row[0].isdigit() and row[1].isdigit() and any(map(str.isalpha, row[2]))
-    return _BY_WIDTH.get(len(row)) if is_stamp else None
-
+__all__ = ["DATE_AND_TIME", "HEAD_BYTES", "TableHead", "TextTable", "open_table", "read_head"]
 
 HEAD_BYTES = 1 << 18
 """Bytes at the start of a file in which its header line and its first row are looked for."""
@@ -117,9 +65,6 @@ def read_head(path: Path, data: bytes, *, whole: bool) -> TableHead:
     first, separator = _first_row(path, lines)
     row = _cells(lines[first], separator)
     rewrite = separator == " " or any(line.lstrip()[:1] in _COMMENT_SIGNS for line in lines[first:] if line.strip())
-    echoed = echo_names(row)
-    if echoed is not None:
-        return TableHead(echoed, separator, first, rewrite)
     heads = [_cells(line.strip().lstrip(_COMMENT_SIGNS), separator) for line in reversed(lines[:first]) if line.strip()]
     names = _with_units(heads)
     _refuse_decimal_commas(path, separator, names, row)
@@ -175,8 +120,6 @@ def _first_row(path: Path, lines: Sequence[str]) -> tuple[int, str]:
             commas = separator != "," and sum(map(_has_decimal_comma, cells))
             if len(cells) > 1 and (sum(map(_is_number, cells)) + commas) * 2 > len(cells):
                 return place, separator
-        if echo_names(_cells(line, ",")) is not None:
-            return place, ","
     shown = next((line for line in lines if line.strip()), "")
     raise BadInputError(
         f"{path} is no table: no line of its first {HEAD_BYTES // 1024} KiB consists of numbers; it begins with "

@@ -21,20 +21,11 @@ BIN_COLUMNS = {
     6: "x, y, z, intensity, ring, time",
 }
 """Number of columns of a ``.bin`` scan -> what they are."""
-_RIVALS = (3, 4, 5, 6, 7)
-"""Widths that are compared; a file that fits 3 or 7 is none of ours."""
-_STRETCH, _STRETCHES = 840, 6
-"""Values of a stretch (a multiple of every rival and of 8), and the number of stretches that are looked at."""
-_LEVELS = 64
-"""Steps to which values are rounded, by their rank; the step after them is for values that are not finite."""
-_FEWEST = 56
-"""Values per step, at least: 8 for each of 7 columns."""
-_SURE_BITS, _SURE_SHARE = 100.0, 0.05
-"""A width is sure if it saves this many bits, and this many for each value, against every rival."""
+_MOST_RINGS = 1024
 _SAMPLED = 1_024
-"""Rows, about, in which files of other widths are looked for."""
-_ALIKE, _ALTERNATING = 0.25, 0.5
-"""Greatest difference of distributions that are alike; least difference of shares of rows that alternate."""
+"""Rows, about, in which files of twice the width are looked for, and the fewest that tell."""
+_FEWEST_ROWS, _ALTERNATING = 64, 0.5
+"""Rows at least, and least difference of the shares of numbers below zero and of whole ones, in rows that alternate."""
 
 
 def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -> int:
@@ -65,21 +56,21 @@ def find_columns(path: Path, values: NDArray[np.float32], columns: int | None) -
             f"{path} holds {len(values):,} float32 values, which is no multiple of 4, 5 or 6 columns ({_listed()}): it "
             "is truncated, or another kind of file. Copy it again, or convert it to PLY"
         )
-    stretches = _stretches(values)
-    likely = [width for width in fitting if _has_no_return(stretches, width)] or _likely_widths(stretches)
+    likely = [width for width in BIN_COLUMNS if _fits(values, width)]
     found = [width for width in fitting if width in likely]
     if not found:
+        what = f"lie in {likely[0]} columns of float32" if likely else "fit none of these columns"
         raise BadInputError(
-            f"the values of {path} lie in {likely[0]} columns of float32, but its size of {4 * len(values):,} bytes "
+            f"the values of {path} {what}, and its size of {4 * len(values):,} bytes "
             f"fits {' or '.join(map(str, fitting))} columns ({_listed()}): is it truncated, or of another kind? Copy "
             f"it again, or convert it to PLY. If that is wrong, say `columns={fitting[0]}`"
         )
-    if len(found) > 1 and np.nan_to_num(stretches).any():
+    if len(found) > 1 and np.nan_to_num(values).any():
         raise BadInputError(
             f"{path} may have {' or '.join(map(str, found))} columns of float32: its size fits each of them, and its "
             f"values do not tell which. Say it: `columns={found[0]}` ({_listed()})"
         )
-    _refuse_other_rows(path, values.reshape(-1, found[0]))
+    _refuse_double_rows(path, values.reshape(-1, found[0]))
     return found[0]
 
 
@@ -92,9 +83,8 @@ def _given(path: Path, values: NDArray[np.float32], columns: int) -> int:
             f"{path} has {4 * count:,} bytes, which is no multiple of the {4 * columns} bytes of a point of {columns} "
             "columns (`columns`): it is truncated, or has another number of columns"
         )
-    stretches = _stretches(values)
-    likely = [columns] if _has_no_return(stretches, columns) else _likely_widths(stretches)
-    if columns not in likely and likely[0] in BIN_COLUMNS and count % likely[0] == 0:
+    likely = [width for width in BIN_COLUMNS if count % width == 0 and _fits(values, width)]
+    if likely and columns not in likely:
         raise BadInputError(
             f"the values of {path} lie in {likely[0]} columns of float32, not in {columns}, as `columns` says "
             f"({_listed()}). Say `columns={likely[0]}`, or leave it out: it is found from the values"
@@ -106,99 +96,33 @@ def _listed() -> str:
     return "; ".join(f"{width}: {names}" for width, names in BIN_COLUMNS.items())
 
 
-def _has_no_return(stretches: NDArray[np.float32], width: int) -> bool:
-    """Return whether all rows are beams without return: then there are no points that could be misread."""
-    rows = stretches[:, : stretches.shape[1] // width * width].reshape(-1, width)[:, :3]
-    return not np.nan_to_num(rows).any()
+def _fits(values: NDArray[np.float32], width: int) -> bool:
+    """Return whether rows of a width have an intensity of at least 0 and, if there are more columns, a ring.
 
-
-def _likely_widths(stretches: NDArray[np.float32]) -> list[int]:
-    """Return the width with the shortest description and those that are not clearly longer."""
-    levels = _levels(stretches)
-    bits = {width: _bits(levels, width) for width in _RIVALS}
-    sure = max(_SURE_BITS / levels.size, _SURE_SHARE)
-    ordered = sorted(bits, key=bits.__getitem__)
-    return [width for width in ordered if bits[width] - bits[ordered[0]] < sure]
-
-
-def _stretches(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return stretches from all over the file, (stretches, length); each starts where a row starts at every width."""
-    if len(values) <= _STRETCH * _STRETCHES:
-        return values[None, :]
-    starts = np.unique(np.linspace(0, len(values) - _STRETCH, _STRETCHES).astype(np.int64) // _STRETCH * _STRETCH)
-    stretches: NDArray[np.float32] = values[starts[:, None] + np.arange(_STRETCH)]
-    return stretches
-
-
-def _levels(stretches: NDArray[np.float32]) -> NDArray[np.int64]:
-    """Round values to at most ``_LEVELS`` steps that hold about equally many of them."""
-    finite = np.isfinite(stretches)
-    values = np.where(finite, stretches, np.float32(0.0))
-    steps = min(max(values.size // _FEWEST, 2), _LEVELS)
-    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, steps + 1)[1:-1], method="nearest"))
-    return np.where(finite, np.searchsorted(edges, values, side="right"), _LEVELS)
-
-
-def _bits(levels: NDArray[np.int64], width: int) -> float:
-    """Return the bits per value that describe a table of so many columns.
-
-    Each column is described by how often each step occurs in it, or by how often each change from row to row occurs,
-    whichever is shorter.
+    In rows of another width, coordinates stand there in some rows: these are below 0, or no whole numbers. If all rows
+    are beams without return, there are no points that could be misread.
     """
-    rows = levels[:, : levels.shape[1] // width * width].reshape(len(levels), -1, width)
-    changes = rows[:, 1:] - rows[:, :-1] + _LEVELS
-    shorter = np.minimum(_code_length(rows, _LEVELS + 1), _code_length(changes, 2 * _LEVELS + 1))
-    return float(shorter.sum() / width)
+    rows = values[: len(values) // width * width].reshape(-1, width)
+    with np.errstate(invalid="ignore"):
+        ring = rows[:, 4] if width > 4 else np.zeros(1, np.float32)
+        is_ring = (ring >= 0.0) & (ring < _MOST_RINGS) & (ring == np.rint(ring))
+        fits = bool((rows[:, 3] >= 0.0).all() and is_ring.all())
+    return fits or not np.nan_to_num(rows[:, :3]).any()
 
 
-def _code_length(table: NDArray[np.int64], kinds: int) -> NDArray[np.float64]:
-    """Return the bits per value of each column of a table (.., columns) of numbers below ``kinds``.
-
-    This is the entropy with the correction of Miller and Madow; without it, columns with fewer values seem simpler.
-    """
-    columns, each = table.shape[-1], max(table.size // table.shape[-1], 1)
-    places = (table + kinds * np.arange(columns)).ravel()
-    share = np.bincount(places, minlength=columns * kinds).reshape(columns, kinds) / each
-    entropy = -(share * np.log2(np.where(share > 0.0, share, 1.0))).sum(axis=1)
-    bits: NDArray[np.float64] = entropy + ((share > 0.0).sum(axis=1) - 1) / (2.0 * np.log(2.0) * each)
-    return bits
-
-
-def _refuse_other_rows(path: Path, table: NDArray[np.float32]) -> None:
-    """Refuse files of 3 columns read with 6, and of twice the columns of the table."""
+def _refuse_double_rows(path: Path, table: NDArray[np.float32]) -> None:
+    """Refuse files of twice the columns of a table: x and y of its even and odd rows are not both coordinates."""
     width = table.shape[1]
-    rows = table[:: max(len(table) // _SAMPLED, 1)]
-    halves = np.stack([rows[:, :2], rows[:, 3:5]]) if width == 6 else np.empty((2, 0, 2))
     pairs = table[: len(table) // 2 * 2].reshape(-1, 2, width)[:: max(len(table) // 2 // _SAMPLED, 1), :, :2]
-    other = 0
-    if _alike(*halves):
-        other = 3
-    elif _alternate(pairs):
-        other = 2 * width
-    if other:
+    pairs = pairs[np.isfinite(pairs).all(axis=(1, 2)) & (pairs != 0.0).any(axis=2).all(axis=1)]
+    if len(pairs) < _FEWEST_ROWS:
+        return
+    shares = np.stack([(pairs < 0.0).mean(axis=0), (pairs == np.rint(pairs)).mean(axis=0)])
+    if np.abs(shares[:, 0] - shares[:, 1]).max() > _ALTERNATING:
         raise BadInputError(
-            f"{path} seems to have {other} columns of float32; write {_listed()}, or PLY. If it has {width}, say "
+            f"{path} seems to have {2 * width} columns of float32; write {_listed()}, or PLY. If it has {width}, say "
             f"`columns={width}`"
         )
-
-
-def _alike(one: NDArray[np.float32], two: NDArray[np.float32]) -> bool:
-    """Return whether x and y of one table are distributed as those of another."""
-    seen = np.isfinite(one).all(axis=1) & np.isfinite(two).all(axis=1) & (one != 0.0).any(axis=1)
-    if seen.sum() < _LEVELS:
-        return False
-    tenths = np.linspace(0.05, 0.95, 10)
-    first, second = (np.quantile(half[seen], tenths, axis=0) for half in (one, two))
-    return bool((np.abs(first - second).max(axis=0) <= _ALIKE * np.ptp(first, axis=0)).all())
-
-
-def _alternate(pairs: NDArray[np.float32]) -> bool:
-    """Return whether x and y of even and odd rows, (n, 2, 2), are not both coordinates."""
-    pairs = pairs[np.isfinite(pairs).all(axis=(1, 2)) & (pairs != 0.0).any(axis=2).all(axis=1)]
-    if len(pairs) < _LEVELS:
-        return False
-    shares = np.stack([(pairs < 0.0).mean(axis=0), (pairs == np.rint(pairs)).mean(axis=0)])
-    return bool(np.abs(shares[:, 0] - shares[:, 1]).max() > _ALTERNATING)
 
 
 POINT_FOLDERS = ("velodyne", "os1_cloud_node_kitti_bin")
@@ -207,7 +131,6 @@ LABEL_FOLDERS = ("labels", "os1_cloud_node_semantickitti_label_id")
 """Folders of ``.label`` files, beside the folders of points."""
 _FLOAT_BYTES, _LABEL_BYTES = 4, 4
 _WITH_TIME = 6
-_MOST_RINGS = 1024
 _FARTHEST_M = 1e4
 """Beyond the range of any LiDAR on a robot: larger coordinates mean that the file holds something else."""
 _CHECKED = 16_384

@@ -3,7 +3,7 @@
 A set gives each of its ids a name, a class (0 smooth to 2 rough; -1: none) and a kind: ground, obstacle or neither.
 Three sets are built in: ``kitti`` (ids 0 to 19, as networks for SemanticKITTI are trained), ``semantic-kitti`` (the raw
 ids of that data set) and ``rellis`` (RELLIS-3D). Another comes from a file: CSV with the columns ``id,class`` and, if
-wanted, ``name`` and ``kind``, or TOML with one ``[[label]]`` per id that has the same keys.
+wanted, ``name`` and ``kind``.
 """
 
 import csv
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, BadInputError, UsageError, read_toml
+from bumpymap.core import CLASSES, BadInputError, UsageError
 from bumpymap.readers.source import open_source
 
 __all__ = ["LABEL_SETS", "LabelSet", "label_set", "require_label_set", "tell_label_set"]
@@ -31,7 +31,6 @@ _LEAST_GROUND = 0.02
 that are read with a set they are not of are rarely ground."""
 _KINDS = ("ground", "obstacle", "")
 _KEYS = ("id", "class", "name", "kind")
-_SUFFIXES = (".csv", ".toml")
 _SHOWN = 8
 """Number of ids that a message names."""
 
@@ -155,34 +154,20 @@ def label_set(name_or_path: str | Path) -> LabelSet:
     Raises
     ------
     UsageError
-        It is neither the name of a set nor a file name that ends in ``.csv`` or ``.toml``.
+        It is neither the name of a set nor a file name that ends in ``.csv``.
     BadInputError
         The file cannot be read, or is not a label set.
     """
     text = str(name_or_path)
     if text in LABEL_SETS:
         return LABEL_SETS[text]
-    path, suffix = Path(text), Path(text).suffix.lower()
-    if not (suffix in _SUFFIXES or path.exists() or len(path.parts) > 1):
-        raise UsageError(
-            f"`labels` is '{text}'; it must be {', '.join(LABEL_SETS)}, or a file that ends in .csv or .toml"
-        )
-    rows = _toml_rows(path) if suffix == ".toml" else _csv_rows(path)
-    return _from_rows(path, rows)
+    path = Path(text)
+    if not (path.suffix.lower() == ".csv" or path.exists() or len(path.parts) > 1):
+        raise UsageError(f"`labels` is '{text}'; it must be {', '.join(LABEL_SETS)}, or a file that ends in .csv")
+    return _from_rows(path, _csv_rows(path))
 
 
-def _toml_rows(path: Path) -> list[dict[str, Any]]:
-    content = read_toml(path, "a label set", BadInputError)
-    rows = content.get("label")
-    if set(content) != {"label"} or not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise BadInputError(
-            f"{path} is not a label set: it must hold one [[label]] per id, with the keys id, class and, if wanted, "
-            "name and kind"
-        )
-    return rows
-
-
-def _csv_rows(path: Path) -> list[dict[str, Any]]:
+def _csv_rows(path: Path) -> list[dict[str, str]]:
     with open_source(path) as stream:
         content = stream.read(_MOST_BYTES + 1)
     if len(content) > _MOST_BYTES:
@@ -207,7 +192,7 @@ def _csv_rows(path: Path) -> list[dict[str, Any]]:
     return [dict(zip(head, row, strict=True)) for row in rows]
 
 
-def _from_rows(path: Path, rows: list[dict[str, Any]]) -> LabelSet:
+def _from_rows(path: Path, rows: list[dict[str, str]]) -> LabelSet:
     if not rows:
         raise BadInputError(f"{path} holds no labels; a label set has one line per id: id,class")
     class_of: dict[int, int] = {}
@@ -225,18 +210,17 @@ def _from_rows(path: Path, rows: list[dict[str, Any]]) -> LabelSet:
             )
         class_of[number] = class_id
         kinds[kind].add(number)
-        names[number] = str(row.get("name", "")) or f"id {number}"
+        names[number] = row.get("name") or f"id {number}"
     return LabelSet(str(path), class_of, frozenset(kinds["ground"]), frozenset(kinds["obstacle"]), names)
 
 
-def _whole(path: Path, row: Mapping[str, Any], key: str, least: int, most: int) -> int:
-    given = row.get(key)
+def _whole(path: Path, row: Mapping[str, str], key: str, least: int, most: int) -> int:
     try:
-        number = int(given) if isinstance(given, str | int) and not isinstance(given, bool) else None
+        number = int(row[key])
     except ValueError:
-        number = None
-    if number is None or not least <= number <= most:
-        raise BadInputError(f"{path}: {key} is {str(given)[:40]!r}; it must be a whole number from {least} to {most:,}")
+        number = least - 1
+    if not least <= number <= most:
+        raise BadInputError(f"{path}: {key} is {row[key][:40]!r}; it must be a whole number from {least} to {most:,}")
     return number
 
 

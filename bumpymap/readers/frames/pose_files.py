@@ -1,4 +1,4 @@
-"""Transforms between the coordinate frames of a robot over time, as the messages of a bag give them."""
+"""Poses of a sensor over time: from files of several formats, and from the transforms in the messages of a bag."""
 
 import csv
 import re
@@ -93,8 +93,6 @@ _MATRIX = tuple(f"t{row}{column}" for row in range(3) for column in range(4))
 _TIME = ("time", "stamp", "timestamp", "t", "sec", "secs", "seconds", "__time", "%time")
 _SYNONYMS = {"tx": "x", "ty": "y", "tz": "z"}
 _NANOSECONDS = ("nanosec", "nsecs", "nsec", "nanosecs")
-_TF_WORDS = 11
-"""Words of a transform in an export of TF."""
 _FORMATS = "Poses are KITTI (12 numbers), TUM (8: time, x, y, z, qx, qy, qz, qw), or CSV with a header"
 _ROUNDING = 0.02
 """Tolerance of rotation matrices and quaternions: some files have only three decimals."""
@@ -129,9 +127,7 @@ def read_pose_file(path: Path) -> PoseFile:
     rows = [line for line in lines if not line.lstrip().startswith("#")]
     if not rows:
         raise BadInputError(f"{path} is empty; it must have one line per pose")
-    if _is_tf(rows[0]):
-        found = _from_tf(path, rows)
-    elif _has_letters(rows[0]):
+    if _has_letters(rows[0]):
         found = _from_csv(path, rows)
     elif {_plain(name) for name in head.split(",")} >= set(_PLACE):  # the header is a remark
         found = _from_csv(path, [head, *rows])
@@ -200,20 +196,6 @@ def _refuse_several(path: Path, head: list[str], rows: list[list[str]]) -> None:
                 f"{path} holds the poses of several frames ({name}: {', '.join(found)[:200]}); keep the rows of one: "
                 "those of the LiDAR in the fixed frame of the world"
             )
-
-
-def _is_tf(line: str) -> bool:
-    words = [word.strip() for word in line.split(",")]
-    return len(words) % _TF_WORDS == 0 and words[0].isdigit() and words[1].isdigit() and _has_letters(words[3])
-
-
-def _from_tf(path: Path, lines: list[str]) -> PoseFile:
-    head = ["sec", "nanosec", "frame_id", "child_frame_id", *_PLACE]
-    rows = []
-    for line in lines:
-        words = [word.strip() for word in line.split(",")]
-        rows += [words[first : first + _TF_WORDS] for first in range(0, len(words), _TF_WORDS)]
-    return _from_csv(path, [",".join(row) for row in [head, *rows]])
 
 
 def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:

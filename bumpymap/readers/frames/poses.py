@@ -110,7 +110,7 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
     Parameters
     ----------
     path : Path
-        KITTI, TUM, CSV, or an export of TF. KITTI's ``calib.txt`` and ``times.txt`` beside it are used.
+        KITTI, TUM or CSV. KITTI's ``calib.txt`` and ``times.txt`` beside it are used.
     frames : sequence of Path
         Files of scans.
     known : (n,) float64, optional

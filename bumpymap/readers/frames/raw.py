@@ -27,6 +27,7 @@ __all__ = [
     "RawScan",
     "bag_files",
     "is_bag",
+    "is_ros1",
     "message_types",
     "point_seconds",
     "points_of",
@@ -50,6 +51,11 @@ def is_bag(path: Path) -> bool:
     return path.suffix.lower() in BAG_SUFFIXES if not path.is_dir() else (path / _METADATA).is_file()
 
 
+def is_ros1(path: Path) -> bool:
+    """Return whether a path is a bag of ROS 1, by its suffix."""
+    return path.suffix.lower() == ".bag" and not path.is_dir()
+
+
 def bag_files(path: Path) -> list[Path]:
     """Return the files that make up a bag, and the pipes in its folder, for `version_of` to refuse."""
     if not path.is_dir():
@@ -61,8 +67,8 @@ def bag_files(path: Path) -> list[Path]:
     return [path / _METADATA, *sorted(stored)]
 
 
-def message_types() -> Any:
-    """Return the message types of ROS 2, as rosbags knows them.
+def message_types(*, ros1: bool = False) -> Any:
+    """Return the message types of ROS 2, or of ROS 1, as rosbags knows them.
 
     Raises
     ------
@@ -75,7 +81,7 @@ def message_types() -> Any:
         raise UsageError(
             f"bags are read with rosbags, which cannot be imported ({error}): pip install 'bumpymap[ros]'"
         ) from error
-    return get_typestore(Stores.ROS2_HUMBLE)
+    return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +92,7 @@ class BagRecord:
     time_ns: int
     """Time under which it is stored."""
     data: bytes
-    """CDR."""
+    """Serialised."""
 
 
 class BagReader:
@@ -95,7 +101,7 @@ class BagReader:
     Parameters
     ----------
     path : Path
-        A file or a folder, see `is_bag`.
+        A file or a folder, see `is_bag`; or a file of ROS 1.
 
     Raises
     ------
@@ -107,7 +113,9 @@ class BagReader:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._types = message_types()
+        ros1 = is_ros1(path)
+        types = message_types(ros1=ros1)
+        self._deserialize = types.deserialize_ros1 if ros1 else types.deserialize_cdr
         self._versions: dict[Path, Version] = {file: version_of(file) for file in bag_files(path)}
         self._lock = Lock()
         self._streams: list[Generator[BagRecord, None, None]] = []  # at most one: where `read` has got to
@@ -115,15 +123,15 @@ class BagReader:
         for file in self._versions:
             _refuse_database(file)
         with _reading(path):
-            from rosbags.rosbag2 import Reader
+            from rosbags import rosbag1, rosbag2
 
-            self._reader = Reader(path)
+            self._reader: Any = rosbag1.Reader(path) if ros1 else rosbag2.Reader(path)
             self._reader.open()
             weakref.finalize(self, _close, self._reader, self._streams)
             self.topics = {
                 topic: (str(info.msgtype), int(info.msgcount)) for topic, info in self._reader.topics.items()
             }
-            """Type and number of messages of each topic."""
+            """Type, as ROS 2 spells it, and number of messages of each topic."""
 
     def messages(self, topics: Collection[str], start_ns: int | None = None) -> Generator[BagRecord, None, None]:
         """Yield the messages of some topics in order of time, holding one at a time.
@@ -163,7 +171,7 @@ class BagReader:
     def decode(self, data: bytes, kind: str) -> Any:
         """Deserialise a message. Raises BadInputError if it is damaged."""
         with _reading(self.path):
-            return self._types.deserialize_cdr(data, kind)
+            return self._deserialize(data, kind)
 
 
 def _records(reader: Any, path: Path, wanted: list[Any], start_ns: int | None) -> Generator[BagRecord, None, None]:

@@ -10,12 +10,10 @@ import time
 import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from functools import partial
 from multiprocessing.connection import wait
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 from bumpymap.core import (
@@ -26,11 +24,8 @@ from bumpymap.core import (
     Holder,
     MapConfig,
     OutputError,
-    SilentProgress,
     TooUnknownError,
-    UsageError,
     count_text,
-    is_interrupted,
     lock_for,
     locked,
     missing_resource,
@@ -44,7 +39,6 @@ from bumpymap.layers import (
     RemoteFolder,
     SurveyRow,
     SurveyStatus,
-    is_complete,
     map_facts,
     write_manifest,
 )
@@ -65,8 +59,6 @@ class MapTask:
     name: str
     config: MapConfig
     """Its settings, with its share of threads and memory."""
-    overwrite: bool
-    """Replace layers that were made from other inputs or settings."""
     remote: RemoteFolder | None = None
     """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
@@ -98,7 +90,7 @@ def map_one(task: MapTask) -> TaskEnd:
             else:
                 row, view = _uploaded(task, task.remote)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
-            row = _failed(task, error, round(time.perf_counter() - begin, 3))
+            row = _failed(task, error, time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
                 events.append({"event": "traceback", "message": traceback.format_exc()})
     said = [event["message"] for event in events if event["event"] == "warning"]
@@ -119,7 +111,7 @@ def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyVie
         try:
             row = _found(task, remote, manifest)
         except OutputError:
-            if not task.overwrite:
+            if not task.config.overwrite:
                 raise
         else:
             if not out.is_symlink() and read_record(out / MANIFEST_NAME) == manifest:
@@ -167,11 +159,19 @@ def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> Sur
 
 
 def _mapped(task: MapTask) -> SurveyRow:
-    if task.config.out.is_symlink():
-        raise OutputError(f"{task.config.out} is a link, which is not followed. Remove it")
-    _wait_for_killed(task.config.out)
-    result = _run(task)
-    return _row(task, result, map_facts(task.config.out))
+    out = task.config.out
+    if out.is_symlink():
+        raise OutputError(f"{out} is a link, which is not followed. Remove it")
+    # A worker of a batch that was killed takes a moment to end.
+    end = time.monotonic() + _MOST_WAIT_S
+    while out.is_dir() and time.monotonic() < end:
+        try:
+            with locked(out):
+                break
+        except OutputError:
+            time.sleep(_MOST_WAIT_S / 50)
+    result = map_surveys(task.config, in_batch=True)
+    return _row(task, result, map_facts(out))
 
 
 def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
@@ -189,45 +189,6 @@ def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
     return SurveyRow(task.name, status, message, survey=_survey(task), **facts)
 
 
-def _run(task: MapTask) -> MapResult:
-    """Run the map; with ``overwrite``, replace a run that is not the same, but continue one that is.
-
-    An interrupted run of other inputs or settings has left no layers, so it is always replaced.
-    """
-    out, progress = task.config.out, _Begun()
-    run = partial(map_surveys, progress=progress, crs_must_agree=False)
-    unfinished = is_interrupted(out)
-    try:
-        return run(task.config)
-    except (OutputError, UsageError) as error:
-        no_layers = unfinished and isinstance(error, UsageError) and not is_complete(out)
-        # Before its first stage a run has only compared itself with what is there; after that, the error is another.
-        if progress.begun or not (task.overwrite or no_layers):
-            raise
-    return run(replace(task.config, overwrite=True))
-
-
-def _wait_for_killed(out: Path) -> None:
-    """Wait until no other run holds a folder: a worker of a batch that was killed takes a moment to end."""
-    end = time.monotonic() + _MOST_WAIT_S
-    while out.is_dir() and time.monotonic() < end:
-        try:
-            with locked(out):
-                return
-        except OutputError:
-            time.sleep(_MOST_WAIT_S / 50)
-
-
-class _Begun(SilentProgress):
-    """Notes whether a run has begun to work."""
-
-    begun = False
-
-    def start(self, stage: str, total: int | None) -> None:
-        """Note it."""
-        self.begun = True
-
-
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
     what, full = missing_resource(error), refused_write(error)
     message = str(error) if isinstance(error, BumpymapError) else f"{type(error).__name__}: {error}"
@@ -235,7 +196,11 @@ def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:
         message = f"{message} ({full})"
     if what:
         message = f"the machine has no {what} left for this: give fewer `jobs` or less `memory`. {message}"
-    return SurveyRow(task.name, "failed", message, seconds=seconds, survey=_survey(task))
+    return _failed_row(task, message, seconds)
+
+
+def _failed_row(task: MapTask, message: str, seconds: float) -> SurveyRow:
+    return SurveyRow(task.name, "failed", message, seconds=round(seconds, 3), survey=_survey(task))
 
 
 def _survey(task: MapTask) -> str:
@@ -281,66 +246,32 @@ def map_tasks(
         No process can be started.
     """
     compile_loaded()  # all of a map; here it is shown, and not done by each worker
-    workers = _Workers()
-    waiting = deque(tasks)
+    waiting, idle = deque(tasks), list[Child]()
+    busy: dict[Any, tuple[Child, MapTask, float]] = {}
     try:
-        while waiting or workers.busy:
-            while waiting and len(workers.busy) < jobs:
+        while waiting or busy:
+            while waiting and len(busy) < jobs:
                 task = waiting.popleft()
                 started(task)
-                workers.begin(task)
-            yield from workers.ended()
+                idle = [child for child in idle if child.is_alive]
+                child = idle.pop() if idle else Child("to map surveys", _MODULE)
+                busy[child.link] = child, task, time.perf_counter()
+                with suppress(ChildDiedError):  # `finish` says so
+                    child.begin("map_one", task)
+            for link in wait(list(busy)):
+                child, task, begun = busy.pop(link)
+                try:
+                    end: TaskEnd = child.finish()
+                    idle.append(child)
+                except (ChildDiedError, ChildError) as error:
+                    child.close()
+                    message = (
+                        f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
+                        "continues this survey"
+                    )
+                    end = TaskEnd(_failed_row(task, message, time.perf_counter() - begun), ())
+                yield end
     finally:
-        workers.close()  # a run that is under way is ended as by a kill; the next start continues it
-
-
-class _Workers:
-    """The processes, and what each of them does."""
-
-    def __init__(self) -> None:
-        self.busy: dict[Child, tuple[MapTask, float]] = {}
-        self._idle: list[Child] = []
-
-    def begin(self, task: MapTask) -> None:
-        """Give a task to an idle worker, or to a new one."""
-        while self._idle:
-            child = self._idle.pop()
-            try:
-                child.begin("map_one", task)
-            except ChildDiedError:  # meanwhile, of something else
-                child.close()
-                continue
-            self.busy[child] = task, perf_counter()
-            return
-        child = Child("to map surveys", _MODULE)
-        self.busy[child] = task, perf_counter()  # first: if it died at once, `ended` says so
-        try:
-            child.begin("map_one", task)
-        except ChildDiedError:
-            return
-
-    def ended(self) -> Iterator[TaskEnd]:
-        """Wait until at least one task has ended, and yield its result."""
-        links = {child.link: child for child in self.busy}
-        for link in wait(list(links)):
-            child = links[link]  # type: ignore[index]
-            task, begun = self.busy.pop(child)
-            try:
-                end: TaskEnd = child.finish()
-                self._idle.append(child)
-            except (ChildDiedError, ChildError) as error:
-                child.close()
-                message = (
-                    f"its process {error}. If memory ran out, give fewer `jobs` or less `memory`; the next start "
-                    "continues this survey"
-                )
-                survey = " ".join(map(str, task.config.surveys))
-                end = TaskEnd(
-                    SurveyRow(task.name, "failed", message, seconds=round(perf_counter() - begun, 3), survey=survey), ()
-                )
-            yield end
-
-    def close(self) -> None:
-        """End all processes."""
-        for child in (*self.busy, *self._idle):
+        # A run that is under way is ended as by a kill; the next start continues it.
+        for child in (*(child for child, _, _ in busy.values()), *idle):
             child.close()

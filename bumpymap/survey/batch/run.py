@@ -297,7 +297,6 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
         MapTask(
             survey.name,
             config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
-            config.overwrite,
             None if config.remote is None else config.remote.below(survey.name),
             min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
             holder,

@@ -90,16 +90,9 @@ class BatchConfig:
         digest = hashlib.sha256(self.out.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:16]
         return Path(scratch or tempfile.gettempdir()) / f"bumpymap-batch-{digest}"
 
-    @property
-    def overwrite(self) -> bool:
-        """True: layers that were made from other inputs or settings are replaced."""
-        return bool(self.given.get("overwrite", self.defaults.get("overwrite", False)))
-
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of one survey, with those that its row in the CSV gives."""
-        settings = override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
-        settings.pop("overwrite", None)
-        return settings
+        return override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
 
     def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path | str, ...] = (), name: str = "") -> MapConfig:
         """Return the settings of one survey, before resources are shared out.

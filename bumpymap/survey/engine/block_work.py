@@ -1,6 +1,6 @@
 """The work on each block, the packs of finished tiles, and the messages when memory or disk run out."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +20,14 @@ from bumpytiles import (
     Grid,
     Pack,
     PackError,
-    PackWriter,
     TileBuckets,
     TilePoints,
     TileTable,
     TooManyPointsError,
+    grouped_blocks,
     join_tiles,
     run_blocks,
+    write_pack,
 )
 
 __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "TileSink", "engine_errors"]
@@ -34,8 +35,8 @@ __all__ = ["BlockWork", "MeasuredTiles", "TileColumns", "TileSink", "engine_erro
 _PACK_TILES = 16_384
 """Tiles in a pack: 22 MB at 15 x 15 pixels. A killed run loses no more than that."""
 
-_GROUP_TILES = 1024
-"""Most tiles that are written at once: 2 MB."""
+_JOINED_BLOCKS = 16
+"""Blocks of which a column is written at once: at most 4 MB."""
 
 
 class TileSink:
@@ -69,31 +70,17 @@ class TileSink:
         if not self._held:
             return
         path = self._folder / f"tiles-{self._kind}-{self._number:06d}.pack"
-        with PackWriter(path, self._columns, {"kind": self._kind, "marks": self._marks}) as writer:
-            for keys in self._groups():
-                parts = [self._held[key] for key in keys]
-                if len(keys) == 1:
-                    writer.add(keys[0], len(parts[0]["col"]), {name: [array] for name, array in parts[0].items()})
-                    continue
-                joined = {
-                    column.name: np.concatenate([part[column.name] for part in parts]) for column in self._columns
-                }
-                writer.add_blocks(keys, [len(part["col"]) for part in parts], joined)
+        blocks = {key: len(columns["col"]) for key, columns in self._held.items()}
+        write_pack(path, self._columns, blocks, self._parts, {"kind": self._kind, "marks": self._marks})
         self._written.append(path)
         self._number += 1
         self._held, self._tiles, self._marks = {}, 0, [0, 0]
 
-    def _groups(self) -> Iterator[list[BlockKey]]:
-        """Yield the held blocks, those with few tiles in groups: the fixed time of a write counts once for many."""
-        group: list[BlockKey] = []
-        tiles = 0
-        for key, columns in self._held.items():
-            if group and tiles + len(columns["col"]) > _GROUP_TILES:
-                yield group
-                group, tiles = [], 0
-            group.append(key)
-            tiles += len(columns["col"])
-        yield group
+    def _parts(self, column: Column) -> Iterator[NDArray[Any]]:
+        """Yield the held rows of a column, a few blocks at a time: the fixed time of a write counts once for them."""
+        held = [columns[column.name] for columns in self._held.values()]
+        for first in range(0, len(held), _JOINED_BLOCKS):
+            yield np.concatenate(held[first : first + _JOINED_BLOCKS])
 
     def new_packs(self) -> list[Path]:
         """Return the packs that were written since the last call."""
@@ -139,57 +126,30 @@ class BlockWork:
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, kinds: Sequence[str]
     ) -> Iterator[tuple[BlockKey, dict[str, TileColumns]]]:
         """Rate blocks for some of ``kinds``, of which each needs the same sorted points."""
-
-        def finish(group: Sequence[BlockKey]) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
-            if len(group) > 1:
-                return self._rate_together(buckets, group, kinds)
-            block = self._block(buckets, group[0], kinds)
-            shares = [self._rate(points, kinds, block) for points in self._points(buckets, group[0])]
-            return [(group[0], {kind: _joined([share[kind] for share in shares]) for kind in kinds})]
-
-        for finished in run_blocks(finish, self._groups(buckets, keys), threads):
+        most = min(_GROUP_POINTS, buckets.limits.block_points if buckets.limits else _GROUP_POINTS)
+        # The cloth filter needs each block by itself.
+        groups = grouped_blocks(keys, buckets.points, 0 if self.ground == "csf" else most)
+        for finished in run_blocks(lambda group: self._rate_group(buckets, group, kinds), groups, threads):
             yield from finished
 
-    def _rate(
-        self, points: TilePoints, kinds: Sequence[str], block: PatchStack | None = None
-    ) -> dict[str, TileColumns]:  # fmt: skip
-        more = () if block is None else (block,)
-        return {kind: self.rate(points, kind == _GROUND, *more) for kind in kinds}
-
-    def _block(self, buckets: TileBuckets, key: BlockKey, kinds: Sequence[str]) -> PatchStack | None:
-        """Measure a block that is too large to be rated in one piece: a tile is rated with what stands around it."""
-        if self.measure_all is None or _ALL not in kinds or not buckets.is_divided(key):
-            return None
-        return join_stacks([self.measure_all(points) for points in buckets.block(key)])
-
-    def _groups(self, buckets: TileBuckets, keys: Sequence[BlockKey]) -> Iterator[list[BlockKey]]:
-        """Yield the blocks, those with few points in groups: the fixed time of a block then counts once for many.
-
-        The cloth filter needs each block by itself.
-        """
-        most = min(_GROUP_POINTS, buckets.limits.block_points if buckets.limits else _GROUP_POINTS)
-        group: list[BlockKey] = []
-        held = 0
-        for key in keys:
-            points = buckets.points(key)
-            if group and (held + points > most or self.ground == "csf"):
-                yield group
-                group, held = [], 0
-            group.append(key)
-            held += points
-        if group:
-            yield group
-
-    def _rate_together(
+    def _rate_group(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], kinds: Sequence[str]
     ) -> list[tuple[BlockKey, dict[str, TileColumns]]]:
-        """Rate small blocks in one call; a tile's results do not depend on other blocks."""
-        parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
-        ends = np.cumsum([len(part.col) for part in parts])[:-1]
-        rated = self._rate(join_tiles(parts), kinds)
-        pieces = {kind: {n: np.split(values, ends) for n, values in rated[kind].items()} for kind in kinds}
+        """Rate a block in the shares that it comes in, or small ones in one call: no tile depends on other blocks."""
+        ends: list[int] = []
+        whole: tuple[PatchStack, ...] = ()
+        shares: Iterable[TilePoints] = self._points(buckets, keys[0])
+        if len(keys) > 1:
+            parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
+            ends, shares = np.cumsum([len(part.col) for part in parts])[:-1].tolist(), [join_tiles(parts)]
+        elif self.measure_all is not None and _ALL in kinds and buckets.is_divided(keys[0]):
+            # A tile is rated with what stands around it, so the block is measured first.
+            whole = (join_stacks([self.measure_all(points) for points in buckets.block(keys[0])]),)
+        rated = [{kind: self.rate(points, kind == _GROUND, *whole) for kind in kinds} for points in shares]
+        joined = {kind: _joined([share[kind] for share in rated]) for kind in kinds}
+        pieces = {kind: {n: np.split(a, ends) for n, a in columns.items()} for kind, columns in joined.items()}
         return [
-            (key, {kind: {n: split[number] for n, split in pieces[kind].items()} for kind in kinds})
+            (key, {kind: {n: split[number] for n, split in own.items()} for kind, own in pieces.items()})
             for number, key in enumerate(keys)
         ]
 

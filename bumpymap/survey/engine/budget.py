@@ -308,7 +308,7 @@ copies of it there: the scratch raster, the finished one, if nothing can be comp
 _ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
 """Tiles of a row group of tiles.parquet, which is written at the same time, and copies of their heightmaps."""
 
-_PACK_BYTES, _ENTRY_BYTES = 8192, 32
+_PACK_BYTES, _ENTRY_BYTES = 8192, 24
 """Size of the header of a pack, and of its index entry of a block, bytes."""
 _LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 350
 """Layers before compression: bytes per pixel of a heightmap (stored twice) and of obstacle.tif, and other bytes per

@@ -24,7 +24,7 @@ from bumpymap.core import BadInputError, OutputError, Progress, UsageError
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
+from bumpymap.survey.engine.collector import BlockGroup, ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, range_points, shared_tasks
 from bumpymap.survey.engine.reading import OpenRange
 from bumpymap.survey.engine.run import ReadPlan
@@ -64,6 +64,10 @@ class RunContext:
     """Folder for finished tiles, visible to client and workers."""
     run_id: str
     """Content of the file ``alive`` in both folders; unique to the run."""
+    options: ReadOptions
+    """With which files are opened."""
+    chunk_points: int
+    """Points of a chunk, at most."""
 
     def check(self) -> None:
         """Raise OutputError if the folders are not visible, or the run has ended."""
@@ -79,15 +83,8 @@ class RunContext:
                 )
 
 
-@dataclass(frozen=True, slots=True)
-class FileSource:
-    """A file that a worker opens."""
-
-    path: Location
-    options: ReadOptions
-    identity: tuple[int, str]
-    """Size in bytes and digest of the file, see `bumpymap.readers.source.identity`."""
-    chunk_points: int
+FileSource = tuple[Location, tuple[int, str]]
+"""A file that a worker opens: its place, its size in bytes and its digest, see `bumpymap.readers.identity`."""
 
 
 def missing_on_worker(
@@ -126,10 +123,10 @@ def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTa
     with _worker(context) as worker:
         try:
             ranges, bad = [], []
-            for source, part in zip(sources, task.ranges, strict=True):
+            for (path, known), part in zip(sources, task.ranges, strict=True):
                 try:
-                    reader = opened(source.path, source.options, source.identity, context.run_id)
-                    chunks = reader.chunks(source.chunk_points)[part.first : part.stop]
+                    reader = opened(path, context.options, known, context.run_id)
+                    chunks = reader.chunks(context.chunk_points)[part.first : part.stop]
                     ranges.append(OpenRange(part, reader, chunks))
                 except BadInputError as error:
                     bad.append(ReadResult(((part.file, part.first, part.stop),), error=error))
@@ -149,12 +146,12 @@ def count_marks(context: RunContext, group: BlockGroup) -> tuple[int, int]:
         return worker.count_marks(group)
 
 
-def finish_group(context: RunContext, group: BlockGroup, ground_only: bool) -> FinishedTiles:
-    """Rate blocks; return the packs of their tiles."""
+def finish_group(context: RunContext, group: BlockGroup, ground_only: bool) -> tuple[list[Path], int]:
+    """Rate blocks; return the packs of their tiles, and how many blocks these are."""
     with _worker(context) as worker:
         opened.cache_clear()  # nothing is read any more
-        packs = [pack for tiles in worker.finish(group, ground_only=ground_only) for pack in tiles.packs]
-        return FinishedTiles(tuple(packs), len(group.keys))
+        packs = [pack for packs in worker.finish(group, ground_only=ground_only) for pack in packs]
+        return packs, len(group.keys)
 
 
 @contextmanager
@@ -289,8 +286,9 @@ class ClusterExecutor:
         versions: Callable[[], Mapping[str, str]],
     ) -> None:
         self._space, self._progress, self._workers = space, progress, workers
-        self._options, self._versions = options, versions
-        self._context = RunContext(work, budget.memory, space.points_folder, space.new_tiles, uuid4().hex)
+        self._versions = versions
+        folders, chunk_points = (space.points_folder, space.new_tiles), space.run_spec["cut"]["chunk_points"]
+        self._context = RunContext(work, budget.memory, *folders, uuid4().hex, options, chunk_points)
 
     @contextmanager
     def running(self) -> Iterator[None]:
@@ -327,12 +325,12 @@ class ClusterExecutor:
         """Yield the number of tiles, and of those with ground points, for each group."""
         yield from self._run_tasks(count_marks, ((self._context, group) for group in groups))
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
-        """Rate the blocks of each group."""
+    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[list[Path], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles."""
         tasks = ((self._context, group, ground_only) for group in groups)
-        for tiles in self._run_tasks(finish_group, tasks):
-            yield tiles
-            self._progress.advance(tiles.blocks)
+        for packs, blocks in self._run_tasks(finish_group, tasks):
+            yield packs
+            self._progress.advance(blocks)
 
     def _run_tasks(self, function: Callable[..., Any], tasks: Iterable[tuple[Any, ...]]) -> Generator[Any, None, None]:
         with closing(self._workers.run(function, tasks)) as results:
@@ -342,9 +340,7 @@ class ClusterExecutor:
     def _source(self, plan: ReadPlan, part: ChunkRange) -> FileSource:
         path = plan.readers[part.file].info.path
         known = self._space.run_spec["inputs"][str(path)]
-        place = path if isinstance(path, str) else path.absolute()
-        chunk_points = self._space.run_spec["cut"]["chunk_points"]
-        return FileSource(place, self._options, (known["size"], known["digest"]), chunk_points)
+        return path if isinstance(path, str) else path.absolute(), (known["size"], known["digest"])
 
     def _check_workers(self) -> None:
         """Raise UsageError if a worker lacks something that the run needs."""

@@ -21,7 +21,7 @@ from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_c
 from bumpymap.survey.engine.budget import Workspace
 from bumpytiles import BLOCK_TILES, BlockKey, Pack, TileWindow
 
-__all__ = ["BlockCatalogue", "BlockGroup", "Checkpoints", "FinishedTiles", "ReadResult", "ResultCollector", "Span"]
+__all__ = ["BlockCatalogue", "BlockGroup", "Checkpoints", "ReadResult", "ResultCollector", "Span"]
 
 _SIDE = 8
 """Blocks along a side of the squares that groups are formed from: neighbouring blocks are in the same packs."""
@@ -119,14 +119,6 @@ class ReadResult:
     """By file, the name of the machine that read the chunks, and the version there; without those of this process."""
 
 
-@dataclass(frozen=True, slots=True)
-class FinishedTiles:
-    """Packs of finished tiles, and the number of blocks in them."""
-
-    packs: tuple[Path, ...]
-    blocks: int
-
-
 class Checkpoints:
     """Saves results as checkpoints, and loads those of an earlier run.
 
@@ -151,7 +143,7 @@ class Checkpoints:
         whole = {
             path: record
             for path, record in records.items()
-            if not lost and all(self._points(path).exists() for path, _ in record["packs"])
+            if not lost and all((self._space.points_folder / path).exists() for path, _ in record["packs"])
         }
         self._clear(early, whole)
         self.early = [Pack(self._space.tile_pack(self._kinds[0], number)) for number in sorted(early)]
@@ -166,20 +158,21 @@ class Checkpoints:
         if result.in_memory is not None:
             return
         folder = self._space.points_folder
-        self._write(
-            {
-                "spans": result.spans,
-                "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
-                "flagged": result.flagged,
-                "lines": result.lines.to_record(),
-                CHECKSUM_METHOD: {
-                    str(file): [(n, digests.hex()) for n, digests in own] for file, own in result.hashed.items()
-                },
-                "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
-                "early": early,
-                "seen": {str(file): seen for file, seen in result.seen.items()},
-            }
-        )
+        record = {
+            "spans": result.spans,
+            "stats": {str(file): stats.to_record() for file, stats in result.stats.items()},
+            "flagged": result.flagged,
+            "lines": result.lines.to_record(),
+            CHECKSUM_METHOD: {
+                str(file): [(n, digests.hex()) for n, digests in own] for file, own in result.hashed.items()
+            },
+            "packs": [[str(path.relative_to(folder)), blocks.tolist()] for path, blocks in result.packs],
+            "early": early,
+            "seen": {str(file): seen for file, seen in result.seen.items()},
+        }
+        with atomic(self._space.record(self._next_record)) as temporary:
+            temporary.write_text(json.dumps(record), encoding="utf-8")
+        self._next_record += 1
 
     def number_packs(self, packs: Sequence[Sequence[Path]], kinds: Sequence[str]) -> list[int]:
         """Move packs, as many of each kind, to their numbered names; return the numbers."""
@@ -206,14 +199,6 @@ class Checkpoints:
             if folder.is_dir() and folder.name not in folders:
                 shutil.rmtree(folder, ignore_errors=True)
 
-    def _write(self, record: Mapping[str, Any]) -> None:
-        with atomic(self._space.record(self._next_record)) as temporary:
-            temporary.write_text(json.dumps(record), encoding="utf-8")
-        self._next_record += 1
-
-    def _points(self, path: str) -> Path:
-        return self._space.points_folder / path
-
     def _result(self, record: Mapping[str, Any]) -> ReadResult:
         return ReadResult(
             tuple((file, first, stop) for file, first, stop in record["spans"]),
@@ -224,20 +209,9 @@ class Checkpoints:
                 int(file): tuple((first, bytes.fromhex(digests)) for first, digests in own)
                 for file, own in record.get(CHECKSUM_METHOD, {}).items()  # digests by another method are no use
             },
-            tuple((self._points(path), np.array(blocks, np.int64)) for path, blocks in record["packs"]),
+            tuple((self._space.points_folder / path, np.array(blocks, np.int64)) for path, blocks in record["packs"]),
             seen={int(file): (host, version) for file, (host, version) in record["seen"].items()},
         )
-
-
-@dataclass(frozen=True, slots=True)
-class _FileResult:
-    """The part of a result that concerns one file."""
-
-    first: int
-    stop: int
-    stats: PointStats
-    error: BadInputError | None
-    seen: tuple[str, Version | None] | None
 
 
 class ResultCollector:
@@ -275,7 +249,8 @@ class ResultCollector:
         self.lines = LineSums()
         """Sums to compare the flight lines of the points used."""
         self.skipped: set[int] = set()
-        self._results: dict[int, list[_FileResult]] = {file: [] for file in range(len(readers))}
+        self._results: dict[int, list[tuple[int, int, ReadResult]]] = {file: [] for file in range(len(readers))}
+        """By file, its chunks that are read (first, last + 1), and what is known of them, without their points."""
         self._held: list[ReadResult] = []
         self._sound: set[int] = set()
         self._bad: dict[int, BadInputError] = {}
@@ -287,7 +262,7 @@ class ResultCollector:
 
     def read_spans(self) -> dict[int, list[tuple[int, int]]]:
         """Return the chunks of each file that are read, as (first, last + 1)."""
-        return {file: [(part.first, part.stop) for part in parts] for file, parts in self._results.items()}
+        return {file: [(first, stop) for first, stop, _ in parts] for file, parts in self._results.items()}
 
     @property
     def finished(self) -> set[BlockKey]:
@@ -326,25 +301,25 @@ class ResultCollector:
         self._judge(files)
         self._keep_sound()
 
-    def add_tiles(self, kind: str, tiles: FinishedTiles) -> None:
-        """Save finished tiles."""
-        self._checkpoints.number_packs([tiles.packs], [kind])
+    def add_tiles(self, kind: str, packs: Sequence[Path]) -> None:
+        """Save packs of finished tiles."""
+        self._checkpoints.number_packs([packs], [kind])
 
     def _note_results(self, result: ReadResult) -> None:
+        known = ReadResult(result.spans, result.stats, error=result.error, seen=result.seen)
         for file, first, stop in result.spans:
-            stats = result.stats.get(file, PointStats())
-            self._results[file].append(_FileResult(first, stop, stats, result.error, result.seen.get(file)))
+            self._results[file].append((first, stop, known))
         for file, pieces in result.hashed.items():
             self._readers[file].put_hashed(pieces)
 
     def _judge(self, files: Iterable[int]) -> None:
         """Judge files that are read completely; skip bad ones in file order, so that messages come in that order."""
         for file in files:
-            parts = sorted(self._results[file], key=lambda part: part.first)
-            if file in self._sound | self._bad.keys() or sum(p.stop - p.first for p in parts) < self._chunks[file]:
+            read = sum(stop - first for first, stop, _ in self._results[file])
+            if file in self._sound | self._bad.keys() or read < self._chunks[file]:
                 continue
             try:
-                self.stats[file] = self._merged_stats(file, parts)
+                self.stats[file] = self._merged_stats(file)
                 self._sound.add(file)
             except BadInputError as error:
                 self._bad[file] = error
@@ -354,16 +329,17 @@ class ResultCollector:
                 self.skipped.add(self._decided)
             self._decided += 1
 
-    def _merged_stats(self, file: int, parts: Sequence[_FileResult]) -> PointStats:
+    def _merged_stats(self, file: int) -> PointStats:
         stats = PointStats()
-        seen: dict[str, Version | None] = {}
-        for part in parts:
+        versions: dict[str, Version | None] = {}
+        for _, _, part in sorted(self._results[file], key=lambda part: part[0]):
             if part.error is not None:
                 raise part.error
-            stats = stats.merge(part.stats)
+            stats = stats.merge(part.stats.get(file, PointStats()))
             # Copies on several machines may differ in their modification time.
-            if part.seen is not None and seen.setdefault(*part.seen) != part.seen[1]:
-                where = f"workers on {part.seen[0]} saw several versions of it"
+            host, version = part.seen.get(file, ("", None))
+            if versions.setdefault(host, version) != version:
+                where = f"workers on {host} saw several versions of it"
                 raise file_changed(self._readers[file].info.path, where)
         if self._chunks[file]:
             self._readers[file].verify(stats)

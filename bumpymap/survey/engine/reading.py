@@ -9,6 +9,7 @@ caller receives them in order.
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,9 @@ from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
 from bumpymap.survey.engine.collector import ReadResult, Span
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
-from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets
+from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
-__all__ = ["BadFile", "BlockCompletion", "ChunkStream", "OpenRange", "RangeReader", "ReadChunk", "refuse_no_points"]
+__all__ = ["BadFile", "BlockCompletion", "OpenRange", "RangeReader", "ReadChunk", "read_chunks", "refuse_no_points"]
 
 _MARGIN = 1.01
 """Points may lie this far outside their bounds, m (readers accept 1 m)."""
@@ -103,20 +104,14 @@ class OpenRange:
 
 @dataclass(frozen=True, slots=True)
 class ReadChunk:
-    """The points of a chunk, grouped by block."""
+    """A chunk that was read, without its points."""
 
     source: OpenRange
     chunk: Chunk
-    points: GroupedPoints
     stats: PointStats
     flagged: bool
     """True if any point is ground."""
     lines: LineSums
-
-    @property
-    def is_last(self) -> bool:
-        """True if this is the last chunk of its range."""
-        return self.chunk.index + 1 == self.source.range.stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,94 +122,73 @@ class BadFile:
     error: BadInputError
 
 
-_Pending = deque[tuple[OpenRange, Future[ReadChunk]]]
+_Fetching = tuple[OpenRange, Chunk, Future[Any]]
 
 
-class ChunkStream:
-    """Reads ranges in order; see `read`.
+def read_chunks(
+    ranges: Sequence[OpenRange], grid: Grid, threads: int, skipped: set[int]
+) -> Iterator[tuple[ReadChunk, GroupedPoints] | BadFile]:
+    """Yield the chunks of ranges in order, with their points grouped by block.
 
     Parameters
     ----------
     ranges : sequence of OpenRange
     grid : Grid
     threads : int
+    skipped : set of int
+        Files that are read no further. One that cannot be read is added, and yields one `BadFile` after its good
+        chunks.
     """
 
-    def __init__(self, ranges: Sequence[OpenRange], grid: Grid, threads: int) -> None:
-        self._ranges, self._grid, self._threads = ranges, grid, threads
-        self._skipped: set[int] = set()
-        self._fetchers: dict[int, ThreadPoolExecutor] = {}
-        """By the number of chunks that are fetched at a time."""
-
-    def skip(self, file: int) -> None:
-        """Stop reading a file."""
-        self._skipped.add(file)
-
-    def read(self) -> Iterator[ReadChunk | BadFile]:
-        """Yield the chunks in order; for a file that cannot be read, yield one `BadFile` after its good chunks."""
-        np.empty(_LARGEST_KEPT, np.uint8)
-        pending: _Pending = deque()
-        pool = ThreadPoolExecutor(self._threads)
+    def grouped(fetching: _Fetching) -> tuple[ReadChunk, GroupedPoints] | BadFile | None:
+        source, chunk, future = fetching
+        if source.range.file in skipped:
+            return None  # found to be bad while this chunk was fetched
         try:
-            for source, chunk, fetching in self._fetched():
-                if source.range.file in self._skipped:
-                    continue  # found to be bad while this chunk was fetched
-                try:
-                    fetched = fetching.result()
-                except BadInputError as error:
-                    yield from self._ready(pending, 0)
-                    yield from self._refused(source, error)
+            batch = source.reader.convert(chunk, future.result())
+        except BadInputError as error:
+            return BadFile(source, error)
+        points = batch.grouped(grid)
+        flagged = bool((points.points["flag"] == POINT_GROUND).any())
+        return ReadChunk(source, chunk, batch.stats, flagged, batch.lines), points
+
+    np.empty(_LARGEST_KEPT, np.uint8)
+    fetchers: dict[int, ThreadPoolExecutor] = {}
+    try:
+        fetched = _fetched(ranges, threads, skipped, fetchers)
+        with closing(run_blocks(grouped, fetched, threads, threads + 1)) as results:
+            for read in results:
+                if read is None or (read.source if isinstance(read, BadFile) else read[0].source).range.file in skipped:
                     continue
-                pending.append((source, pool.submit(self._grouped, source, chunk, fetched)))
-                del fetched, fetching
-                yield from self._ready(pending, self._threads)
-            yield from self._ready(pending, 0)
-        finally:
-            for fetcher in self._fetchers.values():
-                fetcher.shutdown(cancel_futures=True)
-            pool.shutdown(cancel_futures=True)
-            close_decoder()
+                if isinstance(read, BadFile):
+                    skipped.add(read.source.range.file)
+                yield read
+                del read
+    finally:
+        for fetcher in fetchers.values():
+            fetcher.shutdown(cancel_futures=True)
+        close_decoder()
 
-    def _fetched(self) -> Iterator[tuple[OpenRange, Chunk, Future[Any]]]:
-        """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead."""
-        ahead: deque[tuple[OpenRange, Chunk, Future[Any]]] = deque()
-        for source in self._ranges:
-            largest = max((chunk.points for chunk in source.chunks), default=1)
-            at_once = requests_at_once(largest, self._threads) if source.reader.info.parallel else 1
-            fetcher = self._fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
-            for chunk in source.chunks:
-                if source.range.file in self._skipped:
-                    break
-                ahead.append((source, chunk, fetcher.submit(source.reader.fetch, chunk)))
-                while len(ahead) > at_once:
-                    yield ahead.popleft()
-        yield from ahead
 
-    def _grouped(self, source: OpenRange, chunk: Chunk, fetched: Any) -> ReadChunk:
-        batch = source.reader.convert(chunk, fetched)
-        points = batch.grouped(self._grid)
-        return ReadChunk(
-            source, chunk, points, batch.stats, bool((points.points["flag"] == POINT_GROUND).any()), batch.lines
-        )
+def _fetched(
+    ranges: Sequence[OpenRange], threads: int, skipped: set[int], fetchers: dict[int, ThreadPoolExecutor]
+) -> Iterator[_Fetching]:
+    """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead.
 
-    def _ready(self, pending: _Pending, most: int) -> Iterator[ReadChunk | BadFile]:
-        """Yield grouped chunks in order until at most ``most`` are pending."""
-        while len(pending) > most:
-            source, future = pending.popleft()
-            if source.range.file in self._skipped:
-                continue
-            try:
-                chunk = future.result()
-            except BadInputError as error:
-                yield from self._refused(source, error)
-                continue
-            del future
-            yield chunk
-
-    def _refused(self, source: OpenRange, error: BadInputError) -> Iterator[BadFile]:
-        if source.range.file not in self._skipped:
-            self.skip(source.range.file)
-            yield BadFile(source, error)
+    ``fetchers`` receives the threads, by the number of chunks that are fetched at a time.
+    """
+    ahead: deque[_Fetching] = deque()
+    for source in ranges:
+        largest = max((chunk.points for chunk in source.chunks), default=1)
+        at_once = requests_at_once(largest, threads) if source.reader.info.parallel else 1
+        fetcher = fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
+        for chunk in source.chunks:
+            if source.range.file in skipped:
+                break
+            ahead.append((source, chunk, fetcher.submit(source.reader.fetch, chunk)))
+            while len(ahead) > at_once:
+                yield ahead.popleft()
+    yield from ahead
 
 
 _NAMED = 5
@@ -244,17 +218,6 @@ def refuse_no_points(readers: Sequence[SurveyReader], stats: Sequence[PointStats
     raise BadInputError(
         f"no point is left to map: of the {seen:,} points of {files}, {' and '.join(reasons)}. {advice}"
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _PendingChunk:
-    """A chunk that is in memory or being written to disk, and not in a result yet."""
-
-    number: int
-    span: Span
-    stats: PointStats
-    flagged: bool
-    lines: LineSums
 
 
 class RangeReader:
@@ -287,12 +250,13 @@ class RangeReader:
     ) -> None:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
         self._progress, self._skip_bad = progress, False
-        self._stream = ChunkStream(ranges, work.grid, threads)
+        self._ranges, self._skipped = ranges, set[int]()
         self._readers = {source.range.file: source.reader for source in ranges}
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
         self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
-        self._pending: deque[_PendingChunk] = deque()
+        self._pending: deque[tuple[int, ReadChunk]] = deque()
+        """Number of each chunk that is in memory or being written to disk, and not in a result yet."""
         self._next = 0
         self._stats = PointStats()
         self._spilling: ReadResult | None = None
@@ -309,11 +273,11 @@ class RangeReader:
         """
         self._skip_bad = skip_bad
         self._store.final = 0 if self._skip_bad else None
-        for read in self._stream.read():
+        for read in read_chunks(self._ranges, self._work.grid, self._threads, self._skipped):
             if isinstance(read, BadFile):
                 yield from self._drop(read)
             else:
-                yield from self._add(read)
+                yield from self._add(*read)
         yield from self._spilled()
 
     def remainder(self) -> ReadResult | None:
@@ -322,25 +286,25 @@ class RangeReader:
             return None
         return replace(self._report(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
 
-    def _add(self, read: ReadChunk) -> Iterator[ReadResult]:
+    def _add(self, read: ReadChunk, points: GroupedPoints) -> Iterator[ReadResult]:
         source = read.source
         if read.chunk.index == source.range.first:
             self._stats = PointStats()
-        span = (source.range.file, read.chunk.index, read.chunk.index + 1)
-        self._pending.append(_PendingChunk(self._next, span, read.stats, read.flagged, read.lines))
-        self._store.add_chunk(read.points, self._next)
+        self._pending.append((self._next, read))
+        self._store.add_chunk(points, self._next)
         self._next += 1
         self._stats = self._stats.merge(read.stats)
         self._progress.advance(read.chunk.points)
         if not self._skip_bad:
             self._mark_read(source.range.file, read.chunk.index)
-        if read.is_last and source.range.is_whole:
+        is_last = read.chunk.index + 1 == source.range.stop
+        if is_last and source.range.is_whole:
             try:
                 source.reader.verify(self._stats)
             except BadInputError as error:
                 yield from self._drop(BadFile(source, error))
                 return
-        if read.is_last and self._skip_bad:
+        if is_last and self._skip_bad:
             self._store.final = self._next
             self._mark_all_read(source)
         if self._store.is_full:
@@ -356,8 +320,8 @@ class RangeReader:
         ready = [key for key in self._store.keys_in_memory() if self.is_complete(key)]
         if any(tiles := self.finish_early(ready)):
             waiting = self._store.chunks_in_memory()
-            gone = [chunk for chunk in self._pending if chunk.number not in waiting]
-            self._pending = deque(chunk for chunk in self._pending if chunk.number in waiting)
+            gone = [read for number, read in self._pending if number not in waiting]
+            self._pending = deque(pending for pending in self._pending if pending[0] in waiting)
             yield ReadResult((), tiles=tiles)  # tiles are saved even if writing the points fails
             if gone:
                 yield self._report(gone)
@@ -379,24 +343,23 @@ class RangeReader:
             result, self._spilling = self._spilling, None
             yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
 
-    def _pending_up_to(self, last: int) -> list[_PendingChunk]:
+    def _pending_up_to(self, last: int) -> list[ReadChunk]:
         """Take the pending chunks up to number ``last``."""
         taken = []
-        while self._pending and self._pending[0].number <= last:
-            taken.append(self._pending.popleft())
+        while self._pending and self._pending[0][0] <= last:
+            taken.append(self._pending.popleft()[1])
         return taken
 
-    def _report(self, chunks: Sequence[_PendingChunk]) -> ReadResult:
+    def _report(self, chunks: Sequence[ReadChunk]) -> ReadResult:
         """Return the result for chunks that are no longer pending."""
         spans: list[Span] = []
         stats: dict[int, PointStats] = {}
         flagged, lines = False, LineSums()
         for taken in chunks:
-            file, first, stop = taken.span
+            file, first = taken.source.range.file, taken.chunk.index
             if spans and spans[-1][0] == file and spans[-1][2] == first:
-                spans[-1] = (file, spans[-1][1], stop)
-            else:
-                spans.append(taken.span)
+                first = spans.pop()[1]
+            spans.append((file, first, taken.chunk.index + 1))
             stats[file] = stats.get(file, PointStats()).merge(taken.stats)
             flagged |= taken.flagged
             lines = lines.merge(taken.lines)
@@ -407,8 +370,8 @@ class RangeReader:
         """Drop the points of a bad file and yield its error; earlier results of the file become void."""
         part = bad.source.range
         yield from self._spilled()
-        self._stream.skip(part.file)
-        while self._pending and self._pending[-1].span[0] == part.file:
+        self._skipped.add(part.file)
+        while self._pending and self._pending[-1][1].source.range.file == part.file:
             self._pending.pop()
         if self._skip_bad:
             self._store.drop_from(self._store.final or 0)

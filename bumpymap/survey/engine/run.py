@@ -7,13 +7,14 @@ groups of blocks are rated, and one collector saves the results. An executor doe
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Protocol
 
 from bumpymap.core import Progress, Stopwatch, decide_ground
 from bumpymap.readers import Chunk, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, FinishedTiles, ReadResult, ResultCollector
+from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, ReadResult, ResultCollector
 from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
@@ -57,8 +58,8 @@ class Executor(Protocol):
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
         """Yield the number of tiles, and of those with ground points, for each group."""
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
-        """Rate the blocks of each group."""
+    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[Sequence[Path], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles."""
 
 
 def run_engine(
@@ -144,5 +145,5 @@ def _finish(
     progress.advance(len(waiting & before))
     groups = collector.catalogue.groups(collector.finished | before, single=executor.one_group)
     with closing(executor.finish(groups, ground_only=ground_only)) as results:
-        for tiles in results:
-            collector.add_tiles(kind, tiles)
+        for packs in results:
+            collector.add_tiles(kind, packs)

@@ -18,7 +18,7 @@ from bumpymap.core import PieceRuns, Progress
 from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.engine.collector import BlockGroup, FinishedTiles, ReadResult
+from bumpymap.survey.engine.collector import BlockGroup, ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask, single_task
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
@@ -98,21 +98,18 @@ class Worker:
         marks = np.sum(list(run_blocks(self._store.marks, group.keys, self._threads)), axis=0)
         return int(marks[0]), int(marks[1])
 
-    def finish(self, group: BlockGroup, *, ground_only: bool) -> Iterator[FinishedTiles]:
-        """Rate blocks; yield their tiles pack by pack."""
+    def finish(self, group: BlockGroup, *, ground_only: bool) -> Iterator[list[Path]]:
+        """Rate blocks; yield the packs of their tiles as they are written."""
         sink = TileSink(self._tiles, "ground" if ground_only else "all", self._work.columns)
         self._store.packs = [Pack(path) for path in group.packs]
-        blocks = 0
         for key, columns in self._work.finish(self._store, group.keys, self._threads, ground_only=ground_only):
             sink.add(key, columns)
             self._store.finish(key)
-            blocks += 1
             self._progress.advance(1)
             if packs := sink.new_packs():
-                yield FinishedTiles(tuple(packs), blocks)
-                blocks = 0
+                yield packs
         sink.flush()
-        yield FinishedTiles(tuple(sink.new_packs()), blocks)
+        yield sink.new_packs()
 
     def _reading(self, task: ReadTask, ranges: Sequence[OpenRange]) -> RangeReader:
         self._store.done = set(task.finished)
@@ -192,7 +189,7 @@ class LocalExecutor:
         """Yield the number of tiles, and of those with ground points, for each group."""
         return (self._worker.count_marks(group) for group in groups)
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[FinishedTiles, None, None]:
-        """Rate the blocks of each group."""
+    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[list[Path], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles."""
         for group in groups:
             yield from self._worker.finish(group, ground_only=ground_only)

@@ -1,16 +1,13 @@
-"""The exported part of a map, its costs, and the local frame of the robot; the folder of an export, filled at once.
+"""The exported part of a map, its costs, and the local frame of the robot.
 
 Costs of cells go pixel by pixel with obstacles grown; for occupancy grids, unknown is not free.
 """
 
-import json
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator
 from dataclasses import dataclass
-from os.path import lexists
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,30 +21,21 @@ from bumpymap.core import (
     UNSEEN,
     BadInputError,
     Barred,
-    OutputError,
     TileField,
     atomic,
-    locked,
-    remove_empty_on_error,
-    write_together,
 )
 from bumpymap.layers import (
-    MANIFEST_NAME,
     BandSpec,
     MapReader,
     Placement,
     RasterSpec,
     RasterWindow,
-    refuse_present,
     write_cog,
 )
 from bumpytiles import Bounds, TileWindow
 
 __all__ = [
     "CLOSED_IN_PART",
-    "COST_NAME",
-    "DATUM_NAME",
-    "EXPORT_FILES",
     "FRAME",
     "FREE_CELL",
     "LETHAL",
@@ -57,20 +45,19 @@ __all__ = [
     "CostScale",
     "ExportArea",
     "ExportPoint",
-    "check_target",
+    "by_pixel",
     "choose_area",
     "cost_values",
-    "export_folder",
     "keepout_values",
     "lay_objects",
     "open_in_part",
     "passable_cost",
     "speed_values",
     "write_file",
-    "write_json",
     "write_pixel_cost",
 ]
 
+_Value = TypeVar("_Value", bound=np.generic)
 FREE_CELL, LETHAL, UNKNOWN_CELL = 0, 100, 255
 """Cells of an occupancy grid in mode ``raw``; map_server reads all values over 100 as unknown (-1)."""
 TOP_VALUE = 98
@@ -140,6 +127,11 @@ def speed_values(field: TileField, comfort: float) -> NDArray[np.uint8]:
     return np.asarray(limited, np.uint8)
 
 
+def by_pixel(values: NDArray[_Value], pixels: int) -> NDArray[_Value]:
+    """Give every pixel the value of its tile: (rows, cols) -> (rows * pixels, cols * pixels)."""
+    return np.asarray(np.repeat(np.repeat(values, pixels, axis=0), pixels, axis=1))
+
+
 def lay_objects(
     cells: NDArray[np.uint8], objects: NDArray[np.uint8], judged: NDArray[np.bool_], unknown: int
 ) -> NDArray[np.uint8]:
@@ -163,8 +155,7 @@ def lay_objects(
         100 at obstacles, of unknown tiles too. Canopy is free: the vehicle fits under it.
     """
     pixels = objects.shape[0] // cells.shape[0]
-    fine = np.repeat(np.repeat(cells, pixels, axis=0), pixels, axis=1)
-    told = np.repeat(np.repeat(judged, pixels, axis=0), pixels, axis=1)
+    fine, told = by_pixel(cells, pixels), by_pixel(judged, pixels)
     fine[((objects == UNDECIDED) | (objects == UNSEEN)) & told & (fine < LETHAL)] = unknown
     fine[objects == OBSTACLE] = LETHAL
     return fine
@@ -200,10 +191,9 @@ def open_in_part(route_map: MapReader, field: TileField) -> NDArray[np.bool_]:
         return np.zeros((window.rows * pixels, window.cols * pixels), np.bool_)
     inner = slice(ring * pixels, -ring * pixels)
     swept = distance_transform_edt(~free)[inner, inner] < reach
-    return np.asarray(swept & np.repeat(np.repeat(closed, pixels, axis=0), pixels, axis=1))
+    return np.asarray(swept & by_pixel(closed, pixels))
 
 
-COST_NAME = "cost.tif"
 _BLOCK = 512
 _WINDOW_TILES = 64
 
@@ -257,6 +247,15 @@ class ExportArea:
             rows = min(height, window.rows - top)
             part = TileWindow(window.col, window.row + window.rows - top - rows, window.cols, rows)
             yield part, slice(top * split, (top + rows) * split)
+
+    def require_cells(self, most: int, kind: str) -> None:
+        """Raise BadInputError if it has more cells than a kind of map may have."""
+        rows, cols = self.shape
+        if rows * cols > most:
+            raise BadInputError(
+                f"the area has {rows * cols:,} cells of {self.resolution:g} m; {kind} may have {most:,}. "
+                "Crop it with `around` and `radius`" + ("" if self.split == 1 else ", or pass `resolution='tile'`")
+            )
 
     def describe(self) -> dict[str, Any]:
         """Return where the frame lies on Earth, for the sidecar file.
@@ -316,7 +315,7 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
         field = site.read(window.tiles, ("c_r", "p_fail"))
         cost = field.rule.cost(field.c_r.astype(np.float64), field.rule.hazard(field.p_fail)).astype(np.float32)
         cost[~np.isin(field.barred, OPEN_THROUGH)] = np.nan
-        out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
+        out = by_pixel(cost, pixels)
         out[~site.passage(window.tiles) | ~np.isfinite(out)] = np.nan
         free += int(np.isfinite(out).sum())
         return out[None]
@@ -330,7 +329,7 @@ def write_pixel_cost(folder: Path, area: ExportArea) -> dict[str, Any]:
         tags={"title": "cost of driving over each pixel", "vehicle": site.vehicle.name},
         level=1,
     )
-    write_cog(folder / COST_NAME, place, spec, paint, _WINDOW_TILES)
+    write_cog(folder / "cost.tif", place, spec, paint, _WINDOW_TILES)
     if not free:
         raise BadInputError("the vehicle fits nowhere in the area, so no robot can drive there. Choose another area")
     return {"pixels": free, "pixel_m": site.grid.pixel_size}
@@ -394,74 +393,8 @@ def _crop(route_map: MapReader, around: ExportPoint, radius_m: float) -> TileWin
     return TileWindow(west, south, east - west, north - south)
 
 
-DATUM_NAME = "datum.json"
-"""The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
-EXPORT_FILES: dict[str, tuple[str, ...]] = {
-    "nav2": (
-        "map.yaml",
-        "map.pgm",
-        "keepout_mask.yaml",
-        "keepout_mask.pgm",
-        "speed_mask.yaml",
-        "speed_mask.pgm",
-        "nav2_params.yaml",
-        DATUM_NAME,
-    ),
-    "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
-    "graph": ("graph.geojson", DATUM_NAME),
-    "plan": ("route.plan", DATUM_NAME),
-    "cost": ("cost.tif", DATUM_NAME),
-}
-"""Files of an export, by format."""
-
-
-def check_target(out: Path, to: str, *, overwrite: bool) -> None:
-    """Check that an export can be written to a folder, without touching it.
-
-    Raises
-    ------
-    OutputError
-        It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
-        is False.
-    """
-    if lexists(out) and not out.is_dir():
-        raise OutputError(f"cannot write to the folder {out}: it is not a folder. Choose another `out`")
-    if lexists(out / MANIFEST_NAME):
-        raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
-    own = EXPORT_FILES[to]
-    foreign = sorted(
-        name for names in EXPORT_FILES.values() for name in names if name not in own and lexists(out / name)
-    )
-    if foreign:
-        raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
-    refuse_present(out, own, overwrite=overwrite)
-
-
-@contextmanager
-def export_folder(out: Path, to: str, *, overwrite: bool) -> Iterator[Path]:
-    """Yield an empty folder to write an export to; at the end its files move to ``out``, or none.
-
-    A file that is a symbolic link is replaced as a link; its target is not touched.
-
-    Raises
-    ------
-    OutputError
-        See `check_target`; or another process is writing there, or the files cannot be written.
-    """
-    with remove_empty_on_error(out), locked(out):
-        check_target(out, to, overwrite=overwrite)
-        with write_together(out, DATUM_NAME) as staged:
-            yield staged
-
-
 def write_file(path: Path, *parts: bytes) -> None:
     """Write a file of given bytes. Raises OutputError if that fails."""
     with atomic(path) as temporary, temporary.open("wb") as file:
         for part in parts:
             file.write(part)
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write a record as JSON with one entry a line. Raises OutputError if that fails."""
-    text = json.dumps(record, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    write_file(path, text.encode("utf-8", "backslashreplace"))

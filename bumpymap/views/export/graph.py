@@ -1,8 +1,10 @@
 """A graph of ways for the route server of Nav2 (nav2_route), as GeoJSON in the local frame.
 
 Its nodes are the free areas of tiles, of pixels that hang together and in which the middle of the vehicle can be: so no
-edge leads through a wall, wherever in its tile the wall stands. Tiles that are free on all pixels and cost about the
-same share a node, one in each square of 1, 3, 9 or 27 tiles on a side; squares lie in one another without remainder.
+edge leads through a wall, wherever in its tile the wall stands. Pixels hang together by their sides and, where
+`bumpymap.core.corners_join` says so, by their corners; so areas of tiles that lie diagonally may touch. Tiles that are
+free on all pixels and cost about the same share a node, one in each square of 1, 3, 9 or 27 tiles on a side; squares
+lie in one another without remainder.
 
 All edges are straight lines over free pixels. The line between the middles of two squares that share a side stays
 inside the two: it crosses that side within the smaller square. Where the line between two areas that touch is not free,
@@ -24,7 +26,7 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bumpymap.core import OPEN_THROUGH, BadInputError
+from bumpymap.core import OPEN_THROUGH, BadInputError, corners_join
 from bumpymap.views.export.area import FRAME, ExportArea, write_file
 from bumpymap.views.export.settings import NodeSquare
 from bumpytiles import TileWindow
@@ -46,7 +48,7 @@ _CHUNK, _PART = 4_000_000, 4096
 
 
 def line_cost(
-    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer]
+    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer], *, corners: bool = False
 ) -> NDArray[np.float64]:
     """Integrate a factor along straight lines from cell centre to cell centre.
 
@@ -59,6 +61,8 @@ def line_cost(
         Cost per unit of length; inf where closed.
     start, stop : int (n, 2)
         Row and column of the cells.
+    corners : bool
+        Lines at 45 degrees, which go from corner to corner, may slip between two closed cells.
 
     Returns
     -------
@@ -72,13 +76,13 @@ def line_cost(
     while first < len(order):  # the longest line of a part sets how much memory it takes
         step = max(1, _CHUNK // (2 * int(spans[order[min(first + _PART, len(order)) - 1]]) + 2))
         part = order[first : first + min(step, _PART)]
-        cost[part] = _integrate(factor, start[part], stop[part])
+        cost[part] = _integrate(factor, start[part], stop[part], corners=corners)
         first += len(part)
     return cost
 
 
 def _integrate(
-    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer]
+    factor: NDArray[np.floating], start: NDArray[np.integer], stop: NDArray[np.integer], *, corners: bool
 ) -> NDArray[np.float64]:
     """Cut each line where it crosses a border, as share of its length, and sum up its pieces.
 
@@ -92,6 +96,8 @@ def _integrate(
     middle = shares[:, :-1] + 0.5 * piece
     place = [start[:, axis, None] + 0.5 + move[:, axis, None] * middle for axis in (0, 1)]
     corner = (piece == 0.0) & (middle < 1.0)
+    if corners:
+        corner &= (np.abs(move[:, 0]) != np.abs(move[:, 1]))[:, None]
     line, number = np.nonzero(corner)
     row, col = (np.rint(axis[line, number]).astype(np.int64) for axis in place)
     around = [factor[row - up, col - left] for up in (0, 1) for left in (0, 1)]
@@ -119,6 +125,8 @@ _ALIKE = 1.5
 """Largest ratio of the costs of tiles in one square: ways still bend around dearer ground."""
 _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Tiles to the east, south, south-east, south-west; the others are these, seen from the other side."""
+_STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
+"""From a pixel to those at its sides, then to those at its corners."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +153,8 @@ class FreeGround:
     """Pixels along a side of a tile."""
     read: Callable[[slice, slice], NDArray[np.bool_]]
     """Gives the free pixels of some rows and columns of tiles, (rows * pixels, cols * pixels)."""
+    joins_corners: bool = False
+    """True if the vehicle can go from one free pixel to another that touches it at a corner alone."""
 
     def costs(self, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the cost of each pixel of some rows and columns of tiles; inf where closed."""
@@ -164,7 +174,8 @@ class FreeGround:
             if len(lines):
                 factor = self.costs(slice(first, int(bottom[lines].max()) + 1), slice(0, cols))
                 corner = np.array([first * self.pixels, 0])
-                cost[lines] = line_cost(factor, start[lines] - corner, stop[lines] - corner)
+                ends = start[lines] - corner, stop[lines] - corner
+                cost[lines] = line_cost(factor, *ends, corners=self.joins_corners)
         return cost
 
 
@@ -183,26 +194,34 @@ class _Areas:
     place: NDArray[np.int64]
     """(n, 2) row and column of the pixel that is nearest to the middle of the area."""
     pair: NDArray[np.int64]
-    """(m, 2) areas that touch, in order, each pair once; not those that are both full."""
+    """(m, 2) areas that touch, in order, each pair once; not those that are both full and lie side by side."""
     contact: NDArray[np.int64]
-    """(m, 2, 2) row and column of a pixel of both, side by side in the middle of where they touch."""
+    """(m, 2, 2) row and column of a pixel of both, side by side in the middle of where they touch, or at a corner."""
 
     @classmethod
     def of(cls, ground: FreeGround) -> "_Areas":
         """Find the areas strip by strip; they are sorted by tile."""
         rows, cols = ground.factor.shape
         pixels, height = ground.pixels, max(1, _STRIP_PIXELS // (cols * ground.pixels**2))
-        parts, contacts, count = [], [], 0
+        corners, parts, contacts, count = ground.joins_corners, [], [], 0
         above = np.full((0, cols, pixels), -1, np.int64)
         for top in range(0, rows, height):
             lines = slice(top, min(top + height, rows))
-            node, part = _areas_of(np.isfinite(ground.costs(lines, slice(0, cols))), pixels, top, count)
+            node, part = _areas_of(ground, lines, count)
             parts.append(part)
             count += len(part[0])
-            contacts.append(_touching(node[:, :, :-1, -1], node[:, :, 1:, 0], top * pixels, pixels, across=True))
-            upper = np.concatenate([above, node[:-1, -1]])
-            lower = node[len(node) - len(upper) :, 0]
-            contacts.append(_touching(upper, lower, (lines.stop - len(upper) - 1) * pixels, pixels, across=False))
+            west, east = (node[:, :, :-1, -1], node[:, :, 1:, 0])
+            sides = (side.transpose(0, 2, 1).reshape(-1, pixels) for side in (west, east))
+            *both, border, here, there = _touching(*sides, corners=corners).T
+            row, col = divmod(border, max(cols - 1, 1))
+            row, col = (top + row) * pixels, (col + 1) * pixels
+            contacts.append(np.column_stack([*both, row + here, col - 1, row + there, col]))
+            north = np.concatenate([above, node[:-1, -1]])
+            south = node[len(node) - len(north) :, 0]
+            sides = (side.reshape(-1, cols * pixels) for side in (north, south))
+            *both, border, here, there = _touching(*sides, corners=corners).T
+            row = (lines.stop - len(north) + border) * pixels
+            contacts.append(np.column_stack([*both, row - 1, here, row, there]))
             above = node[-1:, -1]
         tile, size, place = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         found = np.concatenate(contacts)
@@ -213,23 +232,24 @@ class _Areas:
         swapped = pair[:, 0] > pair[:, 1]
         pair[swapped], contact[swapped] = pair[swapped, ::-1], contact[swapped, ::-1]
         tile, size, place = tile[order], size[order], place[order]
-        kept = np.flatnonzero((size[pair] < pixels**2).any(axis=1))
+        is_diagonal = (contact[:, 0] != contact[:, 1]).all(axis=1)
+        kept = np.flatnonzero((size[pair] < pixels**2).any(axis=1) | is_diagonal)
         kept = kept[np.lexsort((pair[kept, 1], pair[kept, 0]))]
         return cls(tile, size, place, pair[kept], contact[kept])
 
 
-def _areas_of(
-    free: NDArray[np.bool_], pixels: int, top: int, count: int
-) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
-    """Find the areas of a strip of tiles, and number them from ``count`` on.
+def _areas_of(ground: FreeGround, lines: slice, count: int) -> tuple[NDArray[np.int64], tuple[NDArray[np.int64], ...]]:
+    """Find the areas of some rows of tiles, and number them from ``count`` on.
 
     Returns the area of each pixel (rows, pixels, cols, pixels), -1 where closed, and of each area row and column of its
-    tile, its pixels, and row and column of its place. ``top``: first row of the strip.
+    tile, its pixels, and row and column of its place.
     """
-    rows, cols = free.shape[0] // pixels, free.shape[1] // pixels
+    rows, cols, pixels = lines.stop - lines.start, ground.factor.shape[1], ground.pixels
+    free = np.isfinite(ground.costs(lines, slice(0, cols)))
     apart = np.zeros((rows, pixels + 1, cols, pixels + 1), np.bool_)  # closed lines keep the areas of tiles apart
     apart[:, :-1, :, :-1] = free.reshape(rows, pixels, cols, pixels)
-    labels, found = ndimage.label(apart.reshape(rows * (pixels + 1), cols * (pixels + 1)))
+    together = ndimage.generate_binary_structure(2, 2 if ground.joins_corners else 1)
+    labels, found = ndimage.label(apart.reshape(rows * (pixels + 1), cols * (pixels + 1)), together)
     node = labels.reshape(apart.shape)[:, :-1, :, :-1].astype(np.int64) - 1
     number = node[node >= 0]
     at = np.argwhere(node >= 0)
@@ -242,31 +262,37 @@ def _areas_of(
     order = np.lexsort((off, number))
     nearest = order[np.diff(number[order], prepend=-1) > 0]
     node[node >= 0] += count
-    return node, (tile + np.array([top, 0]), size, place[nearest] + np.array([top * pixels, 0]))
+    corner = np.array([lines.start, 0])
+    return node, (tile + corner, size, place[nearest] + corner * pixels)
 
 
-def _touching(
-    first: NDArray[np.int64], other: NDArray[np.int64], top: int, pixels: int, *, across: bool
-) -> NDArray[np.int64]:
-    """Return the areas that touch over borders between tiles, and where, (m, 6): both areas, and a pixel of each.
+def _touching(first: NDArray[np.int64], other: NDArray[np.int64], *, corners: bool) -> NDArray[np.int64]:
+    """Return the areas that touch over borders between tiles, and where, each pair once.
 
-    ``first``, ``other``: areas of the pixels west and east of borders, (rows, pixels, cols - 1), or with ``across``
-    False north and south of them, (rows - 1, cols, pixels); ``top``: row of the first pixel of the first tiles.
+    ``first``, ``other`` (borders, n): areas of the pixels on both sides of borders, -1 where closed. Areas touch by
+    sides of pixels, and with ``corners`` also where the pixels beside a corner are closed. Returns (m, 5): both areas,
+    the border, and the place along it of a pixel of each; by sides, in the middle of where they touch.
     """
-    i, j, k = np.nonzero((first >= 0) & (other >= 0))
-    one, two = first[i, j, k], other[i, j, k]
-    if across:
-        row, col = top + i * pixels + j, (k + 1) * pixels
-        places = np.stack([row, col - 1, row, col], axis=1)
-    else:
-        row, col = top + (i + 1) * pixels, j * pixels + k
-        places = np.stack([row - 1, col, row, col], axis=1)
-    order = np.lexsort((np.arange(len(one)), two, one))
-    starts = np.flatnonzero((np.diff(one[order], prepend=-1) != 0) | (np.diff(two[order], prepend=-1) != 0))
-    lengths = np.diff(np.append(starts, len(order)))
-    middle = order[starts + lengths // 2]
-    joined: NDArray[np.int64] = np.column_stack([one, two, places])[middle]
-    return joined
+    one, two = first >= 0, other >= 0
+    parts = [(one & two, 0, 0)]
+    if corners:
+        parts.append((one[:, :-1] & two[:, 1:] & ~one[:, 1:] & ~two[:, :-1], 0, 1))
+        parts.append((one[:, 1:] & two[:, :-1] & ~one[:, :-1] & ~two[:, 1:], 1, 0))
+    found = []
+    for touches, off_first, off_other in parts:
+        border, along = np.nonzero(touches)
+        here, there = along + off_first, along + off_other
+        found.append(np.column_stack([first[border, here], other[border, there], border, here, there]))
+    at = np.concatenate(found)
+    is_corner = at[:, 3] != at[:, 4]
+    order = np.lexsort((is_corner, at[:, 1], at[:, 0]))
+    at, is_corner = at[order], is_corner[order]
+    starts = np.flatnonzero((np.diff(at[:, :2], axis=0, prepend=-1) != 0).any(axis=1))
+    if not len(starts):
+        return at
+    by_sides = np.add.reduceat(~is_corner, starts, dtype=np.int64)
+    middle: NDArray[np.int64] = at[starts + by_sides // 2]
+    return middle
 
 
 @dataclass(frozen=True, slots=True)
@@ -388,7 +414,7 @@ def _joined(ground: FreeGround, nodes: _Nodes) -> Lattice:
     count, squares = len(nodes.place), len(nodes.squares.side)
     pair = nodes.of_area[nodes.areas.pair]
     touching, at = np.unique(np.sort(pair, axis=1), axis=0, return_index=True)
-    beside = np.column_stack(_pairs(nodes.squares.number, squares))
+    beside = _others(np.column_stack(_pairs(nodes.squares.number, squares)), touching)
     near = _two_apart(np.concatenate([touching, beside]), nodes, 2 * ground.pixels)
     wanted = np.concatenate([touching, beside, near])
     cost = ground.line_costs(nodes.place[wanted[:, 0]], nodes.place[wanted[:, 1]])
@@ -404,8 +430,8 @@ def _joined(ground: FreeGround, nodes: _Nodes) -> Lattice:
     return _largest_part(np.concatenate(place), nodes, np.concatenate(ends), np.concatenate(costs), ground.pixels)
 
 
-def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[np.int64]:
-    """Return the pairs of small nodes, not both squares, that touch a third and are less than ``most`` pixels apart."""
+def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, limit_px: int) -> NDArray[np.int64]:
+    """Return the pairs of small nodes, not both squares, that touch a third, less than ``limit_px`` pixels apart."""
     count, small = len(nodes.place), nodes.is_small
     ends = joined[small[joined].all(axis=1)]
     one = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
@@ -414,10 +440,14 @@ def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, most: int) -> NDArray[n
     kept = (first < second) & (second >= len(nodes.squares.side))
     first, second = first[kept], second[kept]
     apart = np.abs(nodes.place[first] - nodes.place[second]).max(axis=1, initial=0)
-    found: NDArray[np.int64] = np.column_stack([first, second])[apart < most].astype(np.int64)
-    known = set(map(tuple, np.sort(joined, axis=1).tolist()))
-    is_new = np.array([pair not in known for pair in map(tuple, found.tolist())], np.bool_)
-    new: NDArray[np.int64] = found[is_new]
+    found: NDArray[np.int64] = np.column_stack([first, second])[apart < limit_px].astype(np.int64)
+    return _others(found, np.sort(joined, axis=1))
+
+
+def _others(pairs: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the pairs, (n, 2), that are not among those known."""
+    count = 1 + max(pairs.max(initial=0), known.max(initial=0))
+    new: NDArray[np.int64] = pairs[~np.isin(pairs @ (count, 1), known @ (count, 1))]
     return new
 
 
@@ -438,10 +468,11 @@ class _Detours:
         factor = self._ground.costs(slice(int(corner[0]), int(end[0])), slice(int(corner[1]), int(end[1])))
         cells, at, kept, costs = line - corner * pixels, 0, [0], []
         while at < len(cells) - 1:
-            ahead = line_cost(factor, np.broadcast_to(cells[at], cells[at + 1 :].shape), cells[at + 1 :])
-            far = int(np.flatnonzero(np.isfinite(ahead))[-1])
-            costs.append(float(ahead[far]))
-            at += far + 1
+            start = np.broadcast_to(cells[at], cells[at + 1 :].shape)
+            ahead = line_cost(factor, start, cells[at + 1 :], corners=self._ground.joins_corners)
+            farthest = int(np.flatnonzero(np.isfinite(ahead))[-1])
+            costs.append(float(ahead[farthest]))
+            at += farthest + 1
             kept.append(at)
         return line[kept[1:-1]], np.array(costs)
 
@@ -459,14 +490,14 @@ class _Detours:
         return way[::-1]
 
     def _walk(self, tile: NDArray[np.int64], start: tuple[int, int]) -> dict[tuple[int, int], tuple[int, int]]:
-        """Return, of each pixel of an area, the one before it on a shortest way over sides from ``start``."""
+        """Return, of each pixel of an area, the one before it on a way of fewest steps from ``start``."""
         row, col = (int(x) for x in tile)
         top, left = row * self._ground.pixels, col * self._ground.pixels
         free = np.isfinite(self._ground.costs(slice(row, row + 1), slice(col, col + 1)))
         before, waiting = {start: start}, deque([start])
         while waiting:
             here = waiting.popleft()
-            for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
+            for down, right in _STEPS[: 8 if self._ground.joins_corners else 4]:
                 i, j = here[0] + down, here[1] + right
                 inside = 0 <= i - top < len(free) and 0 <= j - left < len(free)
                 if inside and (i, j) not in before and free[i - top, j - left]:
@@ -550,7 +581,9 @@ def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
         factor[lines] = np.where(np.isin(field.barred, OPEN_THROUGH) & np.isfinite(cost), cost, np.inf)
     origin = (-(window.row + window.rows), window.col)  # both grow along the array: squares keep their place on Earth
     with area.route_map.kept_open():
-        ground = FreeGround(factor, area.route_map.grid.pixels, partial(_free_pixels, area))
+        vehicle, grid = area.route_map.vehicle, area.route_map.grid
+        corners = corners_join(vehicle.width_m, vehicle.reach_m, grid.pixel_size)
+        ground = FreeGround(factor, grid.pixels, partial(_free_pixels, area), corners)
         every, nodes = _thin(ground, every, origin)
         if len(nodes.place) > _MAX_NODES:
             larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"

@@ -9,7 +9,6 @@ import shutil
 import struct
 from array import array
 from collections.abc import Iterable
-from dataclasses import dataclass
 from os.path import lexists
 from pathlib import Path
 from typing import Any, TypeVar
@@ -22,10 +21,11 @@ from bumpymap.core import (
     ClassedSectors,
     GridSettings,
     OutputError,
-    PolarSettings,
+    PolarCells,
     Scan,
     SectorStack,
     atomic,
+    cell_numbers,
     remove_path,
 )
 from bumpymap.layers import Frame
@@ -39,21 +39,6 @@ UNKNOWN_OCCUPANCY = -1
 GRID_LAYERS = ("class", "elevation", "obstacle_height", "ground")
 
 Message = TypeVar("Message")
-
-
-@dataclass(frozen=True, slots=True)
-class _CellPlaces:
-    """Places of cells in a polar grid."""
-
-    settings: PolarSettings
-    first: NDArray[np.int32]
-    """(cells,) number of the first sector of the cell's ring, counted over all rings; past the end outside of them."""
-    sectors: NDArray[np.float64]
-    """(cells,) sectors around the zone."""
-    turn: NDArray[np.float64]
-    """(cells,) azimuth as a fraction of a turn."""
-    distance: NDArray[np.float64]
-    """(cells,) m."""
 
 
 class GroundGrid:
@@ -78,7 +63,10 @@ class GroundGrid:
         self.resolution_m = settings.resolution_m
         self.side = 2 * half
         """Cells along each side."""
-        self._places: _CellPlaces | None = None
+        centre = (np.arange(self.side) + 0.5) * self.resolution_m - self.reach_m
+        x, y = np.tile(centre, self.side), np.repeat(centre, self.side)
+        self._distance, self._turn = np.hypot(x, y), np.arctan2(y, x) / (2.0 * math.pi)
+        self._places: PolarCells | None = None
 
     @property
     def reach_m(self) -> float:
@@ -93,14 +81,9 @@ class GroundGrid:
         (side, side) int32
             From the lowest y upwards, and in each row from the lowest x; -1 where no measured sector is.
         """
-        places = self._placed(stack)
-        zones, rings = np.array(stack.settings.sectors), np.array(stack.settings.rings)
-        before = np.cumsum(zones * rings) - zones * rings
-        table = np.full(int(zones @ rings) + 1, -1, np.int32)
-        table[before[stack.zone] + stack.ring * zones[stack.zone] + stack.sector] = np.arange(len(stack.zone))
-        share = _share_of_turn(places, stack)
-        sector = np.minimum(share * places.sectors, places.sectors - 1.0).astype(np.int32)
-        found: NDArray[np.int32] = table[np.minimum(places.first + sector, len(table) - 1)]
+        table = np.full(int(np.dot(stack.settings.sectors, stack.settings.rings)) + 1, -1, np.int32)
+        table[cell_numbers(stack)] = np.arange(len(stack.zone))
+        found: NDArray[np.int32] = table[self._placed(stack).cells(stack.azimuth_start_rad)]
         return found.reshape(self.side, self.side)
 
     def occupancy(self, classed: ClassedSectors) -> NDArray[np.int8]:
@@ -116,10 +99,9 @@ class GroundGrid:
 
     def _beyond_ground(self, stack: SectorStack) -> NDArray[np.bool_]:
         """Return which cells (side, side) lie farther away than any ground in their direction."""
-        places = self._placed(stack)
-        count = len(stack.ground_end)
-        direction = np.minimum(_share_of_turn(places, stack) * count, count - 1.0).astype(np.int32)
-        beyond: NDArray[np.bool_] = places.distance > stack.ground_end[direction] + 0.5 * self.resolution_m
+        count, share = len(stack.ground_end), self._placed(stack).share(stack.azimuth_start_rad)
+        direction = np.minimum(share * count, count - 1.0).astype(np.int32)
+        beyond: NDArray[np.bool_] = self._distance > stack.ground_end[direction] + 0.5 * self.resolution_m
         return beyond.reshape(self.side, self.side)
 
     def fill(self, message: Message, classed: ClassedSectors, header: Any) -> Message:
@@ -175,34 +157,11 @@ class GroundGrid:
         heights: NDArray[np.float32] = mean.astype(np.float32).reshape(self.side, self.side)
         return heights
 
-    def _placed(self, stack: SectorStack) -> _CellPlaces:
+    def _placed(self, stack: SectorStack) -> PolarCells:
         places = self._places
         if places is None or places.settings != stack.settings:
-            places = self._places = self._find_places(stack.settings)
+            places = self._places = PolarCells.of(stack.settings, self._distance, self._turn)
         return places
-
-    def _find_places(self, settings: PolarSettings) -> _CellPlaces:
-        centre = (np.arange(self.side) + 0.5) * self.resolution_m - self.reach_m
-        x, y = np.tile(centre, self.side), np.repeat(centre, self.side)
-        distance = np.hypot(x, y)
-        edges = np.array([*settings.zone_starts_m, settings.end_m])
-        sectors, rings = np.array(settings.sectors), np.array(settings.rings)
-        zone = np.searchsorted(edges, distance, side="right") - 1
-        inside = (zone >= 0) & (zone < len(sectors))
-        zone = np.where(inside, zone, 0)
-        depth = (np.diff(edges) / rings)[zone]
-        ring = np.clip((distance - edges[zone]) / depth, 0, rings[zone] - 1).astype(np.int64)
-        before = np.cumsum(sectors * rings) - sectors * rings
-        first = np.where(inside, before[zone] + ring * sectors[zone], int(sectors @ rings))
-        turn = np.arctan2(y, x) / (2.0 * math.pi)
-        return _CellPlaces(settings, first.astype(np.int32), sectors[zone].astype(np.float64), turn, distance)
-
-
-def _share_of_turn(places: _CellPlaces, stack: SectorStack) -> NDArray[np.float64]:
-    """Return the azimuth of cells from the start of sector 0, as a fraction of a turn."""
-    share = places.turn - stack.azimuth_start_rad / (2.0 * math.pi)
-    turned: NDArray[np.float64] = share - np.floor(share)
-    return turned
 
 
 def sector_occupancy(classed: ClassedSectors) -> NDArray[np.int8]:

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CANOPY, NO_CLASS, BadInputError, OutputError, UsageError, atomic, remove_path, write_remedy
+from bumpymap.core import CANOPY, NO_CLASS, OutputError, UsageError, atomic, remove_path, write_remedy
 from bumpymap.layers import common_window, require_written
-from bumpymap.views.export.area import FRAME, ExportArea
+from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpytiles import TileWindow
 
 __all__ = [
@@ -68,15 +68,10 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
     BadInputError
         There are too many cells, or class.tif is missing or damaged.
     """
-    rows, cols = area.shape
-    if rows * cols > _MAX_CELLS:
-        raise BadInputError(
-            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a grid_map may have {_MAX_CELLS:,}. "
-            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
-        )
+    area.require_cells(_MAX_CELLS, "a grid_map")
     for sheet in area.route_map.sheets:
         require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
-    values = {name: np.empty((rows, cols), np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
+    values = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
     for window, lines in area.strips(detail=area.route_map.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
@@ -91,7 +86,7 @@ def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]
         return layers | {"elevation": _tile_means(heights, area.route_map.grid.pixels), "obstacle": field.obstacle}
     objects = area.route_map.objects(window)
     state = np.where(objects > CANOPY, np.nan, objects).astype(np.float32)
-    fine = {name: np.repeat(np.repeat(layer, area.split, axis=0), area.split, axis=1) for name, layer in layers.items()}
+    fine = {name: by_pixel(layer, area.split) for name, layer in layers.items()}
     return fine | {"elevation": heights, "obstacle": state}
 
 

@@ -22,6 +22,7 @@ from bumpymap.views.export.area import (
     UNKNOWN_CELL,
     CostScale,
     ExportArea,
+    by_pixel,
     cost_values,
     keepout_values,
     lay_objects,
@@ -30,100 +31,12 @@ from bumpymap.views.export.area import (
     speed_values,
     write_file,
 )
+from bumpymap.views.page.page import render_text
 
 __all__ = ["Nav2Grids", "make_grids", "params_text", "travel_multiplier", "write_nav2"]
 
 _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
 """Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
-
-_TEXT = """\
-# Parameters of Nav2 that load this export. Merge them into those of your robot; the frame is "{frame}".
-# yaml_filename: give the full path of each file. Both costmaps want the same settings of costs and filters.
-map_server:
-  ros__parameters:
-    yaml_filename: "map.yaml"
-    topic_name: "map"
-    frame_id: "{frame}"
-
-keepout_mask_server:
-  ros__parameters:
-    yaml_filename: "keepout_mask.yaml"
-    topic_name: "keepout_mask"
-    frame_id: "{frame}"
-
-keepout_info_server:
-  ros__parameters:
-    type: 0
-    filter_info_topic: "keepout_info"
-    mask_topic: "keepout_mask"
-    base: 0.0
-    multiplier: 1.0
-
-speed_mask_server:
-  ros__parameters:
-    yaml_filename: "speed_mask.yaml"
-    topic_name: "speed_mask"
-    frame_id: "{frame}"
-
-# Type 1: the mask holds percent of the controller's own top speed. It was made for {speed!r} m/s.
-speed_info_server:
-  ros__parameters:
-    type: 1
-    filter_info_topic: "speed_info"
-    mask_topic: "speed_mask"
-    base: 0.0
-    multiplier: 1.0
-
-lifecycle_manager_bumpymap:
-  ros__parameters:
-    autostart: true
-    node_names: ["map_server", "keepout_mask_server", "keepout_info_server", "speed_mask_server", "speed_info_server"]
-
-global_costmap:
-  global_costmap:
-    ros__parameters:
-      global_frame: "{frame}"
-      resolution: {resolution!r}
-      robot_radius: {radius!r}
-      # Without the next four lines all graded cost becomes free, and unknown ground too.
-      trinary_costmap: false
-      lethal_cost_threshold: {lethal}
-      unknown_cost_value: 255
-      track_unknown_space: true
-      plugins: ["static_layer", "inflation_layer"]
-      filters: ["keepout_filter", "speed_filter"]
-      static_layer:
-        plugin: "nav2_costmap_2d::StaticLayer"
-        map_topic: "map"
-        map_subscribe_transient_local: true
-      # No farther than the robot is wide: a wider slope of inflated cost would hide the cost of the ground.
-      inflation_layer:
-        plugin: "nav2_costmap_2d::InflationLayer"
-        inflation_radius: {radius!r}
-        cost_scaling_factor: 10.0
-      keepout_filter:
-        plugin: "nav2_costmap_2d::KeepoutFilter"
-        enabled: true
-        filter_info_topic: "keepout_info"
-      speed_filter:
-        plugin: "nav2_costmap_2d::SpeedFilter"
-        enabled: true
-        filter_info_topic: "speed_info"
-        speed_limit_topic: "speed_limit"
-
-controller_server:
-  ros__parameters:
-    speed_limit_topic: "speed_limit"
-
-# With this multiplier the planner's cost of a cell is bumpymap's: 1 on smooth, safe ground, {cost!r} at value {top}.
-planner_server:
-  ros__parameters:
-    planner_plugins: ["GridBased"]
-    GridBased:
-      plugin: "nav2_smac_planner::SmacPlanner2D"
-      allow_unknown: false
-      cost_travel_multiplier: {multiplier!r}
-"""
 
 
 def travel_multiplier(scale: CostScale) -> float:
@@ -137,16 +50,17 @@ def travel_multiplier(scale: CostScale) -> float:
 
 def params_text(vehicle: RouteVehicle, scale: CostScale, resolution: float) -> str:
     """Return the parameters as YAML."""
-    return _TEXT.format(
-        frame=FRAME,
-        speed=vehicle.speed_mps,
-        resolution=resolution,
-        radius=round(vehicle.width_m / 2.0, 3),
-        lethal=LETHAL,
-        cost=round(scale.max_cost, 6),
-        top=TOP_VALUE,
-        multiplier=round(travel_multiplier(scale), 6),
-    )
+    about = {
+        "frame": FRAME,
+        "speed": vehicle.speed_mps,
+        "resolution": resolution,
+        "radius": round(vehicle.width_m / 2.0, 3),
+        "lethal": LETHAL,
+        "cost": round(scale.max_cost, 6),
+        "top": TOP_VALUE,
+        "multiplier": round(travel_multiplier(scale), 6),
+    }
+    return render_text("nav2_params.yaml", **about) + "\n"
 
 
 _MAX_CELLS = 100_000_000
@@ -184,17 +98,12 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2
     BadInputError
         There are too many cells, or no tile of the area is passable.
     """
-    rows, cols = area.shape
-    if rows * cols > _MAX_CELLS:
-        raise BadInputError(
-            f"the area has {rows * cols:,} cells of {area.resolution:g} m; a map for Nav2 may have {_MAX_CELLS:,}. "
-            "Crop it with `around` and `radius`" + ("" if area.split == 1 else ", or pass `resolution='tile'`")
-        )
+    area.require_cells(_MAX_CELLS, "a map for Nav2")
     highest, tiles = _survey(area)
     if not tiles["passable"]:
         raise BadInputError("no tile of the area is passable, so no robot can drive there. Choose another area")
     scale = CostScale(max_cost or highest)
-    cost, keepout, speed = (np.empty((rows, cols), np.uint8) for _ in range(3))
+    cost, keepout, speed = (np.empty(area.shape, np.uint8) for _ in range(3))
     for window, lines in area.strips():
         field = area.route_map.read(window, (*_BANDS, *(["obstacle"] if area.split > 1 else [])))
         coarse = cost_values(field, scale), keepout_values(field), speed_values(field, comfort)
@@ -209,14 +118,9 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2
         cost[lines] = lay_objects(coarse[0], objects, judged, UNKNOWN_CELL)
         keepout[lines] = lay_objects(coarse[1], objects, judged, LETHAL)
         for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
-            cells[lines][between] = _by_cell(values, area.split)[between]
-        speed[lines] = _by_cell(coarse[2], area.split)
+            cells[lines][between] = by_pixel(values, area.split)[between]
+        speed[lines] = by_pixel(coarse[2], area.split)
     return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
-
-
-def _by_cell(values: NDArray[np.uint8], split: int) -> NDArray[np.uint8]:
-    """Give every cell the value of its tile."""
-    return np.repeat(np.repeat(values, split, axis=0), split, axis=1)
 
 
 def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:

@@ -2,24 +2,36 @@
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from os.path import lexists
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Number, shape_fault
-from bumpymap.layers import MapReader, check_extent, geojson_features, line_parts
+from bumpymap.core import (
+    BadInputError,
+    Number,
+    OutputError,
+    locked,
+    remove_empty_on_error,
+    shape_fault,
+    write_together,
+)
+from bumpymap.layers import (
+    MANIFEST_NAME,
+    MapReader,
+    check_extent,
+    geojson_features,
+    line_parts,
+    refuse_present,
+    write_manifest,
+)
 from bumpymap.views.export.area import (
-    DATUM_NAME,
-    EXPORT_FILES,
     ExportArea,
     ExportPoint,
-    check_target,
     choose_area,
-    export_folder,
-    write_json,
     write_pixel_cost,
 )
 from bumpymap.views.export.graph import make_graph, write_graph
@@ -50,7 +62,7 @@ class Mission:
     home_z: float
     """Height of the ground at the first waypoint, m; 0 if unknown."""
     speed_mps: float
-    obstacle_m: float = 0.0
+    obstacle_m: float
     """Length on which the vehicle touches obstacles, m."""
 
 
@@ -105,7 +117,7 @@ def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
     raise ValueError("it holds no line")
 
 
-def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
+def make_mission(route_map: MapReader, line: NDArray[np.float64], obstacle_m: float) -> Mission:
     """Make a mission of a line over a map.
 
     Parameters
@@ -114,6 +126,8 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
         Gives the speed, and the height of the ground at the start.
     line : float64 (n, 2)
         Longitude and latitude of its corners, degrees.
+    obstacle_m : float
+        Length on which it touches obstacles, m.
 
     Raises
     ------
@@ -137,7 +151,7 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64]) -> Mission:
             "Give the layers that the route was planned on"
         )
     height = _ground(route_map, float(easting[0]), float(northing[0]))
-    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps)
+    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps, obstacle_m)
 
 
 def _ground(route_map: MapReader, easting: float, northing: float) -> float:
@@ -168,7 +182,7 @@ def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
             "items": items,
         },
     }
-    write_json(folder / "route.plan", record)
+    write_manifest(record, folder / "route.plan")
     about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
     return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
 
@@ -188,9 +202,47 @@ def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
     }
 
 
-_FORMAT, _VERSION = "bumpymap-export", 1
+DATUM_NAME = "datum.json"
+"""The sidecar file with the local datum. It is written last: a folder that has one holds a complete export."""
+EXPORT_FILES: dict[str, tuple[str, ...]] = {
+    "nav2": (
+        "map.yaml",
+        "map.pgm",
+        "keepout_mask.yaml",
+        "keepout_mask.pgm",
+        "speed_mask.yaml",
+        "speed_mask.pgm",
+        "nav2_params.yaml",
+        DATUM_NAME,
+    ),
+    "gridmap": ("gridmap.mcap", "metadata.yaml", DATUM_NAME),
+    "graph": ("graph.geojson", DATUM_NAME),
+    "plan": ("route.plan", DATUM_NAME),
+    "cost": ("cost.tif", DATUM_NAME),
+}
+"""Files of an export, by format."""
 
-_Writer = Callable[[Path], dict[str, Any]]
+
+def _check_target(out: Path, to: str, *, overwrite: bool) -> None:
+    """Check that an export can be written to a folder, without touching it.
+
+    Raises
+    ------
+    OutputError
+        It is a file, holds the layers of a run or an export in another format, or an earlier export and ``overwrite``
+        is False.
+    """
+    if lexists(out) and not out.is_dir():
+        raise OutputError(f"cannot write to the folder {out}: it is not a folder. Choose another `out`")
+    if lexists(out / MANIFEST_NAME):
+        raise OutputError(f"{out} holds the layers of a run; an export has a folder of its own. Choose another `out`")
+    own = EXPORT_FILES[to]
+    foreign = sorted(
+        name for names in EXPORT_FILES.values() for name in names if name not in own and lexists(out / name)
+    )
+    if foreign:
+        raise OutputError(f"{out} already holds {foreign[0]} of an export in another format. Choose another `out`")
+    refuse_present(out, own, overwrite=overwrite)
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,14 +284,16 @@ def export_map(
     area = choose_area(route_map, split, _point(settings.around), settings.radius, _point(settings.datum))
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
-    record = {"format": _FORMAT, "version": _VERSION, "to": settings.to, **area.describe(), **_sources(route_map)}
+    record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
     # The faults of what was given come first, but for those that take long to find.
-    write = _plan(area, settings) if settings.to == "plan" else None
-    check_target(folder, settings.to, overwrite=overwrite)
-    write = write or _MAKERS[settings.to](area, settings)
-    with export_folder(folder, settings.to, overwrite=overwrite) as staged:
-        record |= write(staged)
-        write_json(staged / DATUM_NAME, record)
+    write = _made(area, settings) if settings.to == "plan" else None
+    _check_target(folder, settings.to, overwrite=overwrite)
+    write = write or _made(area, settings)
+    with remove_empty_on_error(folder), locked(folder):
+        _check_target(folder, settings.to, overwrite=overwrite)
+        with write_together(folder, DATUM_NAME) as staged:
+            record |= write(staged)
+            write_manifest(record, staged / DATUM_NAME)
     return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
 
 
@@ -256,38 +310,31 @@ def _sources(route_map: MapReader) -> dict[str, Any]:
     }
 
 
-def _nav2(area: ExportArea, settings: ExportSettings) -> _Writer:
-    grids = make_grids(area, settings.comfort, settings.max_cost)
-    return lambda folder: write_nav2(folder, area, grids)
-
-
-def _gridmap(area: ExportArea, _: ExportSettings) -> _Writer:
-    require_rosbags()
-    layers = make_layers(area)
-    return lambda folder: write_gridmap(folder, area, layers)
-
-
-def _graph(area: ExportArea, settings: ExportSettings) -> _Writer:
-    lattice, every = make_graph(area, settings.every)
-    return lambda folder: write_graph(folder, area, lattice, every)
-
-
-def _plan(area: ExportArea, settings: ExportSettings) -> _Writer:
-    route = settings.route or area.route_map.sheets[0].folder
+def _mission(route_map: MapReader, settings: ExportSettings) -> Mission:
+    route = settings.route or route_map.sheets[0].folder
     path = route / "route.geojson" if route.is_dir() else route
     if not path.exists():
         raise BadInputError(
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
-    mission = replace(make_mission(area.route_map, line), obstacle_m=touched)
-    return lambda folder: write_plan(folder, mission)
+    return make_mission(route_map, *read_route_line(path, through_obstacles=settings.through_obstacles))
 
 
-_MAKERS: dict[str, Callable[[ExportArea, ExportSettings], _Writer]] = {
-    "nav2": _nav2,
-    "gridmap": _gridmap,
-    "graph": _graph,
-    "plan": _plan,
-    "cost": lambda area, _: lambda folder: write_pixel_cost(folder, area),
-}
+def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
+    """Make everything that a folder will hold, and return what writes it."""
+    match settings.to:
+        case "nav2":
+            grids = make_grids(area, settings.comfort, settings.max_cost)
+            return lambda folder: write_nav2(folder, area, grids)
+        case "gridmap":
+            require_rosbags()
+            layers = make_layers(area)
+            return lambda folder: write_gridmap(folder, area, layers)
+        case "graph":
+            lattice, every = make_graph(area, settings.every)
+            return lambda folder: write_graph(folder, area, lattice, every)
+        case "plan":
+            mission = _mission(area.route_map, settings)
+            return lambda folder: write_plan(folder, mission)
+        case "cost":
+            return lambda folder: write_pixel_cost(folder, area)

@@ -1,20 +1,20 @@
-"""Write map.qgs, a QGIS project of the layers of a map."""
+"""map.qgs, a QGIS project of the layers of a map; and all views of them together."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path, PurePath
 from typing import Any
-from xml.etree import ElementTree as ET
 
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import horizontal_of, stated_crs
 from bumpymap.layers import open_layer, raster_in, virtual_name
-from bumpymap.views.gis.styles import MULTIPLY, NORMAL, QGIS_VERSION, StyleFacts, add, layer_style, write_qgis
+from bumpymap.views.gis.styles import MULTIPLY, NORMAL, StyleFacts, layer_style, write_qgis, write_styles
+from bumpymap.views.page.map_page import write_report
 
-__all__ = ["write_project"]
+__all__ = ["write_map_views", "write_project"]
 
 _MARGIN = 0.04
 """Ground around the layers when the project is opened, as a share of their larger side."""
@@ -48,6 +48,11 @@ class ProjectLayer:
         """True if it holds pixels; else polygons."""
         return PurePath(self.file).suffix == ".tif"
 
+    @property
+    def provider(self) -> str:
+        """Name of the provider of QGIS that reads it."""
+        return "gdal" if self.is_raster else "ogr"
+
 
 @dataclass(frozen=True, slots=True)
 class LayerGroup:
@@ -80,84 +85,26 @@ class LayerGroup:
                 yield child
 
 
-def tree(groups: Iterable[LayerGroup]) -> ET.Element:
-    """Return the tree of layers, the topmost group first."""
-    root = ET.Element("layer-tree-group")
-    for group in groups:
-        _add_group(root, group)
-    return root
+def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
+    """Write the styles, map.qgs and report.html of the layers in a folder.
 
+    Parameters
+    ----------
+    folder : Path
+        The layers of a run, or the virtual rasters over those of its sheets.
+    record : mapping
+        The content of run.json, which need not be there yet.
 
-def _add_group(parent: ET.Element, group: LayerGroup) -> None:
-    shown = any(child.visible for child in group.layers) or group.one_of
-    looks = {"name": group.title, "expanded": _flag(group.expanded), "checked": _checked(visible=group.visible)}
-    if group.one_of:
-        chosen = next((number for number, child in enumerate(group.layers) if child.visible), -1)
-        looks |= {"mutually-exclusive": "1", "mutually-exclusive-child": str(chosen)}
-    branch = add(parent, "layer-tree-group", looks)
-    for child in group.layers:
-        if isinstance(child, LayerGroup):
-            _add_group(branch, child)
-            continue
-        leaf = {
-            "id": child.id,
-            "name": child.title,
-            "source": f"./{child.source}",
-            "providerKey": _provider(child),
-            "expanded": _flag(child.visible or not shown),
-            "checked": _checked(visible=child.visible),
-        }
-        add(branch, "layer-tree-layer", leaf)
-
-
-def layer_element(layer: ProjectLayer, style: Sequence[ET.Element], crs: CRS | None) -> ET.Element:
-    """Return a layer with its style, in a CRS."""
-    kind = {"type": "raster"} if layer.is_raster else {"type": "vector", "geometry": "Polygon"}
-    element = ET.Element("maplayer", kind | {"styleCategories": "AllStyleCategories"})
-    add(element, "id", text=layer.id)
-    add(element, "datasource", text=f"./{layer.source}")
-    add(element, "layername", text=layer.title)
-    add(element, "srs").append(reference(crs))
-    add(element, "provider", None if layer.is_raster else {"encoding": "UTF-8"}, _provider(layer))
-    element.extend(style)
-    return element
-
-
-def reference(crs: CRS | None) -> ET.Element:
-    """Return the element of a CRS; without one QGIS would take its default for the layer."""
-    element = ET.Element("spatialrefsys")
-    add(element, "wkt", text="" if crs is None else crs.to_wkt())
-    return element
-
-
-def canvas(bounds: tuple[float, float, float, float], crs: CRS | None) -> ET.Element:
-    """Return the view that QGIS opens with: west, south, east, north in the CRS, and a margin."""
-    west, south, east, north = bounds
-    margin = _MARGIN * max(east - west, north - south)
-    element = ET.Element("mapcanvas", {"name": "theMapCanvas", "annotationsVisible": "1"})
-    extent = add(element, "extent")
-    for tag, value in (
-        ("xmin", west - margin),
-        ("ymin", south - margin),
-        ("xmax", east + margin),
-        ("ymax", north + margin),
-    ):
-        add(extent, tag, text=repr(value))
-    add(element, "rotation", text="0")
-    add(element, "destinationsrs").append(reference(crs))
-    return element
-
-
-def _provider(layer: ProjectLayer) -> str:
-    return "gdal" if layer.is_raster else "ogr"
-
-
-def _flag(yes: bool) -> str:
-    return "1" if yes else "0"
-
-
-def _checked(*, visible: bool) -> str:
-    return "Qt::Checked" if visible else "Qt::Unchecked"
+    Raises
+    ------
+    BadInputError
+        A layer cannot be read.
+    OutputError
+        A file cannot be written.
+    """
+    write_styles(folder, record)
+    write_project(folder, record)
+    write_report(folder, record)
 
 
 _NAME = "map.qgs"
@@ -202,30 +149,28 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     OutputError
         The project cannot be written, or a layer cannot be read.
     """
-    facts, crs, title = StyleFacts.of(folder, record), _horizontal_crs(record), _title(record)
+    facts, crs = StyleFacts.of(folder, record), _horizontal_crs(record)
     groups = [group.found_in(partial(_in_folder, folder)) for group in _groups(facts.speeds)]
-    root = ET.Element("qgis", {"version": QGIS_VERSION, "projectname": title})
-    add(root, "homePath", {"path": ""})
-    add(root, "title", text=title)
-    if crs is not None:
-        add(root, "projectCrs").append(reference(crs))
-    root.append(tree(group for group in groups if group.layers))
     present = [layer for group in groups for layer in group.leaves()]
-    for layer in [layer for layer in present if layer.is_raster][:1]:  # all rasters have the same extent
-        with open_layer(folder / layer.source) as raster:
-            root.append(canvas(raster.bounds, crs))
-    layers = add(root, "projectlayers")
-    for layer in present:
-        style = layer_style(layer.file, facts, layer.blend, layered=True, part=layer.part)
-        layers.append(layer_element(layer, style, crs))
-    properties = add(root, "properties")
-    add(add(properties, "Paths"), "Absolute", {"type": "bool"}, "false")
-    add(add(properties, "SpatialRefSys"), "ProjectionsEnabled", {"type": "int"}, "0" if crs is None else "1")
-    about = add(root, "projectMetadata")
-    add(about, "type", text="dataset")
-    add(about, "title", text=title)
-    add(about, "abstract", text=_abstract(record, facts))
-    write_qgis(root, folder / _NAME)
+    raster = next((layer for layer in present if layer.is_raster), None)  # all have the same extent
+    write_qgis(
+        folder / _NAME,
+        "project.xml",
+        title=_title(record),
+        abstract=_abstract(record, facts),
+        wkt=None if crs is None else crs.to_wkt(),
+        groups=[group for group in groups if group.layers],
+        view=None if raster is None else _view(folder / raster.source),
+        styled=[(layer, layer_style(layer.file, facts, layered=True, part=layer.part)) for layer in present],
+    )
+
+
+def _view(path: Path) -> dict[str, float]:
+    """Return the sides of what QGIS shows first: the extent of a raster, and a margin."""
+    with open_layer(path) as raster:
+        west, south, east, north = raster.bounds
+    margin = _MARGIN * max(east - west, north - south)
+    return {"xmin": west - margin, "ymin": south - margin, "xmax": east + margin, "ymax": north + margin}
 
 
 def _groups(speeds: tuple[float, ...]) -> tuple[LayerGroup, ...]:

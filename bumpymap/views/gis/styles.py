@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -40,13 +40,14 @@ from bumpymap.layers import (
     open_layer,
     raster_in,
 )
+from bumpymap.views.page.page import render_text
 
 __all__ = [
     "MULTIPLY",
     "NORMAL",
-    "QGIS_VERSION",
+    "RasterStyle",
     "StyleFacts",
-    "add",
+    "VectorStyle",
     "layer_style",
     "write_change_style",
     "write_check_style",
@@ -57,32 +58,33 @@ __all__ = [
 QGIS_VERSION = "3.22.0"
 """The version of QGIS whose form the files have; newer ones read it too."""
 _DOCTYPE = b"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
-_NOT_XML = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+_NOT_XML = re.compile("[\ufffe\uffff]")
 
 
-def add(
-    parent: ET.Element, tag: str, attributes: Mapping[str, str] | None = None, text: str | None = None
-) -> ET.Element:
-    """Append an element to another one and return it."""
-    element = ET.SubElement(parent, tag, dict(attributes or {}))
-    element.text = text
-    return element
-
-
-def write_qgis(root: ET.Element, path: Path) -> None:
+def write_qgis(path: Path, template: str, **context: Any) -> None:
     """Write a style or a project, whole or not at all.
 
-    What XML cannot hold (control characters, bytes that are not UTF-8), as in the name of a CRS, becomes U+FFFD.
+    Control characters and bytes that are not UTF-8, as in the name of a CRS, are shown as escapes, as on pages.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    template : str
+        Name of a template beside this module.
+    **context
+        What the template needs.
 
     Raises
     ------
     OutputError
         It cannot be written.
     """
+    text = render_text(template, version=QGIS_VERSION, **context)
+    root = ET.fromstring(_NOT_XML.sub("\ufffd", text).strip())  # noqa: S314 (of a template of our own)
     ET.indent(root, " ")
-    text = _NOT_XML.sub("\ufffd", ET.tostring(root, encoding="unicode"))
     with atomic(path) as temporary:
-        temporary.write_bytes(_DOCTYPE + text.encode() + b"\n")
+        temporary.write_bytes(_DOCTYPE + ET.tostring(root, encoding="unicode").encode() + b"\n")
 
 
 Colour = tuple[int, int, int, int]
@@ -93,25 +95,19 @@ NORMAL, MULTIPLY = 0, 6
 
 @dataclass(frozen=True, slots=True)
 class RasterStyle:
-    """A renderer and whether pixels are mixed."""
+    """How a band is shown."""
 
-    renderer: ET.Element
-    smooth: bool = False
-    """Bilinear resampling, zoomed in and out, without which a relief shows a grid that is not there; else the nearest
-    pixel, since codes must not be mixed."""
-
-    def elements(self, blend: int = NORMAL) -> list[ET.Element]:
-        """Return what stands for a raster in a style file or in the layer of a project."""
-        pipe = ET.Element("pipe")
-        pipe.append(self.renderer)
-        add(pipe, "brightnesscontrast", {"brightness": "0", "contrast": "0", "gamma": "1"})
-        add(pipe, "huesaturation", {"saturation": "0", "grayscaleMode": "0", "colorizeOn": "0", "invertColors": "0"})
-        method = {"zoomedInResampler": "bilinear", "zoomedOutResampler": "bilinear"} if self.smooth else {}
-        add(pipe, "rasterresampler", {**method, "maxOversampling": "2"})
-        add(pipe, "resamplingStage", text="resamplingFilter")
-        mode = ET.Element("blendMode")
-        mode.text = str(blend)
-        return [pipe, mode]
+    kind: Literal["paletted", "singlebandpseudocolor", "hillshade"]
+    """Codes; numbers, with colours mixed between entries; heights as a relief with the light from the north-west."""
+    band: int = 1
+    entries: tuple[tuple[float, str, Colour], ...] = ()
+    """Value, label and colour, in the order of the legend; stops of a ramp rise."""
+    clip: bool = False
+    """True if numbers beyond the first and the last stop are transparent; else they have their colours."""
+    z_factor: float = 1.0
+    """Turns heights into the unit of the CRS."""
+    opacity: float = 1.0
+    """Below 1, a relief is paler, so that colours over it stay those of their legend."""
 
 
 def paletted(
@@ -121,71 +117,12 @@ def paletted(
 
     The legend has the order of ``names``; the codes ``clear`` are left transparent, whatever their colour.
     """
-    renderer = _renderer("paletted", band)
-    palette = add(renderer, "colorPalette")
-    for value, label in names:
-        if value not in clear and colours[value][3]:
-            add(palette, "paletteEntry", _entry(value, label, colours[value]))
-    return RasterStyle(renderer)
+    shown = ((value, label) for value, label in names if value not in clear and colours[value][3])
+    return RasterStyle("paletted", band, tuple((value, label, colours[value]) for value, label in shown))
 
 
-def ramp(band: int, stops: Sequence[tuple[float, str, Colour]], *, clip: bool = False) -> RasterStyle:
-    """Return the style of a band of numbers: colours mixed between stops (value, label, colour), rising.
-
-    Numbers beyond the first and the last stop have their colours, or with ``clip`` are transparent. The legend lists
-    the stops.
-    """
-    low, high = f"{stops[0][0]:.9g}", f"{stops[-1][0]:.9g}"
-    renderer = _renderer("singlebandpseudocolor", band)
-    renderer.attrib |= {"classificationMin": low, "classificationMax": high}
-    shader = add(
-        add(renderer, "rastershader"),
-        "colorrampshader",
-        {
-            "colorRampType": "INTERPOLATED",
-            "classificationMode": "1",
-            "clip": "1" if clip else "0",
-            "minimumValue": low,
-            "maximumValue": high,
-            "labelPrecision": "3",
-        },
-    )
-    for value, label, colour in stops:
-        add(shader, "item", _entry(value, label, colour))
-    add(shader, "rampLegendSettings", {"useContinuousLegend": "0"})
-    return RasterStyle(renderer)
-
-
-def hillshade(z_factor: float, opacity: float = 1.0) -> RasterStyle:
-    """Return the style of heights as a relief with the light from the north-west.
-
-    ``z_factor`` turns heights into the unit of the CRS. An ``opacity`` below 1 is paler, so that colours over it stay
-    those of their legend.
-    """
-    renderer = _renderer("hillshade", 1, opacity)
-    renderer.attrib |= {"azimuth": "315", "angle": "45", "zfactor": f"{z_factor:.9g}", "multidirection": "0"}
-    return RasterStyle(renderer, smooth=True)
-
-
-def _renderer(kind: str, band: int, opacity: float = 1.0) -> ET.Element:
-    looks = {"type": kind, "band": str(band), "opacity": f"{opacity:g}", "alphaBand": "-1", "nodataColor": ""}
-    renderer = ET.Element("rasterrenderer", looks)
-    add(renderer, "rasterTransparency")
-    add(add(renderer, "minMaxOrigin"), "limits", text="None")
-    return renderer
-
-
-def _entry(value: float, label: str, colour: Colour) -> dict[str, str]:
-    return {
-        "value": f"{value:.9g}",
-        "label": label,
-        "color": "#{:02x}{:02x}{:02x}".format(*colour),
-        "alpha": str(colour[3]),
-    }
-
-
-AreaLook: TypeAlias = tuple[str, str, Colour, str]
-"""Value, label, colour and pattern of a category."""
+VectorLook: TypeAlias = tuple[str, str, Colour, str]
+"""Value, label, colour and, of areas, pattern."""
 _UNKNOWN, _CLOSED = "unknown", "not passable"
 REGION_KIND = (
     f'CASE WHEN "class_name" = \'{_UNKNOWN}\' THEN \'{_UNKNOWN}\' WHEN "passable" THEN "class_name" '
@@ -200,91 +137,24 @@ TILE_KIND = (
 """Expression of QGIS: the category of a tile of tiles.parquet."""
 
 
-def class_areas(kind: str, labels: Sequence[str], blend: int = NORMAL) -> list[ET.Element]:
-    """Return what stands for areas by class in a style file or in the layer of a project.
+@dataclass(frozen=True, slots=True)
+class VectorStyle:
+    """How areas or points are shown: one look for each value."""
 
-    The expression ``kind`` gives the name of the class, or "unknown" or "not passable".
-    """
-    looks: list[AreaLook] = [
-        (name, label, CLASS_COLOURS[number], "solid")
-        for number, (name, label) in enumerate(zip(CLASS_NAMES, labels, strict=True))
-    ]
-    looks += [
-        (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal"),
-        (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x"),
-    ]
-    return areas_by_kind(kind, looks, blend)
+    kind: str
+    """The attribute with the value, or an expression of QGIS that gives it."""
+    looks: tuple[VectorLook, ...]
+    large: str = ""
+    """Of points: the expression of QGIS that says which are drawn larger."""
 
 
-def areas_by_kind(kind: str, looks: Sequence[AreaLook], blend: int = NORMAL) -> list[ET.Element]:
-    """Return what stands for areas in a style file: one look for each value of an attribute or expression ``kind``."""
-    symbols = [_fill(number, colour, pattern) for number, (_, _, colour, pattern) in enumerate(looks)]
-    return _by_kind(kind, [(value, label) for value, label, _, _ in looks], symbols, blend)
-
-
-def _by_kind(
-    kind: str, entries: Sequence[tuple[str, str]], symbols: Sequence[ET.Element], blend: int
-) -> list[ET.Element]:
-    renderer = ET.Element("renderer-v2", {"type": "categorizedSymbol", "attr": kind, "symbollevels": "0"})
-    categories = add(renderer, "categories")
-    add(renderer, "symbols").extend(symbols)
-    for number, (value, label) in enumerate(entries):
-        entry = {"value": value, "label": label, "symbol": str(number), "render": "true"}
-        add(categories, "category", entry)
-    found = [renderer]
-    for tag, text in (("blendMode", str(blend)), ("featureBlendMode", str(NORMAL)), ("layerOpacity", "1")):
-        element = ET.Element(tag)
-        element.text = text
-        found.append(element)
-    return found
-
-
-def _fill(number: int, colour: Colour, pattern: str) -> ET.Element:
-    """Return a filled symbol. Its outline has its colour: without one, hairlines shine through between areas."""
-    text = ",".join(map(str, colour))
-    properties = {
-        "color": text,
-        "style": pattern,
-        "outline_color": text,
-        "outline_style": "solid",
-        "outline_width": "0.1",
-        "outline_width_unit": "MM",
-        "joinstyle": "miter",
-    }
-    return _symbol(number, "fill", "SimpleFill", properties)
-
-
-def _disc(number: int, colour: Colour, large: str) -> ET.Element:
-    """Return a disc with a dark outline, so that a pale one is seen too."""
-    properties = {
-        "name": "circle",
-        "color": ",".join(map(str, colour)),
-        "outline_color": "35,35,35,255",
-        "outline_style": "solid",
-        "outline_width": "0.3",
-        "outline_width_unit": "MM",
-        "size": "2.6",
-        "size_unit": "MM",
-    }
-    symbol = _symbol(number, "marker", "SimpleMarker", properties)
-    layer = symbol[0]
-    options = add(add(layer, "data_defined_properties"), "Option", {"type": "Map"})
-    add(options, "Option", {"type": "QString", "name": "name", "value": ""})
-    size = add(add(options, "Option", {"type": "Map", "name": "properties"}), "Option", {"type": "Map", "name": "size"})
-    add(size, "Option", {"type": "bool", "name": "active", "value": "true"})
-    add(size, "Option", {"type": "QString", "name": "expression", "value": f"if({large}, 4.2, 2.6)"})
-    add(size, "Option", {"type": "int", "name": "type", "value": "3"})
-    add(options, "Option", {"type": "QString", "name": "type", "value": "collection"})
-    return symbol
-
-
-def _symbol(number: int, kind: str, layer_class: str, properties: Mapping[str, str]) -> ET.Element:
-    symbol = ET.Element("symbol", {"type": kind, "name": str(number), "alpha": "1", "clip_to_extent": "1"})
-    layer = add(symbol, "layer", {"class": layer_class, "enabled": "1", "pass": "0", "locked": "0"})
-    options = add(layer, "Option", {"type": "Map"})
-    for name, value in properties.items():
-        add(options, "Option", {"type": "QString", "name": name, "value": value})
-    return symbol
+def class_areas(kind: str, labels: Sequence[str]) -> VectorStyle:
+    """Return the style of areas by class: ``kind`` gives the name of the class, or "unknown" or "not passable"."""
+    named = enumerate(zip(CLASS_NAMES, labels, strict=True))
+    looks = [(name, label, CLASS_COLOURS[number], "solid") for number, (name, label) in named]
+    unknown = (_UNKNOWN, _UNKNOWN, BARRED_COLOURS[Barred.UNKNOWN], "b_diagonal")
+    closed = (_CLOSED, _CLOSED, BARRED_COLOURS[Barred.OBSTACLE], "diagonal_x")
+    return VectorStyle(kind, (*looks, unknown, closed))
 
 
 def write_change_style(path: Path, band: int) -> None:
@@ -302,33 +172,21 @@ def write_change_style(path: Path, band: int) -> None:
     OutputError
         The file cannot be written.
     """
-    root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})
-    raster = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=band).elements()
-    places = areas_by_kind("kind", [(name, name, CHANGE_COLOURS[code], "solid") for code, name in _CHANGED])
-    known = {element.tag for element in raster}
-    root.extend([*raster, *(element for element in places if element.tag not in known)])
-    write_qgis(root, path)
+    places = [(name, name, CHANGE_COLOURS[code], "solid") for code, name in enumerate(CHANGE_KINDS) if code]
+    codes = paletted(enumerate(CHANGE_KINDS), CHANGE_COLOURS, band=band)
+    write_qgis(path, "style.xml", pixels=codes, vectors=VectorStyle("kind", tuple(places)))
 
 
-_CHANGED = list(enumerate(CHANGE_KINDS))[1:]
-
-
-def write_check_style(path: Path, *, areas: bool) -> None:
-    """Write check.qml, which QGIS takes for check.geojson, or check_tiles.qml for check_tiles.geojson.
+def write_check_style(path: Path) -> None:
+    """Write check.qml, which QGIS takes for check.geojson.
 
     Raises
     ------
     OutputError
         The file cannot be written.
     """
-    root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})
-    looks = [(name, name, OFF_COLOURS[code]) for code, name in enumerate(OFF_KINDS)]
-    if areas:
-        root.extend(areas_by_kind("off", [(*look, "solid") for look in looks]))
-    else:
-        symbols = [_disc(number, colour, '"explained" = false') for number, (_, _, colour) in enumerate(looks)]
-        root.extend(_by_kind("off", [(value, label) for value, label, _ in looks], symbols, NORMAL))
-    write_qgis(root, path)
+    looks = tuple((name, name, OFF_COLOURS[code], "") for code, name in enumerate(OFF_KINDS))
+    write_qgis(path, "style.xml", pixels=None, vectors=VectorStyle("off", looks, '"explained" = false'))
 
 
 _SAMPLE = 512
@@ -442,20 +300,15 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     facts = StyleFacts.of(folder, record)
     for name, layers in _FILES.items():
         present = [layer for layer in layers if raster_in(folder, layer).is_file()]
-        rasters = [layer for layer in present if layer not in _AREAS]
-        areas = [layer for layer in present if layer in _AREAS]
-        root = ET.Element("qgis", {"version": QGIS_VERSION, "styleCategories": "Symbology"})
-        for layer in (*rasters[:1], *areas[:1]):
-            known = {element.tag for element in root}
-            root.extend(element for element in layer_style(layer, facts) if element.tag not in known)
+        styles = [layer_style(layer, facts) for layer in present]
+        pixels = next((style for style in styles if isinstance(style, RasterStyle)), None)
+        vectors = next((style for style in styles if isinstance(style, VectorStyle)), None)
         if present:
-            write_qgis(root, folder / name)
+            write_qgis(folder / name, "style.xml", pixels=pixels, vectors=vectors)
 
 
-def layer_style(
-    layer: str, facts: StyleFacts, blend: int = NORMAL, *, layered: bool = False, part: str = ""
-) -> list[ET.Element]:
-    """Return how QGIS shows a layer: elements of a style file, or of a layer in a project.
+def layer_style(layer: str, facts: StyleFacts, *, layered: bool = False, part: str = "") -> RasterStyle | VectorStyle:
+    """Return how QGIS shows a layer.
 
     Parameters
     ----------
@@ -463,8 +316,6 @@ def layer_style(
         Name of the file.
     facts : StyleFacts
         What the style depends on.
-    blend : int
-        Blending mode.
     layered : bool
         As one of several layers of a project: clear where there is nothing to explain (passable tiles, tiles with a
         class); a pale relief.
@@ -474,25 +325,31 @@ def layer_style(
     """
     if layer == "speeds.tif":
         names = [band.name for band in speed_bands(facts.speeds)]
-        return _roughness(facts, 1 + names.index(f"c_r_{part}") if part else 1).elements(blend)
+        return _roughness(facts, 1 + names.index(f"c_r_{part}") if part else 1)
     if part:
-        return _PARTS[part].elements(blend)
+        return _PARTS[part]
     if layer in _AREAS:
-        return class_areas(_AREAS[layer], facts.class_labels, blend)
+        return class_areas(_AREAS[layer], facts.class_labels)
     if layered and layer in _LAYERED:
-        return _LAYERED[layer](facts).elements(blend)
-    return _RASTERS[layer](facts).elements(blend)
+        return _LAYERED[layer](facts)
+    return _RASTERS[layer](facts)
 
 
 def _roughness(facts: StyleFacts, band: int = _C_R_BAND) -> RasterStyle:
-    stops = zip(facts.scale.anchors, facts.ride_labels, strict=True)
-    return ramp(band, [(value, label, CLASS_COLOURS[number]) for number, (value, label) in enumerate(stops)])
+    colours = [CLASS_COLOURS[number] for number in range(len(CLASS_NAMES))]
+    stops = zip(facts.scale.anchors, facts.ride_labels, colours, strict=True)
+    return RasterStyle("singlebandpseudocolor", band, tuple(stops))
 
 
 def _cost() -> RasterStyle:
     most = max(COST_COLOURS)
     labels = {1.0: "1: level road", most: f"{most:g} and more"}
-    return ramp(1, [(value, labels.get(value, f"{value:g}"), colour) for value, colour in COST_COLOURS.items()])
+    stops = ((value, labels.get(value, f"{value:g}"), colour) for value, colour in COST_COLOURS.items())
+    return RasterStyle("singlebandpseudocolor", entries=tuple(stops))
+
+
+def _relief(facts: StyleFacts, opacity: float = 1.0) -> RasterStyle:
+    return RasterStyle("hillshade", z_factor=facts.z_factor, opacity=opacity)
 
 
 def _barred(clear: tuple[int, ...] = (), colours: Mapping[int, Colour] = BARRED_COLOURS) -> RasterStyle:
@@ -511,15 +368,16 @@ _RASTERS: dict[str, Callable[[StyleFacts], RasterStyle]] = {
     "reason.tif": lambda _: _reason(),
     "obstacle.tif": lambda _: paletted(enumerate(OBJECT_NAMES), OBJECT_COLOURS),
     "passage.tif": lambda _: paletted(enumerate(PASSAGE_NAMES), PASSAGE_COLOURS),
-    "heightmap.tif": lambda facts: hillshade(facts.z_factor),
-    "relief.tif": lambda facts: hillshade(facts.z_factor),
+    "heightmap.tif": _relief,
+    "relief.tif": _relief,
 }
 _LAYERED: dict[str, Callable[[StyleFacts], RasterStyle]] = {
     "barred.tif": lambda _: _barred((Barred.NO,), BARRED_COLOURS | {Barred.UNKNOWN: _GREY}),
     "reason.tif": lambda _: _reason((Reason.OK,)),
-    "heightmap.tif": lambda facts: hillshade(facts.z_factor, _PALE),
-    "relief.tif": lambda facts: hillshade(facts.z_factor, _PALE),
+    "heightmap.tif": lambda facts: _relief(facts, _PALE),
+    "relief.tif": lambda facts: _relief(facts, _PALE),
 }
 _VERY_ROUGH = CLASS_COLOURS[3]
 _FAILS = ((FAIL_SHARE, "at least half of the drives fail", _VERY_ROUGH), (1.0, "all drives fail", _VERY_ROUGH))
-_PARTS = {"p_fail": ramp(1 + [band.name for band in BANDS].index("p_fail"), _FAILS, clip=True)}
+_P_FAIL_BAND = 1 + [band.name for band in BANDS].index("p_fail")
+_PARTS = {"p_fail": RasterStyle("singlebandpseudocolor", _P_FAIL_BAND, _FAILS, clip=True)}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CheckResult, count_text
-from bumpymap.layers import OFF_COLOURS, MapOffset
+from bumpymap.layers import NORMAL_80, OFF_COLOURS, MapOffset
 from bumpymap.views.page.tiles import C_R_EDGES, SLOPE_EDGES
 from bumpymap.views.pictures.drawing import tick_step
 from bumpymap.views.words import share, shares, whole
@@ -211,7 +211,6 @@ def _histogram(
 _SIDES = (64, 12, 12, 48)
 _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
-_NORMAL_80 = 1.2816
 
 
 def drive_chart(result: CheckResult, key: str) -> Chart | None:
@@ -251,7 +250,7 @@ def drive_chart(result: CheckResult, key: str) -> Chart | None:
         chart.path(f"M{west:.1f} {low:.1f}L{east:.1f} {high:.1f}", colour, f' stroke-width="{width}"')
     chart.names("C_r of the map, rad/m", "C_r measured by the drive, rad/m")
     c_r, measured = stretches.c_r[shown], stretches.measured[shown]
-    half = _NORMAL_80 * np.nan_to_num(stretches.measured_sd[shown])
+    half = NORMAL_80 * np.nan_to_num(stretches.measured_sd[shown])
     low, high = (np.where(np.isfinite(end), end, c_r) for end in (stretches.c_r_low[shown], stretches.c_r_high[shown]))
     x, y = (chart.x(low), chart.x(high), chart.x(c_r)), (chart.y(measured - half), chart.y(measured + half))
     shape = "M{:.1f} {:.1f}H{:.1f}M{:.1f} {:.1f}V{:.1f}"
@@ -301,7 +300,7 @@ def along_chart(result: CheckResult, key: str) -> Chart | None:
     starts = "".join(f"M{x:.1f} {top}V{foot}" for x in sides[1:-1][np.diff(stretches.drive) != 0].tolist())
     chart.path(starts, _FAINT, ' stroke-width="1.5"')
     offset, measured = MapOffset.of(stretches), np.flatnonzero(np.isfinite(stretches.measured))
-    half = _NORMAL_80 * np.nan_to_num(stretches.measured_sd[measured])
+    half = NORMAL_80 * np.nan_to_num(stretches.measured_sd[measured])
     felt, x = stretches.measured[measured], ((sides[:-1] + sides[1:]) / 2)[measured]
     chart.paths("M{:.1f} {:.1f}V{:.1f}", _ERROR, x, chart.y(felt - half), chart.y(felt + half))
     chart.discs(x, chart.y(felt), offset, measured, min(1.0, float(np.median(np.diff(sides))) / 9.0))

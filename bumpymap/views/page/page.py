@@ -1,4 +1,4 @@
-"""Pages of HTML from the templates beside this module: the engine, which escapes every text, and their frame."""
+"""Pages, and files for GIS and robots, from templates: the engine, which escapes every text, and the frame of pages."""
 
 import base64
 import hashlib
@@ -36,7 +36,7 @@ from bumpymap.views.words import DASH, area, base_name, degrees, number, share, 
 if TYPE_CHECKING:
     import jinja2
 
-__all__ = ["compile_pages", "render_page", "write_page"]
+__all__ = ["compile_pages", "render_page", "render_text", "write_page"]
 
 _HERE = Path(__file__).parent
 
@@ -80,12 +80,17 @@ def render_page(
     LookupError
         The template names what a record does not hold.
     """
-    import jinja2
-
     # In a script element only "<" could end it.
     text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":")).replace("<", "\\u003c")
+    return render_text(template, style=_asset(style), script=_asset(script), data=text, **context)
+
+
+def render_text(template: str, **context: Any) -> str:
+    """Return a filled template of a page, or of a file for GIS or robots. Raises LookupError as `render_page`."""
+    import jinja2
+
     try:
-        return _engine().get_template(template).render(style=_asset(style), script=_asset(script), data=text, **context)
+        return _engine().get_template(template).render(**context)
     except jinja2.UndefinedError as error:
         raise LookupError(str(error)) from error
 
@@ -93,7 +98,7 @@ def render_page(
 def compile_pages() -> None:
     """Compile all templates now, instead of when the first page is made."""
     engine = _engine()
-    for name in engine.list_templates(extensions=["html"]):
+    for name in engine.list_templates(extensions=["html", "xml", "yaml"]):
         engine.get_template(name)
 
 
@@ -121,7 +126,7 @@ def _engine() -> "jinja2.Environment":
                     super().dump_bytecode(bucket)
 
     engine = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(_HERE / "templates"),
+        loader=jinja2.FileSystemLoader([_HERE.parent / part / "templates" for part in ("page", "gis", "export")]),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         finalize=_printable,

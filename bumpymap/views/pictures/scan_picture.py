@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from bumpymap.core import CLASSES, ClassedSectors, PolarSettings, Scan
+from bumpymap.core import CLASSES, ClassedSectors, PolarCells, PolarSettings, Scan, cell_numbers
 from bumpymap.layers import OBSTACLE_POINT, OTHER_POINT, SCAN_CLASS_NAMES, SCAN_COLOURS, class_index, point_styles
 from bumpymap.views.pictures.drawing import font, shortened
 
@@ -81,17 +81,22 @@ def _polar_pixels(range_m: float) -> tuple[NDArray[np.float32], NDArray[np.float
     return np.hypot(forward, left), np.arctan2(left, forward) / np.float32(2.0 * math.pi)
 
 
+@lru_cache(maxsize=2)
+def _polar_cells(settings: PolarSettings, range_m: float) -> PolarCells:
+    return PolarCells.of(settings, *_polar_pixels(range_m))
+
+
 def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> None:
     """Fill sectors with a shade of their colour, hatch those with an obstacle, and draw the borders of all cells."""
-    stack, first = classed.sectors, _first_cells(classed.sectors.settings)
-    own = first[stack.zone] + stack.ring * np.array(stack.settings.sectors)[stack.zone] + stack.sector
+    stack, own = classed.sectors, cell_numbers(classed.sectors)
+    count = int(np.dot(stack.settings.sectors, stack.settings.rings))
     paper = np.array(_PAPER, float)
     fill = np.vstack([paper + _FILL * (SCAN_COLOURS[:CLASSES] - paper), _NOT_GROUND]).astype(np.uint8)
-    shades = np.full((2, first[-1] + 1, 3), _PAPER, np.uint8)  # second: of the lines of the hatching
+    shades = np.full((2, count + 1, 3), _PAPER, np.uint8)  # second: of the lines of the hatching
     shades[:, own] = fill[class_index(classed)]
     hatched = own[stack.obstacle]
     shades[1, hatched] = shades[1, hatched] + _HATCH * (SCAN_COLOURS[OBSTACLE_POINT] - shades[1, hatched].astype(float))
-    cell = _cells(stack.settings, stack.azimuth_start_rad, range_m)
+    cell = _polar_cells(stack.settings, range_m).cells(stack.azimuth_start_rad)
     np.take(shades.reshape(-1, 3), cell + len(shades[0]) * _hatching(), axis=0, out=scene, mode="clip")
     border = np.zeros(cell.shape, np.bool_)
     border[:, 1:] = cell[:, 1:] != cell[:, :-1]
@@ -103,36 +108,6 @@ def _paint_sectors(scene: Picture, classed: ClassedSectors, range_m: float) -> N
 def _hatching() -> NDArray[np.bool_]:
     """Return the pixels of diagonal lines over the scene."""
     return (np.add.outer(np.arange(SIDE), np.arange(SIDE)) % _HATCH_PX) < _HATCH_WIDTH_PX
-
-
-def _first_cells(settings: PolarSettings) -> NDArray[np.int64]:
-    """Return the index of the first cell of each zone (cells in zone, ring, sector order), then the number of cells."""
-    return np.concatenate([[0], np.cumsum(np.array(settings.sectors) * settings.rings)])
-
-
-def _cells(settings: PolarSettings, azimuth_start: float, range_m: float) -> NDArray[np.int32]:
-    """Return the index of the grid cell of every pixel; outside the grid, the number of cells."""
-    base, sectors = _ring_pixels(settings, range_m)
-    share = _polar_pixels(range_m)[1] - np.float32(azimuth_start / (2.0 * math.pi))
-    share -= np.floor(share)
-    share *= sectors
-    cell: NDArray[np.int32] = base + np.minimum(share, np.maximum(sectors - 1, 0)).astype(np.int32)
-    return cell
-
-
-@lru_cache(maxsize=2)
-def _ring_pixels(settings: PolarSettings, range_m: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-    """Return, for every pixel, the first cell of its ring and the ring's number of sectors (0 outside the grid)."""
-    distance, _ = _polar_pixels(range_m)
-    edges = np.array([*settings.zone_starts_m, settings.end_m], np.float32)
-    zone = np.searchsorted(edges, distance, side="right") - 1
-    outside = (zone < 0) | (zone >= len(settings.sectors))
-    zone[outside] = 0
-    rings, sectors = np.array(settings.rings), np.array(settings.sectors)
-    ring = ((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone]).astype(np.int64)
-    first = _first_cells(settings)
-    base = first[zone] + np.minimum(ring, rings[zone] - 1) * sectors[zone]
-    return np.where(outside, first[-1], base).astype(np.int32), np.where(outside, 0, sectors[zone]).astype(np.float32)
 
 
 def _paint_points(picture: Picture, scan: Scan, styles: NDArray[np.uint8], range_m: float) -> None:

@@ -13,9 +13,7 @@ from bumpymap.core import (
     Place,
     common_georeference,
     georeference,
-    linear_unit,
     parse_crs,
-    reproject_command,
     same_crs,
     scale_note,
     stated_crs,
@@ -110,13 +108,6 @@ def test_us_feet_of_few_digits_are_the_same_unit():
     text = CRS(2276).to_wkt("WKT1_GDAL").replace("0.304800609601219", "0.3048006096")
     assert "0.3048006096," in text
     assert settle(statement_from_wkt(text))[0].metres_per_unit == US_FOOT
-
-
-@pytest.mark.parametrize(
-    ("code", "unit"), [(9001, 1.0), (9002, 0.3048), (9003, US_FOOT), (9036, 1000.0), (32632, None)]
-)
-def test_units_by_code(code, unit):
-    assert linear_unit(code) == unit
 
 
 def test_heights_of_a_three_dimensional_crs():
@@ -242,16 +233,6 @@ def test_earth_centred_coordinates_are_refused_with_their_zone():
         settle(CrsStatement(CRS(4978)), place=place)
 
 
-def test_heights_alone_are_no_place():
-    with pytest.raises(BadInputError, match="is a vertical CRS"):
-        settle(crs="EPSG:5703")
-
-
-def test_without_a_place_the_zone_is_left_to_the_user():
-    with pytest.raises(BadInputError, match=r"EPSG:326ZZ(.|\n)*ZZ is the UTM zone"):
-        settle(crs="EPSG:4326", place=Place(Path("a.ply")))
-
-
 @settings(max_examples=15)
 @given(longitude=st.floats(-179.99, 179.99).map(lambda v: round(v, 6)), latitude=st.floats(-79.9, 83.9))
 def test_utm_zone_is_one_that_the_registry_gives_for_the_place(longitude, latitude):
@@ -264,13 +245,6 @@ def test_utm_at_the_ends_of_the_earth():
     assert [utm_epsg(*place) for place in [(10, 85), (10, -81), (180, 1), (-180, -1), (190, 1)]] == [
         5041, 5042, 32601, 32701, 32602,
     ]  # fmt: skip
-
-
-def test_the_command_keeps_millimetres_where_integers_would_overflow():
-    command = reproject_command(Path("a.copc.laz"), (-99.1, 19.4), None)
-    assert command.startswith("pdal translate a.copc.laz a_metres.laz reprojection ")
-    for axis in "xyz":
-        assert f"--writers.las.scale_{axis}=0.001 --writers.las.offset_{axis}=auto" in command
 
 
 @pytest.mark.parametrize("unit", [0, 1e-9, 1e12])
@@ -350,13 +324,3 @@ def test_files_in_metres_and_in_feet_from_one_zero_share_it_in_metres(caplog):
     )
     assert common_georeference(infos("EPSG:32614+5703", spelled)).crs == CRS("EPSG:32614+5703")
     assert not caplog.text
-
-
-def test_a_long_list_is_cut():
-    with pytest.raises(BadInputError, match="and 31 more"):
-        common_georeference(infos(*["EPSG:32614"] * 50, None))
-
-
-def test_no_files_share_nothing():
-    with pytest.raises(BadInputError, match="no survey"):
-        common_georeference([])

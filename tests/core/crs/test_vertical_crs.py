@@ -107,21 +107,3 @@ def test_every_layer_names_it_in_its_metadata(tmp_path, wkt, text):
     assert pq.read_schema(out / "tiles.parquet").metadata[b"vertical_crs"].decode() == text
     assert json.loads((out / "cost.geojson").read_text(encoding="utf-8"))["vertical_crs"] == text
     assert pyogrio.read_info(out / "cost.fgb")["layer_metadata"]["vertical_crs"] == text
-
-
-def test_info_names_both_parts(tmp_path):
-    survey = write_las(tmp_path / "site.las", COMPOUND.to_wkt("WKT1_GDAL"))
-    assert "NAVD88 height (EPSG:32614+5703)" in run("info", survey).output
-    (record,) = json.loads(run("info", survey, "--json").stdout)["files"]
-    assert (record["crs"], record["epsg"], record["vertical_crs"]) == (CRS(32614).name, 32614, "NAVD88 height")
-
-
-def test_one_that_has_no_code_is_carried_too(tmp_path):
-    wkt = COMPOUND.to_wkt("WKT1_GDAL").replace('"NAVD88 height"', '"NAVD88 - Geoid18 (Meters)"')
-    wkt = wkt.replace(',AUTHORITY["EPSG","5703"]', "")
-    out = tmp_path / "out"
-    assert run("map", write_las(tmp_path / "site.las", wkt), "--out", out).exit_code == 0
-    with rasterio.open(out / "heightmap.tif") as raster:
-        crs = CRS.from_wkt(raster.crs.to_wkt())
-    assert crs.sub_crs_list[1].datum.name == "North American Vertical Datum 1988"
-    assert json.loads((out / "run.json").read_text(encoding="utf-8"))["crs"]["name"] == CRS.from_wkt(wkt).name

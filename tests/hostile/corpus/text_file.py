@@ -8,7 +8,6 @@ import numpy as np
 __all__ = ["pcd_file", "pcd_header", "ply_file", "ply_header"]
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
-_FACE = (0, 1, 2)
 
 
 def ply_header(form, elements):
@@ -19,21 +18,10 @@ def ply_header(form, elements):
     return ("\n".join([*lines, "end_header"]) + "\n").encode()
 
 
-def ply_file(xyz, form, *, listed=False, faces_first=False):
-    """Bytes of a valid PLY file with double coordinates; ``listed`` gives every vertex a list of two numbers."""
-    lines = ["double x", "double y", "double z", *(["list uchar int near"] if listed else []), "uchar class"]
-    elements = [("vertex", len(xyz), lines)]
-    faces = ("face", 2, ["list uchar int vertex_indices"])
-    elements = [faces, *elements] if faces_first else elements
-    order = _FORMATS[form]
-    rows = [_vertex(row, order, listed=listed) for row in np.asarray(xyz, float).tolist()]
-    rows = [_row([3, *_FACE], order, "Biii")] * 2 * faces_first + rows
-    return ply_header(form, elements) + b"".join(rows)
-
-
-def _vertex(row, order, *, listed):
-    more = [2, 7, 8] if listed else []
-    return _row([*row, *more, 2], order, "ddd" + "Bii" * listed + "B")
+def ply_file(xyz, form):
+    """Bytes of a valid PLY file with double coordinates."""
+    head = ply_header(form, [("vertex", len(xyz), ["double x", "double y", "double z", "uchar class"])])
+    return head + b"".join(_row([*row, 2], _FORMATS[form], "dddB") for row in np.asarray(xyz, float).tolist())
 
 
 def _row(values, order, kinds):

@@ -10,8 +10,6 @@ from sklearn.metrics import confusion_matrix, roc_auc_score
 from bumpymap.lab.evaluate.agreement import (
     class_shift,
     confusion,
-    coverage,
-    cross_validated_fit,
     driven_class,
     fail_auc,
     monotone_fit,
@@ -51,18 +49,6 @@ def test_area_under_the_curve_is_that_of_every_single_drive(seed, count):
     assert fail_auc(p_fail, failed, completed) == pytest.approx(roc_auc_score(labels, scores))
 
 
-@given(SEEDS, st.integers(2, 40))
-def test_fit_without_a_tenth_is_that_of_scikit_learns_folds(seed, count):
-    rng = np.random.default_rng(seed)
-    predictor, c_r = rng.random(count), np.exp(rng.normal(size=count))
-    oracle = np.empty(count)
-    for part in range(min(10, count)):
-        own = np.arange(count) % 10 == part
-        model = IsotonicRegression(out_of_bounds="clip").fit(predictor[~own], np.log(c_r[~own]))
-        oracle[own] = np.exp(model.predict(predictor[own]))
-    np.testing.assert_allclose(cross_validated_fit(predictor, c_r), oracle, rtol=1e-9)
-
-
 def test_reliability_counts_patches():
     found = reliability(np.array([0.1, 0.15, 0.5, 1.0]), np.array([0.0, 0.25, 0.5, 1.0]))
     assert [one["patches"] for one in found] == [2, 0, 1, 0, 1]
@@ -80,13 +66,6 @@ def test_confusion_matrix_is_that_of_scikit_learn(seed, count):
     shares = {"same": (away == 0).mean(), "one_off": (away == 1).mean(), "further": (away > 1).mean()}
     assert class_shift(table) == pytest.approx(shares)
     assert all(np.isnan(share) for share in class_shift(np.zeros((4, 4), np.int64)).values())
-
-
-def test_interval_holds_its_ends():
-    found = coverage(np.full(4, 1.0), np.full(4, 2.0), np.array([1.0, 2.0, 0.9, 2.5]))
-    assert found == {"held": 0.5, "below": 0.25, "above": 0.25}
-    none = np.zeros(0)
-    assert np.isnan(coverage(none, none, none)["held"])
 
 
 def test_where_half_of_the_drives_failed_the_class_is_the_last():

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.lab.evaluate.rated_survey import take_tiles
-from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, driven_ground, strata, uniform_by_key
+from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, driven_ground, strata
 
 SEEDS = st.integers(0, 2**31)
 
@@ -42,14 +41,6 @@ def test_ground_that_is_expected_to_fail_is_a_stratum_of_its_own():
     assert np.allclose(within, np.median(within), rtol=0.1)
 
 
-def test_a_thing_keeps_its_number_whatever_stands_beside_it():
-    col, row = np.arange(-50, 50), np.arange(100) % 7
-    whole = uniform_by_key(3, col, row)
-    assert np.array_equal(uniform_by_key(3, col[40:60], row[40:60]), whole[40:60])
-    assert not np.array_equal(uniform_by_key(4, col, row), whole)
-    assert not np.array_equal(uniform_by_key(3, row, col), whole)
-
-
 @pytest.fixture(scope="module")
 def bumpy():
     """Heights of a bumpy slope 1500 m up, four points a pixel."""
@@ -62,12 +53,6 @@ def bumpy():
     return x, y, surface(x, y)
 
 
-def test_without_holes_it_is_the_heightmap(bumpy, measure_points):
-    patches = measure_points(*bumpy)
-    ground, heights = driven_ground(patches)[0], patches.heights[0].astype(float)
-    np.testing.assert_allclose(ground - ground.mean(), heights - heights.mean(), atol=5e-4)
-
-
 def test_holes_are_filled_on_the_same_plane(bumpy, measure_points):
     x, y, z = bumpy
     kept = np.hypot(x - 1.2, y - 1.8) > 0.4
@@ -76,12 +61,3 @@ def test_holes_are_filled_on_the_same_plane(bumpy, measure_points):
     apart = driven_ground(holed)[0] - driven_ground(whole)[0]
     assert np.isfinite(apart).all()
     assert np.ptp(apart) < 0.12
-
-
-def test_tiles_can_be_chosen_in_any_order(measure_points):
-    rng = np.random.default_rng(2)
-    patches = measure_points(rng.uniform(0, 6, 2000), rng.uniform(0, 6, 2000), rng.random(2000))
-    order = np.array([2, 0, 3])
-    chosen = take_tiles(patches, order)
-    assert np.array_equal(chosen.heights, patches.heights[order], equal_nan=True)
-    assert chosen.col.tolist() == patches.col[order].tolist()

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.agreement import DriveStats, class_table, compare, compare_order
+from bumpymap.lab.evaluate.agreement import DriveStats, class_table, compare
 from bumpymap.lab.simulate.drive import PatchDrives
 
 LIMITS = (0.1, 0.3, 0.5)
@@ -68,17 +68,6 @@ def test_ground_that_nothing_crosses_leaves_only_failures_to_compare(verdict_of)
     assert "height" not in found.agreement
 
 
-def test_order_of_vehicles_counts_where_all_came_through(verdict_of):
-    driven = {
-        "small": driven_of([0.3, 0.3, 0.300, 0.3]),
-        "large": driven_of([0.1, 0.1, 0.299, 0.1], [0, 0, 0, 16]),
-    }
-    verdicts = {"small": verdict_of([0.2, 0.1, 0.1, 0.1]), "large": verdict_of([0.1, 0.2, 0.2, 0.2])}
-    found = compare_order("ride", verdicts, driven)
-    assert (found["patches"], found["clear_patches"]) == (3, 2)
-    assert (found["same"], found["clear_same"]) == (pytest.approx(1 / 3), 0.5)
-
-
 KLASS = [0, 0, 1, 1, 2, 3]
 VARIANCE = np.array([1.0, 3.0, 4.0, 6.0, 7.0, 9.0])
 RESIDUAL = np.array([0.1, 0.3, 0.4, np.nan, 0.7, 0.9])
@@ -102,10 +91,3 @@ def test_what_does_not_rise_is_named(verdict_of):
         "variance_mean": False,
         "residual_mean": True,
     }
-
-
-def test_a_class_without_tiles_breaks_no_rise(verdict_of):
-    found = class_table(verdict_of([0.1, 0.2, 0.5], [0, 1, 3]), np.array([1.0, 2.0, 3.0]), np.array([0.1, 0.2, 0.3]))
-    assert found["rows"][2]["tiles"] == 0
-    assert np.isnan(found["rows"][2]["variance_mean"])
-    assert all(found["rises"].values())

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.errors import OutputError
 from bumpymap.lab.settings import CalibrationSettings, LibraryJob, TableJob
 from bumpymap.lab.simulate import calibrate as calibrate_module
 from bumpymap.lab.simulate.calibrate import calibrate_vehicle, class_limits
@@ -48,11 +48,6 @@ def fake_drives(monkeypatch):
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
     return ran
-
-
-def test_relief_that_does_not_rise_is_refused():
-    with pytest.raises(UsageError, match="rise"):
-        replace(SETTINGS, z_range=(0.2, 0.1))
 
 
 def test_real_calibration_rises_with_z_range_and_reads_back(calibration):

@@ -1,12 +1,9 @@
 """Short versions of the checks that ``bumpymap calibrate --check`` makes in full."""
 
-import math
-from itertools import pairwise
-
 import pytest
 
 from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.jobs import check_plane, check_repeat, check_sine, check_step, sine_c_r
+from bumpymap.lab.simulate.jobs import check_plane, check_repeat, check_sine, check_step
 from bumpymap.lab.simulate.model import Physics
 from bumpymap.rating.vehicle_profile import load_profile
 
@@ -46,16 +43,3 @@ def test_checks_can_fail():
     ice = DriveSettings(measure_s=1.0, physics=Physics(friction=0.0))
     assert not check_plane(WARTHOG, 30, 0, ice).ok
     assert not check_sine(WARTHOG, 2.5, ice).ok
-
-
-def test_closed_form_agrees_with_summing_the_pitch_of_the_axles():
-    amplitude, wavelength, base = 0.02, 2.5, WARTHOG.wheelbase_m
-    steps = 20_000
-    pitch = [
-        math.atan2(
-            amplitude * (math.sin(2 * math.pi * (x + base) / wavelength) - math.sin(2 * math.pi * x / wavelength)), base
-        )
-        for x in (wavelength * i / steps for i in range(steps + 1))
-    ]
-    turned = sum(abs(b - a) for a, b in pairwise(pitch))
-    assert sine_c_r(WARTHOG, amplitude, wavelength) == pytest.approx(turned / wavelength, rel=2e-3)

@@ -12,7 +12,6 @@ from bumpymap.lab.simulate.drive import DriveSettings, Start, drive, drive_from
 from bumpymap.lab.simulate.model import (
     DartVehicle,
     Physics,
-    standing_pose,
 )
 from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip
 from bumpymap.rating.textures import make_textures
@@ -39,26 +38,6 @@ def test_standing_vehicle_rests_on_its_wheels():
     assert pose.tilt < 1e-3
     assert abs(pose.pitch_rate) < 1e-3
     assert height == pytest.approx(WARTHOG.wheel.radius_m + WARTHOG.chassis.com_height_m, abs=0.005)
-
-
-def test_vehicle_is_put_down_along_the_slope_with_no_wheel_in_the_ground():
-    slope = math.tan(math.radians(20))
-    rotation, place = standing_pose(WARTHOG, PlaneGround((slope, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0))
-    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
-    np.testing.assert_allclose(rotation[:, 0], [math.cos(math.radians(20)), 0, math.sin(math.radians(20))], atol=1e-12)
-    clearance = (place - rotation[:, 2] * WARTHOG.chassis.com_height_m) @ rotation[:, 2] - WARTHOG.wheel.radius_m
-    assert 0 < clearance < 0.005
-
-
-def test_temporary_folder_may_have_an_odd_name(tmp_path, monkeypatch):
-    odd = tmp_path / "a b&c%20<ä"
-    odd.mkdir()
-    monkeypatch.setattr(model.tempfile, "tempdir", str(odd))
-    vehicle = DartVehicle(WARTHOG, PlaneGround((0.0, 0.0)), Strip(0.0, 0.0, 0.0, 1.0, 2.0), Physics())
-    vehicle.advance(500)
-    assert list(odd.iterdir()) == []
-    assert vehicle.pose().tilt < 0.01
-    assert vehicle.chassis.getWorldTransform().matrix()[2, 3] > 0.3
 
 
 def test_temporary_folder_that_is_gone_is_reported_with_what_to_do(tmp_path, monkeypatch):

@@ -54,16 +54,6 @@ def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
     assert drive_patch(WARTHOG, LEVEL, 3.0, 1, Effort(5, 60, 0.05)).failed == 5
 
 
-def test_patches_do_not_depend_on_their_neighbours_or_their_order(fake_drive):
-    patches = {(-3, 2): LEVEL, (7, 11): LEVEL, ("site", 4): LEVEL}
-    every = drive_patches(patches, 3)
-    turned = drive_patches(dict(reversed(patches.items())), 3)
-    assert every == turned
-    assert drive_patches({(7, 11): LEVEL}, 3)[7, 11] == every[7, 11]
-    assert len({drives.c_r for drives in every.values()}) == 3
-    assert drive_patches(patches, 3, seed=2)[-3, 2] != every[-3, 2]
-
-
 def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     patches = {(col, -1): LEVEL for col in range(4)}
     journal = Journal(tmp_path / "j", {"survey": "x"})

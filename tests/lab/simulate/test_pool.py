@@ -54,32 +54,6 @@ sys.setprofile(None)
 print(seen)
 """
 INSTANTS = 12
-CUT = """
-import sys
-from contextlib import contextmanager
-import bumpymap.lab.simulate.jobs as pool
-import pool_jobs
-
-shielded, entered = pool.shielded, 0
-
-@contextmanager
-def cut_before_the_workers_are_killed():
-    global entered
-    entered += 1
-    if entered > 2:  # two workers have been started
-        raise KeyboardInterrupt
-    with shielded():
-        yield
-
-def interrupt(links):
-    raise KeyboardInterrupt
-
-pool.shielded, pool.wait = cut_before_the_workers_are_killed, interrupt
-try:
-    pool.drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)
-except KeyboardInterrupt:
-    sys.exit(9)
-"""
 
 
 @pytest.fixture
@@ -123,14 +97,6 @@ def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
         done = ended(1 + instant * steps // INSTANTS)
         assert done.stderr == "", f"instant {instant}"
         assert done.returncode in ({9} if instant < INSTANTS - 2 else {0, 9})
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
-def test_a_signal_before_the_clearing_up_leaves_nobody_waiting(jobs):
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
-    command = [sys.executable, "-c", CUT]
-    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=60, check=False)
-    assert (done.returncode, done.stderr) == (9, "")
 
 
 @pytest.mark.later

@@ -3,9 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bumpymap.core import UsageError
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.refit import CrossingJob, WallGround, add_steps, run_crossing, step_tile
+from bumpymap.lab.simulate.refit import CrossingJob, add_steps, run_crossing, step_tile
 from bumpymap.rating import Calibration, load_profile
 
 SETTINGS = CalibrationSettings(load_profile("warthog"))
@@ -19,11 +18,6 @@ def test_a_tile_has_both_levels_and_their_mean_between(turn, offset):
     if offset == 0:
         assert tile.mean() == pytest.approx(0.5, abs=0.005)
         np.testing.assert_allclose(tile + tile[::-1, ::-1], 1, atol=0.05)
-
-
-def test_a_wall_is_a_short_ramp_between_two_levels():
-    ground = WallGround(0.4, 0.05)
-    np.testing.assert_allclose(ground.height(np.array([-1, 0, 0.025, 0.05, 3]), np.zeros(5)), [0, 0, 0.2, 0.4, 0.4])
 
 
 @pytest.mark.slow
@@ -52,8 +46,3 @@ def test_tiles_are_rated_again_from_the_file(monkeypatch):
     again = add_steps(replace(shipped, steps=None)).steps
     np.testing.assert_allclose(again["tile"]["c_r"], shipped.steps["tile"]["c_r"], rtol=1e-4)
     np.testing.assert_allclose(again["tile"]["p_fail"], shipped.steps["tile"]["p_fail"], rtol=1e-3)
-
-
-def test_a_calibration_without_a_ride_model_is_refused():
-    with pytest.raises(UsageError, match="no ride model"):
-        add_steps(replace(Calibration.shipped("warthog"), ride=None, steps=None))

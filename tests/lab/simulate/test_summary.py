@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BumpymapError
-from bumpymap.core.types import TEXTURES
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate
 from bumpymap.lab.simulate.calibrate import class_limits, natural_breaks
@@ -59,20 +58,6 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
 
 
-def test_cell_is_the_mean_over_patches_of_patch_means(cells):
-    calibration = summarise(cells, "how")
-    assert calibration.textures == TEXTURES
-    np.testing.assert_allclose(calibration.c_r, [[0.02 * 2**t, 0.1 * 2**t] for t in range(4)], rtol=1e-12)
-    assert len(calibration.settings["library"]["kerb"]["c_r"]) == 4
-    sd = np.std(np.log([0.8, 1.0, 1.2]), ddof=1)
-    np.testing.assert_allclose(calibration.c_r_log_sd, np.full((4, 2), sd), rtol=1e-9)
-    assert calibration.drives == ((6, 6),) * 4
-    assert calibration.p_fail == ((0.0, 0.0),) * 4
-    assert calibration.settings["command"] == "how"
-    assert calibration.settings["seed"] == 1
-    assert calibration.vehicle["name"] == "warthog"
-
-
 def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
     cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
     calibration = summarise(cells)
@@ -87,14 +72,6 @@ def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
     kept = [terrain(1.08, 6, 2)]
     assert class_limits(crossed + lost) == class_limits(crossed) == pytest.approx((0.205, 0.455, 0.805))
     assert class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
-
-
-def test_class_means_are_those_of_all_terrains_of_the_class(cells):
-    calibration = summarise(cells)
-    c_r = 0.01 * np.arange(1, 69)
-    class_id = np.searchsorted(calibration.class_limits, c_r, side="right")
-    expected = [c_r[class_id == k].mean() for k in range(4)]
-    np.testing.assert_allclose(calibration.class_c_r, expected, rtol=1e-6)
 
 
 def test_vehicle_that_fails_everywhere_is_said():

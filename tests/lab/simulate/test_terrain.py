@@ -50,14 +50,6 @@ def test_a_sloping_patch_goes_on_as_its_plane_and_not_as_a_ridge(slope, points):
     np.testing.assert_allclose(ground.height(*points), expected, atol=1e-9)
 
 
-@given(arrays(np.float64, (2, 20), elements=st.floats(-9, 9)), st.integers(-2, 2), st.integers(-2, 2))
-def test_residual_is_mirrored_at_every_edge_of_the_patch(points, i, j):
-    ground = PatchGround.from_heights(np.random.default_rng(2).normal(size=(15, 15)), SIZE)
-    level = PatchGround(ground.residual, SIZE, 0.0, (0.0, 0.0))
-    mirrored = np.array([[2 * SIZE * i], [2 * SIZE * j]]) - points
-    np.testing.assert_allclose(level.height(*points), level.height(*mirrored), atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("patch", "words"),
     [

@@ -2,14 +2,11 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from scipy import ndimage
 
 from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
 from bumpymap.lab.train.texture_data import (
-    ALL,
-    KINDS,
-    augment,
     blur,
     fill_holes,
     punch_holes,
@@ -21,15 +18,6 @@ from bumpymap.rating.textures import make_textures
 @pytest.fixture
 def patches():
     return make_textures("low_noise", 30, np.random.default_rng(0))
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_alteration_changes_something_and_keeps_the_scale(patches, kind):
-    altered = augment(patches, ALL.only(kind), np.random.default_rng(1))
-    assert altered.dtype == np.float32
-    assert_array_equal(altered.min(axis=(1, 2)), 0)
-    assert_array_equal(altered.max(axis=(1, 2)), 1)
-    assert (np.abs(altered - patches).max(axis=(1, 2)) > 1e-3).mean() > 0.5
 
 
 def test_rotation_agrees_with_scipy(patches):

@@ -3,9 +3,7 @@
 import numpy as np
 from numpy.testing import assert_array_equal
 
-from bumpymap.lab.train import texture_data
 from bumpymap.lab.train.texture_data import (
-    LIGHT_EVERY,
     NONE,
     epoch_samples,
     training_patches,
@@ -28,15 +26,3 @@ def test_unseen_patches_share_none_with_training():
     flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
     assert len(np.unique(flat, axis=0)) == 480
     assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05
-
-
-def test_one_patch_in_a_few_is_altered_lightly(monkeypatch):
-    training = training_patches(1, 100, 15)
-    full = epoch_samples(training, 1, 0)
-    monkeypatch.setattr(texture_data, "LIGHT", NONE)
-    bare = epoch_samples(training, 1, 0)
-    lightly = np.any(full.patches != bare.patches, axis=(1, 2))
-    assert set(np.flatnonzero(lightly) % LIGHT_EVERY) == {0}
-    untouched = {patch.tobytes() for patch in training.patches.round(4)}
-    found = [patch.tobytes() in untouched for patch in bare.patches[::LIGHT_EVERY].round(4)]
-    assert np.mean(found) > 0.5

@@ -6,20 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapely
 from check_records import STRETCH_M, made_up_check
 from pyproj import CRS, Transformer
 from route_records import UTM, MadeUpMap
 
 from bumpymap.core import CLASS_NAMES, NO_CLASS, Georeference
-from bumpymap.layers.check_vectors import CheckPlaces, write_driven_tiles, write_stretch_table, write_stretches
+from bumpymap.layers.check_vectors import CheckPlaces, write_stretch_table, write_stretches
 
 TO_UTM = Transformer.from_crs("OGC:CRS84", "EPSG:32614", always_xy=True)
 
 
 def places_of(result, georeference=UTM):
     ground = replace(MadeUpMap.around(), georeference=georeference)
-    return CheckPlaces.of(result.stretches, result.tiles, ground)
+    return CheckPlaces.of(result.stretches, ground)
 
 
 def written(write, result, places, path):
@@ -56,21 +55,9 @@ def test_stretches_without_a_position_are_left_out(tmp_path):
     result = made_up_check()
     easting = result.stretches.easting.copy()
     easting[5:8] = np.nan
-    result = replace(result, stretches=replace(result.stretches, easting=easting), tiles=None)
+    result = replace(result, stretches=replace(result.stretches, easting=easting))
     found = written(write_stretches, result, places_of(result), tmp_path / "check.geojson")
     assert [feature["id"] for feature in found["features"]] == [*range(1, 6), *range(9, 41)]
-
-
-def test_tiles_are_squares_of_the_grid(tmp_path):
-    result = made_up_check()
-    found = written(write_driven_tiles, result.tiles, places_of(result), tmp_path / "check_tiles.geojson")
-    outlines = [shapely.geometry.shape(feature["geometry"]) for feature in found["features"]]
-    own = shapely.transform(np.array(outlines), lambda points: np.column_stack(TO_UTM.transform(*points.T)))
-    assert shapely.area(own) == pytest.approx(np.full(len(own), 9.0), rel=0.01)
-    assert [feature["properties"]["col"] for feature in found["features"]] == result.tiles.col.tolist()
-    middles = np.column_stack([shapely.get_x(shapely.centroid(own)), shapely.get_y(shapely.centroid(own))])
-    wanted = 3.0 * (np.column_stack([result.tiles.col, result.tiles.row]) + 0.5)
-    assert np.abs(middles - wanted).max() < 0.02
 
 
 @pytest.mark.parametrize("unit", [1.0, 0.3048])
@@ -81,9 +68,6 @@ def test_without_a_crs_the_own_coordinates_are_kept_and_declared(tmp_path, unit)
     own = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
     assert own[:, 0] == pytest.approx(result.stretches.easting / unit, abs=1e-3)
     assert "not longitude and latitude" in found["local_coordinates"]
-    tiles = written(write_driven_tiles, result.tiles, places, tmp_path / "check_tiles.geojson")
-    (square,) = tiles["features"][0]["geometry"]["coordinates"]
-    assert np.ptp(np.array(square), axis=0) == pytest.approx([3.0 / unit] * 2, abs=2e-3)
 
 
 def rows_of(path):
@@ -123,7 +107,7 @@ def test_a_crs_in_feet(tmp_path):
     result = made_up_check()
     easting, northing = result.stretches.easting + 600_000.0, result.stretches.northing + 1_000_000.0
     moved = replace(result.stretches, easting=easting, northing=northing)
-    result = replace(result, stretches=moved, tiles=None)
+    result = replace(result, stretches=moved)
     found = written(write_stretches, result, places_of(result, Georeference(feet, unit)), tmp_path / "check.geojson")
     lonlat = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
     back = Transformer.from_crs("OGC:CRS84", feet, always_xy=True).transform(*lonlat.T)

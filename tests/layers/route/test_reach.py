@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 import rasterio
 import shapely
-from hypothesis import assume, given, strategies as st
 from pyproj import Geod
 from rio_cogeo.cogeo import cog_validate
 from route_records import UTM
 
 from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers import ReachField
-from bumpymap.layers.reach import NO_MOVE, reach_polygons, write_isochrones, write_reach, write_reach_back
+from bumpymap.layers.reach import NO_MOVE, write_isochrones, write_reach, write_reach_back
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 WINDOW = TileWindow(160_003, 680_007, 3 * BLOCK_TILES + 5, 2 * BLOCK_TILES + 3)
@@ -121,18 +120,3 @@ def test_levels_that_mean_nothing_are_refused(reach, levels, tmp_path):
 def test_minutes_that_are_not_known_are_refused(reach, tmp_path):
     with pytest.raises(BadInputError, match="minutes"):
         write_isochrones(replace(reach, minutes=None), [5.0], tmp_path / "a.geojson", by="minutes")
-
-
-@given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 10_000), st.floats(0.2, 0.9))
-def test_outlines_are_valid_and_hold_just_the_tiles_inside(rows, cols, seed, share):
-    inside = np.random.default_rng(seed).random((rows, cols)) < share
-    window = TileWindow(1000, 2000, cols, rows)
-    nothing = np.zeros(inside.shape, np.float32)
-    assume(inside.any())
-    polygons = reach_polygons(ReachField(UTM, Grid(), window, nothing), inside)
-    assert all(polygon.is_valid for polygon in polygons)
-    whole = shapely.multipolygons(polygons)
-    assert whole.is_valid
-    middle_x, middle_y = np.meshgrid(1000.5 + np.arange(cols), 2000.5 + np.arange(rows)[::-1])
-    assert np.array_equal(shapely.contains_xy(whole, middle_x, middle_y), inside)
-    assert whole.area == inside.sum()

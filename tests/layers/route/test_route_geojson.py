@@ -181,12 +181,6 @@ def test_any_name_is_json(tmp_path):
     assert line["properties"]["name"].startswith('a "quoted" \\ name')
 
 
-def test_the_same_routes_have_the_same_bytes(tmp_path):
-    for name in ("a.geojson", "b.geojson"):
-        write_route_geojson([make_route()], tmp_path / name)
-    assert (tmp_path / "a.geojson").read_bytes() == (tmp_path / "b.geojson").read_bytes()
-
-
 def test_where_its_crs_does_not_reach_a_way_keeps_the_coordinates_of_the_survey(tmp_path):
     """As cost.geojson of such a survey, which is mapped with ``local`` only."""
     beyond = make_route(corners=CORNERS + 1e9)

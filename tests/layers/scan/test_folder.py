@@ -62,12 +62,6 @@ def test_a_file_for_a_folder_and_a_folder_for_a_file_are_refused(tmp_path, name)
         check_scan_folder(tmp_path, overwrite=True)
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
-    fill(tmp_path, "out")
-    with pytest.raises(OutputError, match="it is a file"):
-        check_scan_folder(tmp_path / "out", overwrite=True)
-
-
 def test_older_products_go_and_everything_else_stays(tmp_path):
     fill(tmp_path, "frames/a.png", "gathered.laz", "sectors.parquet", "scan.json", "notes.txt")
     fill(tmp_path, "map/run.json", "map/class.tif", "map/class.tif.aux.xml", "map/my_style.qml")

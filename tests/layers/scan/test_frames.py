@@ -10,8 +10,8 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
-from bumpymap.core import FrameSource, PolarSettings, Scan, point_classes, sector_bounds
-from bumpymap.layers import name_frames, sample_evenly, write_frame
+from bumpymap.core import FrameSource, PolarSettings, point_classes, sector_bounds
+from bumpymap.layers import name_frames, write_frame
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan_frame import _numbers, outlines, write_cloud, write_polygons
 from bumpymap.scan import classify_filter, polar_sectors
@@ -175,30 +175,3 @@ def test_no_two_frames_have_one_name_on_any_disk(names):
     else:
         assert all(frame.name.endswith(f"_{stem}") for frame, stem in zip(frames, stems, strict=True))
         assert sorted(frame.name for frame in frames) == [frame.name for frame in frames]
-
-
-@pytest.mark.parametrize(("count", "most"), [(3, 5), (5, 5), (1000, 7), (8, 7)])
-def test_frames_are_spread_out_from_the_first_to_the_last(count, most):
-    frames = name_frames([FrameSource(Path(f"{number}.ply")) for number in range(count)])
-    chosen = [int(frame.name) for frame in sample_evenly(frames, most)]
-    assert len(chosen) == min(count, most)
-    assert (chosen[0], chosen[-1]) == (0, count - 1)
-    steps = np.diff(chosen)
-    assert steps.min() >= 1
-    assert steps.max() - steps.min() <= 1
-
-
-def test_a_turned_scan_has_turned_polygons(scan):
-    """The grid is anchored to the points, so a turn of the scan turns the outlines with it."""
-    turn = np.radians(25.0)
-    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    turned = Scan(np.column_stack([scan.points[:, :2] @ matrix.T, scan.points[:, 2]]).astype(np.float32))
-    before, after = polar_sectors(scan), polar_sectors(turned)
-    place = {key: number for number, key in enumerate(zip(after.zone, after.ring, after.sector, strict=True))}
-    first, second = outlines(before), outlines(after)
-    common = 0
-    for number, key in enumerate(zip(before.zone, before.ring, before.sector, strict=True)):
-        if key in place:
-            common += 1
-            np.testing.assert_allclose(first[number] @ matrix.T, second[place[key]], atol=1e-3)
-    assert common > 0.9 * len(first)

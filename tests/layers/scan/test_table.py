@@ -79,12 +79,3 @@ def test_the_learned_method_has_no_stripes_and_unlabelled_scans_no_label(classed
 
 def test_no_frame_at_all_gives_a_table_without_rows(tmp_path):
     assert write(tmp_path / "a.parquet").num_rows == 0
-
-
-def test_columns_say_what_they_are(classed, tmp_path):
-    found = write(tmp_path / "a.parquet", ("one", classed))
-    for name, kind, unit, text in COLUMNS:
-        field = found.schema.field(name)
-        assert field.type == kind
-        assert field.metadata[b"description"].decode() == text
-        assert field.metadata.get(b"unit", b"").decode() == unit

@@ -16,7 +16,6 @@ from route_sites import place, site
 from sheet_maps import SMALL, write_in_sheets as write
 
 import bumpymap
-from bumpymap.core import REASON_TEXT
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference, Reason
 from bumpymap.layers import check_folder, open_map, open_pair, sheets as writing, write_products
@@ -58,12 +57,6 @@ def categories(path):
     """Names of the values of the first band."""
     band = ET.parse(path).getroot().find("VRTRasterBand")  # noqa: S314 (ours)
     return [element.text for element in band.iter("Category")]
-
-
-def test_values_have_their_names(sheets):
-    assert categories(sheets / "class.vrt") == ["smooth", "fair", "rough", "very rough"]
-    assert categories(sheets / "reason.vrt") == list(REASON_TEXT.values())
-    assert categories(sheets / "obstacle.vrt") == ["free", "obstacle", "canopy", "unknown"]
 
 
 def test_no_tile_is_lost_or_written_twice(whole, sheets):
@@ -165,16 +158,6 @@ def test_one_map_is_opened(whole, sheets):
     found, expected = (part.tiles().drop(columns="heights").sort_values(keys) for part in (several, one))
     assert found.reset_index(drop=True).equals(expected.reset_index(drop=True))
     assert several.regions()["tiles"].sum() == one.regions()["tiles"].sum()
-
-
-def test_a_map_of_sheets_reads_like_one(whole, sheets):
-    one, several = open_map([whole]), open_map([sheets])
-    assert several.window == one.window
-    left, right = one.read(one.window), several.read(one.window)
-    for name in ("barred", "c_r", "c_r_low", "c_r_high", "p_fail", "obstacle"):
-        assert np.array_equal(getattr(left, name), getattr(right, name), equal_nan=True), name
-    assert np.array_equal(one.heights(one.window), several.heights(one.window), equal_nan=True)
-    assert np.array_equal(one.objects(one.window), several.objects(one.window))
 
 
 def test_a_way_crosses_borders_of_sheets_at_the_same_cost(tmp_path):

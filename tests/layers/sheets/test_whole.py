@@ -15,7 +15,6 @@ from PIL import Image
 from route_maps import RUN
 from sheet_maps import SMALL, write_in_sheets as write
 
-from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import CostTable
 from bumpymap.layers import SheetLayout, remove_sheets, write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
@@ -80,13 +79,6 @@ class TestPage:
 
     def test_one_map_has_no_sheets(self, whole):
         assert "sheets" not in (whole / "report.html").read_text().partition('id="again"')[0]
-
-    def test_a_missing_sheet_is_named(self, sheets, tmp_path):
-        shutil.copytree(sheets, tmp_path / "out")
-        gone = sheet_folders(tmp_path / "out")[1]
-        shutil.rmtree(gone)
-        with pytest.raises(BadInputError, match=f"has 4 sheets, of which .*{gone.name} is missing"):
-            write_reports([tmp_path / "out"])
 
     def test_ten_thousand_sheets_leave_room_for_the_map(self, sheets, tmp_path):
         record = record_of(sheets)

@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.vehicle_profile import KEYS, Vehicle, load_profile, shipped_profiles
+from bumpymap.rating.vehicle_estimate import ESTIMATED
+from bumpymap.rating.vehicle_profile import (
+    Vehicle,
+    estimated_values,
+    load_profile,
+    shipped_profiles,
+    write_profile_template,
+)
 
 
 @pytest.fixture
@@ -188,25 +195,91 @@ def test_what_is_not_toml_is_refused(tmp_path):
         load_profile(tmp_path)
 
 
-def test_the_docs_name_every_key_and_the_values_of_the_included_vehicles():
-    page = (Path(__file__).parents[3] / "docs" / "pages" / "vehicle-profile.md").read_text()
-    schema, shipped = page.split("## Values of the included vehicles")
-    rows = {}
-    for line in shipped.splitlines():
-        if line.startswith("| `"):
-            key, *values = [cell.strip(" `") for cell in line.strip("|").split("|")]
-            rows[key] = values
-    profiles = [load_profile(name).to_dict() for name in ("warthog", "small_rover", "car", "husky")]
-    flat = [
-        {k: v for k, v in p.items() if not isinstance(v, dict) and k not in {"name", "description"}}
-        | {f"{k}.{kk}": vv for k, v in p.items() if isinstance(v, dict) for kk, vv in v.items()}
-        for p in profiles
-    ]
-    assert list(rows) == list(flat[0]) == [key.name for key in KEYS]
-    for key in KEYS:
-        own = key.quantity
-        assert f"| `{key.name}` | {own.unit} | {own.low:g} to {own.high:g} | {own.what} |" in schema
-    for key, values in rows.items():
-        for text, profile in zip(values, flat, strict=True):
-            numbers = profile[key] if isinstance(profile[key], list) else [profile[key]]
-            assert [float(number) for number in text.split(",")] == numbers
+SHORT = {
+    "name": "mine", "description": "A robot", "mass_kg": 260, "suspension": "rocker", "wheelbase_m": 0.92,
+    "track_m": 1.12, "speed_mps": 1, "slope_limit_deg": 30, "wheel": {"radius_m": 0.3, "width_m": 0.25},
+    "belly": {"clearance_m": 0.25},
+}  # fmt: skip
+KINDS = {"warthog": "rocker", "small_rover": "rocker", "car": "sprung", "husky": "rigid"}
+
+
+@pytest.mark.parametrize("suspension", ["rocker", "sprung", "rigid"])
+def test_ten_values_make_a_whole_profile(suspension):
+    vehicle = Vehicle.from_dict(SHORT | {"suspension": suspension}, "x")
+    assert vehicle.mass_kg == pytest.approx(260)
+    assert (vehicle.wheelbase_m, vehicle.wheel.radius_m, vehicle.belly.clearance_m) == (0.92, 0.3, 0.25)
+    assert vehicle.ride_weight == load_profile("warthog").ride_weight
+    assert Vehicle.from_dict(vehicle.to_dict(), "x") == vehicle  # what a calibration keeps is a profile as well
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_estimates_are_near_the_values_of_the_included_vehicles(name):
+    own = load_profile(name)
+    record = SHORT | {key: getattr(own, key) for key in ("mass_kg", "wheelbase_m", "track_m", "speed_mps")}
+    record |= {"suspension": KINDS[name], "belly": {"clearance_m": own.belly.clearance_m}}
+    record["wheel"] = {"radius_m": own.wheel.radius_m, "width_m": own.wheel.width_m}
+    found = Vehicle.from_dict(record, "x")
+
+    def pitching(vehicle):
+        turned = 2 * vehicle.rocker.stiffness_nm_per_rad * vehicle.chassis.inertia_kgm2[1]
+        return vehicle.rocker.stiffness_nm_per_rad / vehicle.chassis.inertia_kgm2[1], (
+            vehicle.rocker.damping_nms_per_rad / turned**0.5
+        )
+
+    assert found.belly.length_m == pytest.approx(own.belly.length_m, rel=0.05)
+    assert pitching(found) == pytest.approx(pitching(own), rel=0.35)
+    assert found.chassis.com_height_m == pytest.approx(own.chassis.com_height_m, rel=0.25)
+
+
+def test_what_a_short_profile_gives_stays_and_what_follows_from_it_follows():
+    given = SHORT | {"chassis": {"inertia_kgm2": [5, 20, 20]}, "rocker": {"mass_kg": 10}}
+    own = Vehicle.from_dict(SHORT, "x")
+    found = Vehicle.from_dict(given, "x")
+    assert found.chassis.inertia_kgm2 == (5, 20, 20)
+    assert found.chassis.mass_kg == pytest.approx(own.chassis.mass_kg + 2 * (own.rocker.mass_kg - 10))
+    assert found.rocker.stiffness_nm_per_rad / own.rocker.stiffness_nm_per_rad == pytest.approx(
+        20 / own.chassis.inertia_kgm2[1], rel=1e-3
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"mass_kg": "?"}, ["mass_kg is not filled in: between 0.3"]),
+        ({"suspension": "air"}, ["suspension is 'air'; it must be one of rocker, sprung, rigid"]),
+        ({"wheelbase_m": None}, ["wheelbase_m is None"]),
+        ({"wheel": {"radius_m": 0.3}}, ["missing wheel.width_m: between"]),
+        ({"wheel": 3}, ["wheel is 3"]),
+        (
+            {"wheel": {"radius_m": 0.3, "width_m": 0.25, "mass_kg": 70}},
+            ["mass_kg is 260, and rockers and wheels alone weigh that much"],
+        ),
+        ({"chassis": {"mass_kg": 300}}, ["mass_kg is 260, and chassis, rockers and wheels weigh 404 together"]),
+        ({"tyres": 4}, ["unknown setting tyres"]),
+    ],
+)
+def test_a_faulty_short_profile_is_refused_without_what_would_be_estimated(change, words):
+    with pytest.raises(BadInputError) as caught:
+        Vehicle.from_dict(SHORT | change, "my.toml")
+    assert all(word in str(caught.value) for word in ["my.toml", *words])
+    assert "missing chassis" not in str(caught.value)
+    assert "inertia" not in str(caught.value)
+
+
+def test_without_a_mass_of_the_whole_every_part_is_asked_for():
+    record = {key: value for key, value in SHORT.items() if key not in {"mass_kg", "suspension"}}
+    with pytest.raises(BadInputError, match=r"missing chassis: a table") as caught:
+        Vehicle.from_dict(record, "my.toml")
+    assert "mass_kg and suspension" in str(caught.value)
+
+
+def test_the_template_takes_ten_values(tmp_path):
+    write_profile_template("mine", tmp_path / "mine.toml", None)
+    text = (tmp_path / "mine.toml").read_text()
+    assert text.count('= "?"') == 10
+    for key, value in (SHORT | SHORT["wheel"] | SHORT["belly"]).items():
+        text = text.replace(f'{key} = "?"', f"{key} = {json.dumps(value)}")
+    (tmp_path / "mine.toml").write_text(text)
+    assert load_profile(tmp_path / "mine.toml") == Vehicle.from_dict(SHORT, "x")
+    assert set(estimated_values(tmp_path / "mine.toml")) == set(ESTIMATED)
+    assert estimated_values("warthog") == {}

@@ -32,14 +32,6 @@ def test_any_separator_remark_and_line_end_gives_the_same_drive(tmp_path, separa
     assert log.name == "drive"
 
 
-def test_quotes_around_names_and_text_beside_numbers(tmp_path):
-    columns = drive()
-    quoted = {f'"{name}"': values for name, values in columns.items()}
-    quoted['"remark, if any"'] = ['"wet, soft"'] * 400
-    log = read_drive(write(tmp_path / "a.csv", quoted))
-    np.testing.assert_array_equal(log.imu.rate, gyro(columns))
-
-
 def test_half_an_hour_at_50_hz_is_no_damaged_file(tmp_path):
     """The process that reads has a limit of memory, which libraries must not use up by reserving."""
     columns = {name: np.round(values, 3) for name, values in drive(90_000).items()}
@@ -55,25 +47,6 @@ def test_remarks_between_rows_and_lines_before_the_header_are_skipped(tmp_path):
     path = tmp_path / "remarks.csv"
     path.write_text("\n".join(["Device: logger 7", "", *lines]), encoding="utf-8")
     np.testing.assert_array_equal(read_drive(str(path)).imu.rate, gyro(columns))
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("wx", "wy", "wz"),
-        ("GyrX", "GyrY", "GyrZ"),
-        ("angular_velocity.x", "angular_velocity.y", "angular_velocity.z"),
-        ("/imu/data/angular_velocity/x", "/imu/data/angular_velocity/y", "/imu/data/angular_velocity/z"),
-        ("roll_rate", "pitch_rate", "yaw_rate"),
-        ("gyro_rad[0]", "gyro_rad[1]", "gyro_rad[2]"),
-        ("Gyroscope x (rad/s)", "Gyroscope y (rad/s)", "Gyroscope z (rad/s)"),
-        ("imu_gyro_x_rad_s", "imu_gyro_y_rad_s", "imu_gyro_z_rad_s"),
-    ],
-)
-def test_names_of_rates(tmp_path, names):
-    columns = drive()
-    path = write(tmp_path / "a.csv", renamed(columns, **dict(zip(NAMES[1:4], names, strict=True))))
-    np.testing.assert_array_equal(read_drive(path).imu.rate, gyro(columns))
 
 
 @pytest.mark.parametrize("pattern", ["gyro_{} [deg/s]", "gyro_{}_dps", "Gyr{} (°/s)", "w{}:deg/s"])
@@ -189,17 +162,6 @@ def test_units_of_time_are_told_from_values(tmp_path, unit, factor, start):
     assert any(f"taken as {unit}" in note for note in log.notes) == whole
 
 
-def test_a_stamp_in_seconds_and_nanoseconds(tmp_path):
-    columns = drive()
-    nanoseconds = np.round((columns.pop("time") + 1.7e9 - 1_700_000_000) * 1e9).astype(np.int64)
-    stamp = {
-        "header.stamp.sec": 1_700_000_000 + nanoseconds // 10**9,
-        "header.stamp.nanosec": nanoseconds % 10**9,
-    }
-    log = read_drive(write(tmp_path / "a.csv", {**stamp, **columns}))
-    np.testing.assert_allclose(log.imu.time - 1.7e9, np.arange(400) / 100, atol=1e-6)
-
-
 @pytest.mark.parametrize("form", ["{}", "{}Z", "{}+00:00"])
 def test_dates_are_times(tmp_path, form):
     columns = drive()
@@ -308,27 +270,6 @@ def test_accelerations_without_gravity_are_not_used(tmp_path):
     assert any("not used" in note for note in log.notes)
 
 
-def test_what_ros2_topic_echo_writes(tmp_path):
-    rng = np.random.default_rng(1)
-    rates = rng.normal(0, 0.2, (100, 3))
-    nine = ",".join(["0.0"] * 9)
-    imu = [
-        f"1700000000,{n * 10_000_000},imu_link,0,0,0,1,{nine},{r[0]},{r[1]},{r[2]},{nine},0.0,0.0,9.81,{nine}"
-        for n, r in enumerate(rates)
-    ]
-    fix = [
-        f"1700000000,{n * 100_000_000},gps,{-1 if n == 4 else 0},1,19.4,{-99.1 + n * 1e-6},2240.0,{nine},2"
-        for n in range(10)
-    ]
-    for name, lines in (("imu", imu), ("fix", fix)):
-        (tmp_path / f"{name}.csv").write_text("\n".join(lines), encoding="utf-8")
-    log = read_drive(f"{tmp_path / 'imu.csv'},{tmp_path / 'fix.csv'}")
-    np.testing.assert_array_equal(log.imu.rate, rates)
-    np.testing.assert_allclose(log.imu.time - 1.7e9, np.arange(100) * 0.01, atol=1e-6)
-    assert len(log.places.time) == 9
-    assert any("without a fix" in note for note in log.notes)
-
-
 def test_a_bag_exported_by_rostopic(tmp_path):
     columns = drive()
     names = {
@@ -381,13 +322,6 @@ def test_a_binary_ardupilot_log_is_refused_with_the_command_that_helps(tmp_path)
     path.write_bytes(b"\xa3\x95\x80\x80" + bytes(200))
     text = refusal(path)
     assert "mavlogdump.py --format csv --types IMU 00000012.BIN > 00000012_imu.csv" in text
-
-
-def test_the_shortest_table_needs_no_line_end(tmp_path):
-    lines = [f"{n / 100},0.1,0.2,0.{n}" for n in range(30)]
-    path = tmp_path / "a.csv"
-    path.write_text("time,wx,wy,wz\n" + "\n".join(lines), encoding="utf-8")
-    assert len(read_drive(str(path)).imu.time) == 30
 
 
 @pytest.mark.parametrize(

@@ -24,12 +24,6 @@ def test_numbers_in_names_count_as_numbers(tmp_path):
     assert names(find_frames([folder])) == ["frame9.bin", "frame10.bin", "frame100.bin"]
 
 
-def test_files_are_sorted_too_and_taken_once(tmp_path):
-    folder = fill(tmp_path, "b2.PLY", "b10.PLY", "a.PLY")
-    given = [folder / "b10.PLY", folder, folder / "a.PLY"]
-    assert names(find_frames(given)) == ["a.PLY", "b2.PLY", "b10.PLY"]
-
-
 def test_a_named_file_may_have_any_ending(tmp_path):
     fill(tmp_path, "scan.dat")
     assert names(find_frames([tmp_path / "scan.dat"])) == ["scan.dat"]

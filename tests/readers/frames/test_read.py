@@ -1,7 +1,5 @@
 """One scan in every format it may come in, and files that are none."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from ply_files import write_ply
@@ -36,16 +34,6 @@ def table(label):
         rows[name] = ROWS[:, column]
     if label:
         rows["label"] = LABEL
-    return rows
-
-
-def listed():
-    """The table with a list before the coordinates, of another length in each row."""
-    plain = table(label=True)
-    rows = np.empty(len(plain), [("seen_by", object), *plain.dtype.descr])
-    rows["seen_by"] = [list(range(number % 3)) for number in range(len(rows))]
-    for name in plain.dtype.names:
-        rows[name] = plain[name]
     return rows
 
 
@@ -87,11 +75,6 @@ def test_ply(tmp_path, label, order):
     check(scan, label)
 
 
-@pytest.mark.parametrize("order", ["<", ">", "="])
-def test_lists_among_the_properties(tmp_path, order):
-    check(read_scan(write_ply(tmp_path / "a.ply", listed(), order=order)), label=True)
-
-
 @pytest.mark.parametrize("label", [True, False])
 @pytest.mark.parametrize("encoding", [Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED])
 def test_pcd(tmp_path, encoding, label):
@@ -108,25 +91,6 @@ def test_text_pcd_without_counts_and_with_several_values_a_field(tmp_path):
     bare = head.replace("COUNT 3 1 1 1 1\n", "")
     (tmp_path / "b.pcd").write_text(bare + tail + "9 1 2 3 4\n9 5 6 7 8\n")
     assert read_scan(tmp_path / "b.pcd").label.tolist() == [4, 8]
-
-
-SCANS = {
-    "ply": lambda path: write_ply(path, table(label=True), order="<"),
-    "text ply": lambda path: write_ply(path, table(label=True), order="="),
-    "ply with lists": lambda path: write_ply(path, listed(), order="<"),
-    "text pcd": lambda path: write_pcd(path, Encoding.ASCII),
-    "pcd": lambda path: write_pcd(path, Encoding.BINARY),
-    "packed pcd": lambda path: write_pcd(path, Encoding.BINARY_COMPRESSED),
-}
-
-
-@pytest.mark.parametrize("kind", SCANS)
-def test_a_scan_is_opened_once(tmp_path, monkeypatch, kind):
-    path = SCANS[kind](tmp_path / "scan")
-    opened, whole = [], Path.open
-    monkeypatch.setattr(Path, "open", lambda file, *args, **how: opened.append(file) or whole(file, *args, **how))
-    check(read_scan(path), label=True)
-    assert opened == [path]
 
 
 def test_kitti_without_and_with_labels_where_data_sets_put_them(tmp_path):
@@ -165,8 +129,6 @@ def test_a_scan_of_nothing_is_empty_and_says_why(tmp_path, row):
 def write_all(folder):
     yield write_ply(folder / "binary.ply", table(label=True))
     yield write_ply(folder / "text.ply", table(label=True), order="=")
-    yield write_ply(folder / "listed.ply", listed())
-    yield write_ply(folder / "listed_text.ply", listed(), order="=")
     for encoding in (Encoding.ASCII, Encoding.BINARY, Encoding.BINARY_COMPRESSED):
         yield write_pcd(folder / f"{encoding.value}.pcd", encoding)
     yield write_kitti(folder)

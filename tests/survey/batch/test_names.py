@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
+import pytest
 from hypothesis import given, strategies as st
 
-from bumpymap.layers import BATCH_NAMES
 from bumpymap.survey.batch.source import name_surveys, plain_name
 
 ROOT = Path("/surveys")
@@ -12,10 +12,6 @@ WORDS = st.sampled_from(["a", "A", "site", "a_site", ".b", "summary.csv", "log.j
 PATHS = st.lists(
     st.tuples(st.lists(WORDS, max_size=2), WORDS, st.sampled_from([".laz", ".las", ".copc.laz"])), max_size=12
 )
-
-
-def names(*paths, given=None):
-    return name_surveys([ROOT / path for path in paths], given or [None] * len(paths), ROOT)
 
 
 @given(PATHS)
@@ -26,33 +22,27 @@ def test_names_differ_and_can_be_those_of_folders(parts):
     assert not [name for name in found if plain_name(name)]
 
 
-def test_a_survey_is_named_after_its_file():
-    assert names("north.laz", "deep/south.copc.laz", "x.y.las") == ["north", "south", "x.y"]
+@pytest.mark.parametrize(
+    ("paths", "given", "expected"),
+    [
+        (["north.laz", "deep/south.copc.laz", "x.y.las"], None, ["north", "south", "x.y"]),
+        (["m/site.laz", "t/site.laz", "other.laz"], None, ["m_site", "t_site", "other"]),
+        (["site.laz", "site.las"], None, ["site_laz", "site_las"]),
+        (["Site.laz", "d/site.laz"], None, ["Site", "d_site"]),
+        (["a.laz", "b/a.laz"], ["a", None], ["a", "b_a"]),
+    ],
+)
+def test_a_survey_has_the_name_of_its_file_as_much_of_its_folders_as_it_takes_or_that_which_is_given(
+    paths, given, expected
+):
+    assert name_surveys([ROOT / path for path in paths], given or [None] * len(paths), ROOT) == expected
 
 
-def test_those_of_one_name_get_those_of_their_folders_and_then_the_suffix():
-    assert names("m/site.laz", "t/site.laz", "other.laz") == ["m_site", "t_site", "other"]
-    assert names("site.laz", "site.las") == ["site_laz", "site_las"]
-    assert names("Site.laz", "d/site.laz") == ["Site", "d_site"]
-
-
-def test_given_names_are_kept():
-    assert names("a.laz", "b/a.laz", given=["a", None]) == ["a", "b_a"]
-    assert names("a.laz", "b.laz", given=["b", None])[0] == "b"
-
-
-def test_names_of_files_of_the_batch_are_not_taken():
-    assert not set(names(*(f"{name}.laz" for name in BATCH_NAMES))) & set(BATCH_NAMES)
-
-
-def test_the_name_of_a_url_is_that_of_its_file():
-    assert name_surveys(["https://example.org/a/site.copc.laz"], [None], ROOT) == ["site"]
-
-
-def test_a_key_in_a_url_is_in_no_name():
+def test_a_url_is_named_after_its_file_and_a_key_in_it_is_in_no_name():
     urls = [
-        "https://example.org/a/site.laz?sig=ab.cd",
+        "https://example.org/a/site.copc.laz?sig=ab.cd",
         "https://me:word@example.org/b/site.laz",
         "s3://box/site.laz?/k",
+        "https://example.org/a/own.copc.laz",
     ]
-    assert name_surveys(urls, [None] * 3, ROOT) == ["a_site", "b_site", "box_site"]
+    assert name_surveys(urls, [None] * 4, ROOT) == ["a_site", "b_site", "box_site", "own"]

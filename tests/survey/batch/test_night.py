@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections import Counter
 
-import pyarrow.parquet as pq
 import pytest
 from click.testing import CliRunner
 from small_surveys import write_broken, write_survey
@@ -152,13 +151,6 @@ def test_the_summary_says_what_the_layers_say(night, surveys):
     assert "--crs EPSG:CODE" in rows["nowhere"]["message"]
     assert rows["broken"]["survey"] == str(surveys / "broken.laz")
     assert rows["broken"]["points"] == ""
-
-
-def test_both_summaries_are_one_table(night):
-    read = pq.read_table(night / "summary.parquet").to_pylist()
-    as_text = {row["name"]: {key: "" if value is None else str(value) for key, value in row.items()} for row in read}
-    assert as_text == table(night)
-    assert pq.read_schema(night / "summary.parquet").field("density").metadata[b"unit"] == b"1/m2"
 
 
 def test_what_is_done_is_skipped_and_what_is_mended_is_mapped(tmp_path):
@@ -323,14 +315,6 @@ def test_one_batch_at_a_time(surveys, tmp_path):
     assert not list((tmp_path / "o").iterdir())
 
 
-def test_a_source_without_surveys_leaves_nothing(tmp_path):
-    (tmp_path / "in").mkdir()
-    result = batch(tmp_path / "in", "--out", tmp_path / "o")
-    assert result.exit_code == 3
-    assert "holds no point cloud" in result.stderr
-    assert not (tmp_path / "o").exists()
-
-
 def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
     (tmp_path / "s.txt").write_text(f"{surveys / 'nothing.laz'}\n")
     assert batch(tmp_path / "s.txt", "--out", tmp_path / "o").exit_code == 3
@@ -341,17 +325,6 @@ def test_the_log_goes_on_after_half_a_line(surveys, tmp_path):
     lines = log.read_text(encoding="utf-8").splitlines()
     assert lines[: whole.count(b"\n") - 1] == whole.decode().splitlines()[:-1]
     assert json.loads(lines[whole.count(b"\n")])["event"] == "start"
-
-
-@pytest.mark.later
-def test_surveys_on_a_cluster_have_the_layers_of_a_map(surveys, alone, tmp_path, dask_scheduler):
-    (tmp_path / "s.txt").write_text(f"{surveys / 'b.las'}\n")
-    (tmp_path / "w.toml").write_text(f'scheduler = "{dask_scheduler}"\nthreads = 2')
-    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--config", tmp_path / "w.toml")
-    assert result.exit_code == 0, result.output
-    assert {layer: (tmp_path / "o" / "b" / layer).read_bytes() for layer in LAYERS} == {
-        layer: alone["b", layer] for layer in LAYERS
-    }
 
 
 def test_the_page_shows_layers_of_an_earlier_start_that_were_not_reached(surveys, tmp_path):
@@ -390,16 +363,6 @@ def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkey
     assert "while the batch" not in (tmp_path / "o" / "index.html").read_text(encoding="utf-8")
 
 
-def test_a_python_caller_gets_rows_and_reads_settings(surveys, tmp_path):
-    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'nowhere.laz'}\n")
-    told = []
-    night = bumpymap.map_batch(str(tmp_path / "s.txt"), tmp_path / "o", told.append, align="off")
-    assert [(row.name, row.status) for row in night.rows] == [("a", "done"), ("nowhere", "failed")]
-    assert sorted(row.name for row in told) == ["a", "nowhere"]
-    assert (night.exit_code, night.rows[0].points) == (4, 20_000)
-    assert "`crs='EPSG:CODE'`" in night.rows[1].message
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -415,18 +378,6 @@ def test_wrong_settings_of_a_python_caller(surveys, tmp_path, settings, words):
     with pytest.raises(bumpymap.UsageError, match=words):
         bumpymap.map_batch(surveys, tmp_path / "o", **settings)
     assert not (tmp_path / "o").exists()
-
-
-def test_events_and_quiet(surveys, tmp_path):
-    (tmp_path / "s.txt").write_text(f"{surveys / 'a.laz'}\n{surveys / 'broken.laz'}\n")
-    result = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--json")
-    said = json.loads(result.stdout)
-    assert said["counts"] == {"done": 1, "failed": 1}
-    assert list(said["failed"]) == ["broken"]
-    assert [json.loads(line)["event"] for line in result.stderr.splitlines()].count("survey") == 1
-    quiet = batch(tmp_path / "s.txt", "--out", tmp_path / "o", "--quiet")
-    assert quiet.stdout == ""
-    assert quiet.stderr.startswith("Warning: broken failed:")
 
 
 def test_no_key_of_a_url_is_in_the_files_of_a_night(tmp_path):

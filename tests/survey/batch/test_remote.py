@@ -15,7 +15,7 @@ from bumpymap.layers import RemoteFolder
 from bumpymap.survey import BatchConfig, map_surveys
 from bumpymap.survey.batch import one_survey
 from bumpymap.survey.batch.one_survey import MapTask, map_one
-from bumpymap.survey.batch.run import fetch_log, upload_summary
+from bumpymap.survey.batch.run import upload_summary
 
 fsspec = pytest.importorskip("fsspec")
 pytestmark = pytest.mark.slow
@@ -55,7 +55,7 @@ def alone(survey, tmp_path_factory):
 
 @pytest.fixture
 def task(survey, tmp_path):
-    return MapTask("a", MapConfig((survey,), tmp_path / "work" / "a"), False, RemoteFolder("memory://night/a"), 10_000)
+    return MapTask("a", MapConfig((survey,), tmp_path / "work" / "a"), RemoteFolder("memory://night/a"), 10_000)
 
 
 def layers_of(server):
@@ -85,7 +85,7 @@ def test_what_is_there_is_recognised_without_its_layers(server, task, monkeypatc
     assert not task.config.out.exists()
 
 
-def test_other_settings_are_refused_or_replace_what_is_there(server, task):
+def test_other_settings_and_missing_layers_are_refused_or_replace_what_is_there(server, task):
     map_one(task)
     server.put.clear()
     other = replace(task, config=replace(task.config, align="off"))
@@ -94,17 +94,15 @@ def test_other_settings_are_refused_or_replace_what_is_there(server, task):
     assert "memory://night/a already holds a complete run" in refused.message
     assert "align was report, is off" in refused.message
     assert server.put == []
-    assert map_one(replace(other, overwrite=True)).row.status == "done"
+    replacing = replace(task, config=replace(other.config, overwrite=True))
+    assert map_one(replacing).row.status == "done"
     assert json.loads(layers_of(server)["run.json"])["settings"]["align"] == "off"
-
-
-def test_a_layer_that_is_gone_is_noticed(server, task):
-    map_one(task)
+    assert map_one(replacing).row.status == "already done"
     server.files.rm("/night/a/cost.tif")
-    row = map_one(task).row
+    row = map_one(other).row
     assert row.status == "failed"
     assert "cost.tif is missing or has another size" in row.message
-    assert map_one(replace(task, overwrite=True)).row.status == "done"
+    assert map_one(replacing).row.status == "done"
     assert "cost.tif" in layers_of(server)
 
 
@@ -133,19 +131,6 @@ def test_layers_that_a_start_killed_after_its_upload_has_left_are_removed(server
     assert (task.config.out / "run.json").is_file()
     assert map_one(task).row.status == "already done"
     assert not task.config.out.exists()
-
-
-def test_a_log_is_fetched_whole_or_not_at_all_and_through_no_link(server, tmp_path):
-    """A part of it would be taken for what a start that was interrupted has left."""
-    server.files.pipe_file("/night/log.jsonl", b'{"time": "", "event": ""}\n' * 9)
-    log = tmp_path / "log.jsonl"
-    log.symlink_to(tmp_path / "elsewhere")
-    fetch_log(RemoteFolder("memory://night"), tmp_path)
-    assert log.is_symlink()
-    assert not (tmp_path / "elsewhere").exists()
-    log.unlink()
-    fetch_log(RemoteFolder("memory://night"), tmp_path)
-    assert len(log.read_text().splitlines()) == 9
 
 
 def test_links_and_hidden_files_stay_here(server, tmp_path):

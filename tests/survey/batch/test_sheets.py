@@ -47,14 +47,6 @@ def test_the_summary_and_the_page_show_sheets_like_one_map(tmp_path):
     assert {row["status"] for row in rows(tmp_path / "out").values()} == {"already done"}
 
 
-def test_the_flag_is_for_all_surveys_and_overrides_the_table(tmp_path):
-    write_survey(tmp_path / "a.laz", side=60.0)
-    (tmp_path / "night.csv").write_text("survey,sheets\na.laz,5\n")
-    done = batch(tmp_path / "night.csv", "--out", tmp_path / "out", "--set", "sheets=0.048")
-    assert done.exit_code == 0, done.output
-    assert len(sheet_folders(tmp_path / "out" / "a")) > 1
-
-
 def test_sheets_are_not_uploaded(tmp_path):
     write_survey(tmp_path / "flights" / "a.laz")
     refused = batch(tmp_path / "flights", "--out", "memory://night", "--set", "sheets=1")

@@ -25,7 +25,9 @@ def flights(tmp_path):
     return folder
 
 
-def test_each_file_of_a_folder(flights):
+def test_each_file_of_a_folder_and_those_of_a_list(flights, tmp_path):
+    (tmp_path / "some.txt").write_text("# tonight\nflights/one\n\nhttps://example.org/a.laz\n")
+    assert found(tmp_path / "some.txt") == {"one": flights / "one", "a": "https://example.org/a.laz"}
     assert found(flights) == {
         "one_1": flights / "one/1.laz",
         "2": flights / "one/deep/2.laz",
@@ -39,11 +41,6 @@ def test_each_folder_of_a_folder(flights, caplog):
     (flights / "loose.laz").touch()
     with pytest.raises(UsageError, match=r"itself holds loose\.laz"):
         found(flights, "folder")
-
-
-def test_a_list(flights, tmp_path):
-    (tmp_path / "some.txt").write_text("# tonight\nflights/one\n\nhttps://example.org/a.laz\n")
-    assert found(tmp_path / "some.txt") == {"one": flights / "one", "a": "https://example.org/a.laz"}
 
 
 @pytest.mark.parametrize(
@@ -75,33 +72,16 @@ def test_faults_of_a_list_are_said(tmp_path, name, text, error, said):
     assert said in str(caught.value)
 
 
-def test_all_faults_of_a_table_are_said_at_once(tmp_path):
-    for name in ("a.laz", "b.laz", "c.laz"):
-        (tmp_path / name).touch()
-    rows = ["a.laz,many,,", "b.laz,15,,", "c.laz,1,,", "none.laz,,,", "a.laz,,truck,", "a.laz,,,EPSG:99999"]
-    (tmp_path / "a.csv").write_text("\n".join(["survey,pixels,vehicle,crs", *rows]))
-    said = [
-        "5 errors",
-        "line 2: pixels",
-        "line 4: pixels",
-        "line 5: there is no file",
-        "line 6: .*truck",
-        "line 7: .*99999",
-    ]
-    with pytest.raises(UsageError, match="(?s)" + ".*".join(said)):
-        run_batch(BatchConfig(tmp_path / "a.csv", tmp_path / "o"))
-    assert not (tmp_path / "o").exists()
-
-
-def test_all_faults_of_one_row_are_said_at_once(tmp_path):
+def test_all_faults_of_all_rows_are_said_at_once(tmp_path):
     """A value of the wrong kind, or a column too many, hides neither a value out of bounds nor a missing file."""
     head = "survey,name,crs,vehicle,model,tile_size,pixels,sheets,max_unknown,ground,colour\n"
     row = "none.laz,../b,EPSG:99999,truck,none.onnx,-3,2.5,50 km,150%,CSV,red\n"
-    (tmp_path / "a.csv").write_text(head + row)
+    (tmp_path / "b.laz").touch()
+    (tmp_path / "a.csv").write_text(f"{head}{row}b.laz,,,,,,many,,,,\n")
     with pytest.raises(UsageError) as caught:
         run_batch(BatchConfig(tmp_path / "a.csv", tmp_path / "o"))
     for said in (
-        "11 errors",
+        "12 errors",
         "unknown column colour; there are: survey, name, tile_size",
         "the name is '../b'; it must be the name of a folder",
         "there is no file or folder",
@@ -109,12 +89,14 @@ def test_all_faults_of_one_row_are_said_at_once(tmp_path):
         "no vehicle 'truck'",
         "none.onnx, given as the model",
         "tile_size is -3.0; it must be a number from 0.05 to 1000 m",
-        "pixels is '2.5'; it must be a whole number from 3 to 255",
+        "line 2: pixels is '2.5'; it must be a whole number from 3 to 255",
+        "line 3: pixels is 'many'",
         "sheets is '50 km'; it must be a number from 0.001 to 10000 km",
         "max_unknown is '150%'; it must be a share such as 50% or 0.5",
         "ground is 'CSV'; it must be one of auto, all, class, csf",
     ):
         assert said in str(caught.value)
+    assert not (tmp_path / "o").exists()
 
 
 @pytest.mark.parametrize("given", [{"vehicle": "truck"}, {"crs": "EPSG:99999"}, {"calibration": "none.json"}])
@@ -126,30 +108,21 @@ def test_a_fault_of_all_surveys_is_said_before_the_first(tmp_path, given):
     assert not (tmp_path / "o").exists()
 
 
-@pytest.mark.parametrize(("typed", "share"), [("50%", 0.5), ("0.25", 0.25), ("60", None)])
-def test_a_share_is_typed_as_for_the_option(tmp_path, typed, share):
-    (tmp_path / "a.laz").touch()
-    (tmp_path / "a.csv").write_text(f"survey,max_unknown\na.laz,{typed}\n")
-    if share is None:
-        with pytest.raises(UsageError, match="max_unknown is '60'"):
-            list_surveys(tmp_path / "a.csv", "file")
-    else:
-        assert list_surveys(tmp_path / "a.csv", "file")[0].settings == {"max_unknown": share}
-
-
 @pytest.mark.parametrize("separator", [",", ";"])
 def test_the_columns_of_a_table_are_settings(tmp_path, separator):
-    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration\n"
-    text += f"a b.laz,n,2.5,11,yes,,own.json\n{tmp_path}/x/c.laz,,,,no,own.toml,\n"
+    text = "survey,name,--tile-size,Pixels,local,vehicle,calibration,max_unknown,speeds\n"
+    text += f"a b.laz,n,2.5,11,yes,,own.json,50%,\n{tmp_path}/x/c.laz,,,,no,own.toml,,0.25,0.5 1 2\n"
     for name in ("a b.laz", "x/c.laz"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + text.replace(",", separator).encode())
     second, first = list_surveys(tmp_path / "a.csv", "file")
     assert (first.name, first.place) == ("n", tmp_path / "a b.laz")
-    assert first.settings == {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json"}
+    own = {"tile_size": 2.5, "pixels": 11, "local": True, "calibration": tmp_path / "own.json", "max_unknown": 0.5}
+    assert first.settings == own
     assert (second.name, second.place) == ("c", tmp_path / "x" / "c.laz")
-    assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml")}
+    more = {"max_unknown": 0.25, "speeds": (0.5, 1.0, 2.0)}
+    assert second.settings == {"local": False, "vehicle": str(tmp_path / "own.toml"), **more}
 
 
 def test_the_command_line_is_over_the_table_and_the_table_over_the_file(tmp_path):

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core import MapConfig, UsageError, memory as memory_module, memory_bytes
-from bumpymap.survey import Budget, with_memory
-from bumpymap.survey.engine.budget import POINT_BYTES, requests_at_once
+from bumpymap.survey import with_memory
 
 GIB = 1 << 30
 CONFIG = MapConfig((Path("a.laz"),), Path("out"))
@@ -39,21 +38,3 @@ def test_a_size_that_is_given_is_used():
     assert memory_bytes(with_memory(replace(CONFIG, memory=" Auto ")).memory) >= 512 << 20
     with pytest.raises(UsageError, match=r"`memory` is 'automatic'; it must be a size of .* or auto"):
         with_memory(replace(CONFIG, memory="automatic"))
-
-
-def test_points_that_fit_take_their_own_size_and_no_more():
-    large = Budget(8 * GIB, 2)
-    assert large.waiting_points > 100_000_000
-    more = large.most_bytes(20_000_000, 280_000_000) - large.most_bytes(10_000_000, 140_000_000)
-    # Each more point waits, and may be in a block that is sorted.
-    assert POINT_BYTES * 10_000_000 <= more <= (POINT_BYTES + 63) * 10_000_000
-    small = Budget(GIB, 2)
-    assert small.most_bytes(10**9, 10**11) == small.most_bytes(10**10, 10**12) <= GIB
-
-
-@pytest.mark.parametrize(
-    ("points", "threads", "requests"),
-    [(500_000, 1, 1), (500_000, 2, 1), (50_000, 2, 2), (500_000, 4, 2), (500_000, 16, 5), (50_000, 16, 8)],
-)
-def test_small_chunks_are_fetched_several_at_a_time(points, threads, requests):
-    assert requests_at_once(points, threads) == requests

@@ -1,30 +1,25 @@
 """The second engine: the same bits from workers as from one process, whatever happens to them."""
 
 import json
-import logging
 import os
 import random
 import shutil
 import sys
 from contextlib import contextmanager
-from dataclasses import replace
-from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from small_surveys import run, write_las
+from small_surveys import layers_of, run, write_las
 
 import bumpytiles
 from bumpymap.core import hash_file
 from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.layers.products import PRODUCT_NAMES
-from bumpymap.readers import ReadOptions, identity, open_survey
+from bumpymap.readers import ReadOptions, identity
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
-    FileSource,
     RunContext,
     count_marks,
     finish_group,
@@ -32,13 +27,14 @@ from bumpymap.survey.engine.cluster import (
     opened,
     read_ranges,
 )
-from bumpymap.survey.engine.collector import BlockCatalogue
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, cut_ranges, shared_tasks
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask, shared_tasks
 from bumpymap.survey.engine.reading import BlockCompletion
 from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 pytestmark = pytest.mark.slow
 
+ALL_RANGES = 11
+"""Ranges of the three surveys where a task reads 10,000 points at least."""
 TWO_TASKS = 57_000
 """Least points of a task with which two tasks read the three surveys, one of them two files."""
 
@@ -61,10 +57,6 @@ def fail(number):
         raise ValueError("five")
     return number * number
 '''
-
-
-def layers_of(folder):
-    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 def inputs_of(folder):
@@ -145,7 +137,7 @@ def here(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("ground", "least", "tasks"), [("auto", 10_000, 11), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
+    ("ground", "least", "tasks"), [("auto", 10_000, ALL_RANGES), ("all", TWO_TASKS, 2), ("auto", 10**7, 1)]
 )
 def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     surveys, plain, tmp_path, here, ground, least, tasks, monkeypatch
@@ -226,14 +218,6 @@ def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
     assert "of the 125,000 points" in said[0]
 
 
-def test_ground_that_is_not_there_is_refused(surveys, tmp_path, here):
-    columns = (*(np.arange(50.0) + low for low in (500_001, 4_000_002, 1)), np.full(50, 5, np.uint8))
-    file = write_part(tmp_path / "a.las", columns, slice(None), (500_000, 4_000_000, 0))
-    result = run("map", file, "--out", tmp_path / "layers", "--set", "scheduler=here", "--ground", "class")
-    assert result.exit_code == 3
-    assert "no point of the survey has class 2" in result.output
-
-
 def killed_at(place, out, left, monkeypatch, arguments):
     """Run until ``place`` is reached; copy what a kill at that instant leaves."""
 
@@ -292,7 +276,7 @@ def context_in(folder):
     for made in (points, tiles):
         made.mkdir()
         (made / ALIVE).write_text("id")
-    return RunContext(BlockWork(Grid(), (), Mock(), "all"), 1 << 30, points, tiles, "id")
+    return RunContext(BlockWork(Grid(), (), Mock(), "all"), 1 << 30, points, tiles, "id", ReadOptions(), 1000)
 
 
 def whole_file(points=1000):
@@ -313,26 +297,8 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
         opened(tmp_path / "none.laz", ReadOptions(), (known["size"], known["digest"]), "id")
     (context.tiles / ALIVE).unlink()
     assert "folders that every worker sees" in missing_on_worker(context, versions.copy, versions)
-    source = FileSource(file, ReadOptions(), (known["size"], known["digest"]), 1000)
     with pytest.raises(OutputError, match="folders that every worker sees"):
-        read_ranges(context, [source], whole_file(), False)
-
-
-@pytest.mark.parametrize("done", [{}, {0: [(1, 2)], 2: [(0, 1), (2, 3)]}])
-def test_ranges_hold_each_chunk_once(surveys, done):
-    readers = [open_survey(file) for file in sorted(surveys.iterdir())]
-    chunks = [reader.chunks(2_000) for reader in readers]
-    for most in (1, 5_000, 10**9, None):
-        unread, read = cut_ranges(readers, chunks, most, done)
-        assert [(part.file, part.first, part.stop) for part in read] == [
-            (file, *span) for file, spans in done.items() for span in spans
-        ]
-        for file, reader in enumerate(readers):
-            own = sorted((part.first, part.stop) for part in (*unread, *read) if part.file == file)
-            assert [0, *(stop for _, stop in own)] == [*(first for first, _ in own), len(chunks[file])]
-            points = sum(part.points for part in (*unread, *read) if part.file == file)
-            assert points == reader.info.point_count
-        assert all(part.points <= max(most, 50_000) for part in unread if most is not None)
+        read_ranges(context, [(file, (known["size"], known["digest"]))], whole_file(), False)
 
 
 boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200) for _ in range(2)))
@@ -366,43 +332,6 @@ def test_a_block_that_two_tasks_reach_is_complete_for_neither(found, done, whole
         assert not mine & others
         if len(tasks) == 1 and not done:
             assert mine == set().union(*reach)
-
-
-def test_neighbouring_files_are_read_by_one_task():
-    squares = [
-        Bounds(col * 100.0, row * 100.0, col * 100.0 + 100, row * 100.0 + 100) for row in range(4) for col in range(4)
-    ]
-    files = [ChunkRange(n, 0, 5, 2_500_000 + n, box, is_whole=True) for n, box in enumerate(squares)]
-    tasks = list(shared_tasks(Grid(), files, [], set(), workers=2))
-    corners = {0, 2, 8, 10}
-    assert {frozenset(part.file for part in task.ranges) for task in tasks} == {
-        frozenset({corner, corner + 1, corner + 4, corner + 5}) for corner in corners
-    }
-    parts = [replace(part, is_whole=False) for part in files[:3]]
-    alone = list(shared_tasks(Grid(), [*parts, replace(files[3], bounds=None)], [], set(), workers=2))
-    assert [[part.file for part in task.ranges] for task in alone] == [[0], [1], [2], [3]]
-
-
-blocks = st.lists(st.tuples(st.integers(-20, 20), st.integers(-20, 20), st.integers(1, 9)), max_size=40)
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(blocks, max_size=5), st.integers(0, 60))
-def test_groups_hold_each_block_once_with_all_its_packs(packs, skipped):
-    catalogue, holds = BlockCatalogue(), {}
-    for number, entries in enumerate(packs):
-        once = {entry[:2]: entry for entry in entries}
-        catalogue.add(Path(str(number)), np.array(list(once.values()), np.int64).reshape(-1, 3))
-        for key in once:
-            holds.setdefault(key, set()).add(Path(str(number)))
-    assert {tuple(key) for key in catalogue.keys().tolist()} == set(holds)
-    skip = set(sorted(holds)[:skipped])
-    groups = list(catalogue.groups(skip))
-    keys = [key for group in groups for key in group.keys]
-    assert sorted(keys) == sorted(set(holds) - skip)
-    for group in groups:
-        assert set(group.packs) == set().union(*(holds[key] for key in group.keys))
-        assert len(group.keys) <= 64
 
 
 @pytest.fixture(scope="module")
@@ -441,14 +370,6 @@ def deadly(monkeypatch, mark, *, always=False):
     with monkeypatch.context() as patch:
         patch.setattr("bumpymap.survey.pipeline.BlockWork", block_work)
         yield
-
-
-@pytest.mark.later
-def test_an_existing_cluster_gives_the_same_bits(surveys, plain, tmp_path, scheduler):
-    result = run("map", surveys, "--out", tmp_path / "layers", "--set", f"scheduler={scheduler}")
-    assert result.exit_code == 0, result.output
-    assert not logging.getLogger("distributed.client").isEnabledFor(logging.WARNING)  # a lost worker is no news
-    assert layers_of(tmp_path / "layers") == layers_of(plain / "auto")
 
 
 @pytest.mark.later
@@ -519,34 +440,6 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     assert not (tmp_path / "layers").exists()
 
 
-def test_a_scheduler_that_is_lost_while_a_file_is_read_keeps_its_ranges(surveys, plain, tmp_path, here, monkeypatch):
-    pytest.importorskip("distributed")
-    from bumpytiles import ClusterError
-
-    out, first_ranges = tmp_path / "layers", here.run
-
-    def lost_after_three(function, tasks):
-        for number, result in first_ranges(function, tasks):
-            yield number, result
-            if len(here.done) >= 3:
-                raise ClusterError("the connection to the scheduler is lost")
-
-    arguments = ("map", surveys, "--out", out, "--set", "scheduler=here")
-    with monkeypatch.context() as patch:
-        patch.setattr(here, "run", lost_after_three)
-        result = run(*arguments)
-    assert result.exit_code == 2, result.output
-    assert "Run the same again to continue" in result.output
-    before = here.done.count(read_ranges)
-    here.done.clear()
-    assert run(*arguments).exit_code == 0
-    ranges = here.done.count(read_ranges)
-    here.done.clear()
-    assert run("map", surveys, "--out", tmp_path / "whole", "--set", "scheduler=here").exit_code == 0
-    assert before + ranges == here.done.count(read_ranges)
-    assert layers_of(out) == layers_of(plain / "auto")
-
-
 def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
     pytest.importorskip("distributed")
     from bumpytiles import ClusterError, Workers
@@ -562,25 +455,29 @@ def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
         Workers(client).each(len)
 
 
-@pytest.mark.parametrize("when", ["look", "finish"])
-def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
+@pytest.mark.parametrize("when", ["look", "read", "finish"])
+def test_workers_that_are_lost_end_the_run_with_a_word_and_nothing_is_read_twice(
     surveys, plain, tmp_path, here, monkeypatch, when
 ):
     pytest.importorskip("distributed")
     from bumpytiles import ClusterError
 
-    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", TWO_TASKS)
-    out = tmp_path / "layers"
+    out, whole = tmp_path / "layers", here.run
     arguments = ("map", surveys, "--out", out, "--set", "scheduler=here", "--set", f"scratch={tmp_path / 'scratch'}")
 
     def lost(*_, **__):
         raise ClusterError("all 2 workers were lost")
 
+    def lost_after_three(function, tasks):
+        for number, result in whole(function, tasks):
+            yield number, result
+            if len(here.done) >= 3:
+                lost()
+
+    executor = "bumpymap.survey.engine.cluster.ClusterExecutor.finish"
+    place = {"look": (here, "each", lost), "read": (here, "run", lost_after_three), "finish": (executor, lost)}[when]
     with monkeypatch.context() as patch:
-        if when == "look":
-            patch.setattr(here, "each", lost)
-        else:
-            patch.setattr("bumpymap.survey.engine.cluster.ClusterExecutor.finish", lost)
+        patch.setattr(*place)
         result = run(*arguments)
     assert result.exit_code == 2, result.output
     assert "all 2 workers were lost. Look at their logs" in result.output
@@ -589,9 +486,8 @@ def test_a_pool_that_lost_its_workers_says_so_and_keeps_what_was_finished(
         assert not out.exists()
         return
     assert "Run the same again to continue" in result.output
-    here.done.clear()
     assert run(*arguments).exit_code == 0
-    assert read_ranges not in here.done  # files that were read are not read again
+    assert here.done.count(read_ranges) == ALL_RANGES
     assert layers_of(out) == layers_of(plain / "auto")
     assert list((tmp_path / "scratch").iterdir()) == []
 

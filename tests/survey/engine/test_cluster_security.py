@@ -58,10 +58,7 @@ def test_a_scheduler_with_tls_takes_whom_its_authority_signed_and_nobody_else(tm
     [
         ("tcp://192.0.2.1:8786", True),
         ("192.0.2.1:8786", True),
-        ("ws://cluster.example:80", True),
-        ("tcp://[2001:db8::1]:8786", True),
         ("tcp://127.0.0.1:8786", False),
-        ("127.0.0.1:8786", False),
         ("tcp://localhost:8786", False),
         ("tcp://[::1]:8786", False),
     ],

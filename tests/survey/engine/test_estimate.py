@@ -9,15 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from hypothesis import given, settings, strategies as st
 from small_surveys import write_las
 
 from bumpymap.cli import main
 from bumpymap.layers import write_products as write
 from bumpymap.readers import ReadOptions, open_survey
 from bumpymap.survey import Budget, estimate
-from bumpymap.survey.engine.budget import most_tiles
-from bumpytiles import Bounds, Grid
+from bumpytiles import Grid
 
 pytestmark = pytest.mark.slow
 
@@ -55,28 +53,6 @@ def map_and_look(surveys, folder, budget, monkeypatch):
     found["layers"] = bytes_in(folder / "layers")
     found["count"] = json.loads((folder / "layers" / "run.json").read_text())["counts"]["tiles"]
     return foretold, found
-
-
-@settings(max_examples=4, deadline=None)
-@given(
-    seed=st.integers(0, 99),
-    span=st.sampled_from([5.0, 60.0, 400.0]),
-    files=st.integers(1, 3),
-    waiting=st.integers(500, 4_000),
-)
-def test_a_run_takes_no_more_disk_than_was_said(tmp_path_factory, seed, span, files, waiting):
-    folder = tmp_path_factory.mktemp("survey")
-    rng = np.random.default_rng(seed)
-    surveys = []
-    for number in range(files):
-        corner = (500_000 + number * span * rng.integers(2), 4_000_000, 0)
-        points = rng.uniform(0, span, (3_000, 3)) + corner
-        surveys.append(write_points(folder / f"{number}.las", points))
-    with pytest.MonkeyPatch.context() as patch:
-        foretold, found = map_and_look(surveys, folder, (waiting, 400), patch)
-    assert (found["scratch"] > 0) <= (3_000 * files > waiting)
-    assert found["scratch"] <= foretold.scratch
-    assert found["count"] <= foretold.tiles
 
 
 def full_tiles(folder, files, west, side, points_a_pixel):
@@ -140,21 +116,6 @@ print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
     assert 1 / 3 < int(said) * 1024 / foretold["run"]["memory_bytes_at_most"] <= 1
 
 
-def test_bounds_hold_for_any_size_and_grow_with_it():
-    info = open_survey(QUARRY, ReadOptions()).info
-    budget = Budget(256 << 20, 2)
-    before = 0
-    for files in (1, 2, 10, 1000):
-        told = estimate([info] * files, Grid(), budget)
-        assert told.points == files * info.point_count
-        if told.points <= budget.waiting_points:
-            assert told.scratch == 0
-        else:
-            assert 14 * told.points < told.scratch < 16 * told.points
-        assert told.seconds > before
-        before = told.seconds
-
-
 def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_not():
     info = open_survey(QUARRY, ReadOptions()).info
 
@@ -165,15 +126,6 @@ def test_a_survey_larger_than_its_budget_takes_the_budget_and_a_small_one_does_n
     assert 0.6 * (2 << 30) < memory(10_000, 4) - memory(10_000, 2) <= 2 << 30
     assert memory(10_000, 4) > 0.6 * (4 << 30)
     assert memory(1, 4) == memory(1, 2)
-
-
-def test_tiles_are_counted_from_boxes():
-    grid = Grid(3.0)
-    box = Bounds(-0.1, 0.0, 3.0, 2.9)
-    assert most_tiles([box], 100, grid) == 3  # columns -1, 0 and 1
-    assert most_tiles([box, box], 100, grid) == 6
-    assert most_tiles([box], 2, grid) == 2
-    assert most_tiles([box, None], 100, grid) is None
 
 
 def test_info_says_what_a_run_takes(tmp_path):

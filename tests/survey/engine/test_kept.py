@@ -7,14 +7,13 @@ import shutil
 
 import numpy as np
 import pytest
-from small_surveys import run, write_las
+from small_surveys import layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
 from bumpymap.core import CHECKSUM_METHOD, hash_file
-from bumpymap.core.errors import BadInputError, OutputError, UsageError
+from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
-from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.collector import Checkpoints
@@ -22,10 +21,6 @@ from bumpymap.survey.engine.collector import Checkpoints
 pytestmark = pytest.mark.slow
 
 GO_ON = "Run the same again to continue from the finished tiles."
-
-
-def layers_of(folder):
-    return {name: (folder / name).read_bytes() for name in PRODUCT_NAMES if name != "run.json"}
 
 
 @pytest.fixture(scope="module")
@@ -85,10 +80,10 @@ def goes_on(surveys, out, plain, monkeypatch, *options):
 def test_a_decoder_that_is_killed_keeps_everything(surveys, plain, tmp_path, monkeypatch, after_tiles):
     finish = Child.finish
 
-    def kill(child, supply):
+    def kill(child, *supply):
         child.process.kill()
         child.process.wait()
-        return finish(child, supply)
+        return finish(child, *supply)
 
     # One request at a time: otherwise all may have been made before the first tiles are finished.
     monkeypatch.setattr("bumpymap.survey.engine.reading.requests_at_once", lambda *_: 1)
@@ -247,22 +242,6 @@ def test_points_without_the_tiles_that_they_leave_out_are_read_again(surveys, pl
     assert result.exit_code == 0, result.output
     assert layers_of(left) == plain
     assert (fetched[0] == 0) == spoilt  # else it goes on where it was
-
-
-@pytest.mark.parametrize(
-    ("end", "kept"),
-    [
-        (KeyboardInterrupt(), Kept.FINISHED),
-        (OutputError("full"), Kept.FINISHED),
-        (OSError(errno.ENOSPC, "full"), Kept.FINISHED),
-        (UsageError("the process was killed"), Kept.ALL),
-        (MemoryError(), Kept.ALL),
-        (ZeroDivisionError(), Kept.ALL),
-        (BadInputError("damaged"), Kept.NOTHING),
-    ],
-)
-def test_what_is_kept_depends_on_whether_the_same_would_happen_again(end, kept):
-    assert what_to_keep(end) is kept
 
 
 def test_a_server_that_failed_may_answer_the_next_time():

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.interrupts import SilentProgress
@@ -168,16 +167,6 @@ def test_blocks_of_which_points_are_on_disk_are_finished_early_too(tmp_path):
     assert counts(tiles_of(results, 0), rest_of(store, work, packs, done)) == expected(reader)[0]
 
 
-def test_chunks_without_bounds_go_to_disk_as_before(tmp_path):
-    """Any later chunk may reach into any block: none is complete before the last is read."""
-    reader = Octree(bounded=False)
-    results, store, work = Run(tmp_path / "run", 3 * FINE, reader).read()
-    packs = [path for result in results for path, _ in result.packs]
-    assert sum(sum(Pack(path).counts()) for path in packs) >= COARSE + FINE * (BLOCKS - 4)
-    done = finished(results)
-    assert counts(tiles_of(results, 0), rest_of(store, work, packs, done)) == expected(reader)[0]
-
-
 @settings(max_examples=30, deadline=None)
 @given(points=st.integers(FINE, COARSE + 6 * FINE), most=st.integers(1, 12), again=st.integers(FINE, 8 * FINE))
 def test_a_run_that_ends_early_goes_on_without_losing_or_repeating_a_point(tmp_path_factory, points, most, again):
@@ -204,30 +193,3 @@ def test_chunks_whose_blocks_are_finished_count_as_read(tmp_path):
     kept = [span for result in first if result.in_memory is None for span in result.spans]
     assert sum(stop - start for _, start, stop in kept) >= BLOCKS // 2
     assert all(start > 0 for _, start, _ in kept)  # points of the coarse node still wait
-
-
-@pytest.mark.parametrize(
-    ("done", "limit", "copied"), [(0.8, 1.0, True), (0.8, 1.5, False), (0.3, 1.0, True), (0.05, 1.0, False)]
-)
-def test_what_is_left_of_a_chunk_is_copied_where_room_is_needed(tmp_path, done, limit, copied):
-    rng = np.random.default_rng(0)
-    x, y = rng.uniform(0, 960, 5000), rng.uniform(0, 48, 5000)
-    limits = MemoryLimits(round(limit * POINT_BYTES * 5000), 100_000, tmp_path)
-    buckets, whole = TileBuckets(GRID, limits), TileBuckets(GRID)
-    for store in (buckets, whole):
-        store.add(x, y, np.zeros(5000), np.zeros(5000, bool))
-    keys = buckets.keys()
-    for key in keys[: round(len(keys) * done)]:
-        buckets.finish(key)
-    left = buckets.keys()
-    needed = sum(buckets.points(key) for key in left)
-    buckets.compact()
-    assert buckets._waiting.size_bytes == POINT_BYTES * (needed if copied else 5000)
-    assert buckets.must_spill == (done < 0.25)
-    for key in left:
-        (one,), (other,) = buckets.block(key), whole.block(key)
-        assert np.array_equal(one.starts, other.starts)
-        assert one.easting.tobytes() == other.easting.tobytes()
-        buckets.finish(key)
-    assert buckets.is_empty
-    assert buckets._waiting.size_bytes == 0

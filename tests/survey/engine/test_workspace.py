@@ -7,7 +7,7 @@ import shutil
 import pytest
 
 from bumpymap.core import run_folder
-from bumpymap.core.errors import OutputError, UsageError
+from bumpymap.core.errors import OutputError
 from bumpymap.core.run_folder import RunFolder, is_interrupted, work_folder
 from bumpymap.survey.engine.budget import Workspace
 
@@ -166,29 +166,3 @@ def test_a_noted_scratch_folder_that_is_not_the_runs_is_left_alone(tmp_path, fit
         with Workspace.opened(out, tmp_path / "scratch", ASKED, overwrite=overwrite) as space:
             assert space.scratch != place
         assert contents(mine) == before
-
-
-def test_other_settings_are_named_in_words(tmp_path):
-    with Workspace.opened(tmp_path, None, ASKED, overwrite=False) as space:
-        shutil.copytree(space.folder, tmp_path / "kept")
-    (tmp_path / "kept").rename(work_folder(tmp_path))
-    other = ASKED | {"inputs": {"a.laz": {"bytes": 2}, "b.laz": {"bytes": 1}}, "settings": {"local": True, "crs": None}}
-    other["cut"] = {"chunk_points": 7}
-    with pytest.raises(UsageError) as refused, Workspace.opened(tmp_path, None, other, overwrite=False):
-        pass
-    lines = refused.value.args
-    for words in (
-        "a.laz has changed since",
-        "b.laz is given now, but was not an input",
-        "local was not given, is true",
-    ):
-        assert f"  {words}" in lines
-    assert "chunk_points" not in str(refused.value)
-    with Workspace.opened(tmp_path, None, ASKED | {"cut": {"chunk_points": 7}}, overwrite=True) as space:
-        assert space.resumed, "the same inputs and settings: nothing to discard"
-        assert space.run_spec["cut"] == ASKED["cut"]
-        shutil.copytree(space.folder, tmp_path / "kept")
-    (tmp_path / "kept").rename(work_folder(tmp_path))
-    with Workspace.opened(tmp_path, None, other, overwrite=True) as space:
-        assert not space.resumed
-        assert space.run_spec["settings"] == other["settings"]

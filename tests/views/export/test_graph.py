@@ -9,11 +9,11 @@ import json
 import numpy as np
 import pytest
 import rasterio
-from scipy.ndimage import gaussian_filter, label
+from scipy.ndimage import gaussian_filter, generate_binary_structure, label
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, dijkstra
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, corners_join
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
 from bumpymap.views.export.graph import SQUARES, FreeGround, line_cost, make_lattice, make_squares
@@ -54,6 +54,12 @@ def pixel_factor(route_map):
     return np.where((passage > 0) & (passage < 255), cost, np.inf)
 
 
+def over_corners(route_map):
+    """Whether the vehicle of a map goes over corners between closed pixels."""
+    width = route_map.vehicle.width_m
+    return corners_join(width, 0.5 * width + 0.1, route_map.grid.pixel_size)
+
+
 def places_of(route_map, nodes):
     """Row and column of the pixel of each node, (n, 2), in the rasters of a map; the datum is (0, 0)."""
     window, size = route_map.window, route_map.grid.pixel_size
@@ -74,7 +80,9 @@ def test_every_edge_crosses_only_free_pixels_at_its_cost(request, tmp_path, whic
     assert np.isfinite(factor[tuple(pixels.T)]).all()
     start, end, cost = (np.array(part) for part in zip(*edges, strict=True))
     size = site.grid.pixel_size
-    np.testing.assert_allclose(cost, size * line_cost(factor, pixels[start], pixels[end]), rtol=1e-6)
+    expected = size * line_cost(factor, pixels[start], pixels[end], corners=over_corners(site))
+    np.testing.assert_allclose(cost, expected, rtol=1e-6)
+    assert len({frozenset(ends) for ends in zip(start.tolist(), end.tolist(), strict=True)}) == len(edges) / 2
     back = {(one, other): price for one, other, price in edges}
     assert all(back[other, one] == price for one, other, price in edges)
     graph = coo_array((np.ones(len(start)), (start, end)), shape=(len(nodes),) * 2)
@@ -84,12 +92,13 @@ def test_every_edge_crosses_only_free_pixels_at_its_cost(request, tmp_path, whic
 @pytest.mark.parametrize("every", [1, 9])
 @pytest.mark.parametrize("which", ["easy_map", "route_map"])
 def test_the_graph_joins_what_pixels_join(request, tmp_path, which, every):
-    """Of the largest piece of free pixels, over their sides, every area has a node, and no other piece has one."""
+    """Of the largest piece of free pixels, over sides and corners, every area has a node, and no other."""
     site = request.getfixturevalue(which)
     export_map(site, tmp_path / "out", ExportSettings(to="graph", every=every, datum=(0.0, 0.0)))
     nodes, _ = load_graph(tmp_path / "out" / "graph.geojson")
     pixels = places_of(site, nodes)
-    pieces = label(np.isfinite(pixel_factor(site)))[0]
+    assert over_corners(site)
+    pieces = label(np.isfinite(pixel_factor(site)), generate_binary_structure(2, 2))[0]
     largest = np.bincount(pieces.ravel())[1:].argmax() + 1
     assert (pieces[tuple(pixels.T)] == largest).all()
     if every == 1:
@@ -99,9 +108,19 @@ def test_the_graph_joins_what_pixels_join(request, tmp_path, which, every):
         assert np.array_equal(reached, open_tiles)
 
 
-def bare(factor):
+def bare(factor, *, corners=False):
     """Tiles of one pixel each, free where they are open."""
-    return FreeGround(factor, 1, lambda rows, cols: np.ones(factor[rows, cols].shape, bool))
+    return FreeGround(factor, 1, lambda rows, cols: np.ones(factor[rows, cols].shape, bool), corners)
+
+
+def in_pixels(free, pixels, *, corners):
+    """Tiles of some pixels a side, on which a metre costs 1."""
+    shape = tuple(size // pixels for size in free.shape)
+
+    def read(rows, cols):
+        return free[rows.start * pixels : rows.stop * pixels, cols.start * pixels : cols.stop * pixels]
+
+    return FreeGround(np.ones(shape), pixels, read, corners)
 
 
 def ways(lattice):
@@ -144,15 +163,16 @@ def test_squares_cover_the_open_tiles_and_are_open_and_alike(seed):
             assert (row.mean(), col.mean()) == (squares.row[number], squares.col[number])
 
 
+@pytest.mark.parametrize("corners", [False, True])
 @pytest.mark.parametrize("seed", range(6))
-def test_thinning_cuts_nothing_off(seed):
-    """What is connected over sides of tiles (a corner is no way) is connected in the graph, and nothing else is."""
-    factor = field(seed, 0.45)
-    parts, count = label(np.isfinite(factor))
+def test_thinning_cuts_nothing_off(seed, corners):
+    """What is connected over sides of tiles, or over corners too, is connected in the graph, and nothing else is."""
+    factor = field(seed, 0.6 if corners else 0.45)
+    parts, count = label(np.isfinite(factor), generate_binary_structure(2, 1 + corners))
     assert count > 1
     sizes = np.bincount(parts.ravel())[1:]
     for largest in SQUARES:
-        lattice = make_lattice(bare(factor), largest, (3, 8))
+        lattice = make_lattice(bare(factor, corners=corners), largest, (3, 8))
         kept = np.unique(parts[lattice.row, lattice.col])
         assert len(kept) == 1
         assert sizes[kept[0] - 1] == sizes.max()
@@ -180,14 +200,35 @@ def test_crops_of_one_map_share_their_squares():
     assert {(row + 6, col + 5) for row, col in zip(cut.row.tolist(), cut.col.tolist(), strict=True)} <= places
 
 
-def test_no_way_leads_over_a_corner():
+@pytest.mark.parametrize(("corners", "left_out"), [(False, 5), (True, 0)])
+def test_ways_lead_over_a_corner_where_the_vehicle_fits(corners, left_out):
     factor = np.full((9, 9), np.inf)
     factor[:3] = 1.0
     factor[3, 3] = factor[4, 4] = 1.0  # touch at a corner
     factor[5:7, 5:7] = 1.0
-    lattice = make_lattice(bare(factor), 3, (0, 0))
-    assert len(lattice.row) == 4
-    assert lattice.tiles_left_out == 5
+    lattice = make_lattice(bare(factor, corners=corners), 3, (0, 0))
+    assert lattice.tiles_left_out == left_out
+    if corners:
+        place = {(row, col): number for number, (row, col) in enumerate(zip(lattice.row, lattice.col, strict=True))}
+        found = ways(lattice)[place[3, 3], [place[4, 4], place[6, 6]]]
+        assert found == pytest.approx(np.sqrt([2.0, 18.0]))
+
+
+@pytest.mark.parametrize("height", [1, 10**9])
+@pytest.mark.parametrize("seed", range(4))
+def test_areas_of_pixels_are_joined_over_corners(seed, height, monkeypatch):
+    """Pieces of ground over sides and corners of pixels are pieces of the graph; no line crosses a closed pixel."""
+    monkeypatch.setattr("bumpymap.views.export.graph._STRIP_PIXELS", height)
+    free = np.random.default_rng(seed).random((60, 75)) < 0.5
+    pieces = label(free, generate_binary_structure(2, 2))[0]
+    sizes = np.bincount(pieces[free])
+    lattice = make_lattice(in_pixels(free, 5, corners=True), 9, (0, 0))
+    at = np.column_stack([lattice.row, lattice.col])
+    assert set(pieces[tuple(at.T)].tolist()) == {sizes.argmax()}
+    assert lattice.size.sum() == sizes.max()
+    for first, second in zip(at[lattice.first], at[lattice.second], strict=True):
+        inner = np.linspace(first, second, 1000)[:, None] + 0.5 + np.array([[-1e-9, -1e-9], [1e-9, 1e-9]])
+        assert free[tuple(np.floor(inner).astype(int).reshape(-1, 2).T)].all()
 
 
 def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):

@@ -113,13 +113,6 @@ def test_a_costmap_keeps_graded_cost_and_knows_what_is_unknown(whole, folder, ro
     assert record["tiles"]["unknown"] == (barred == Barred.UNKNOWN).sum()
 
 
-def test_with_the_defaults_of_a_costmap_all_graded_cost_is_free(whole):
-    """Why the parameters are part of the export."""
-    _, _, (grid, _, _) = whole
-    usual = {"lethal_cost_threshold": 100, "track_unknown_space": False, "unknown_cost_value": 255}
-    assert set(np.unique(static_layer(grid, usual))) == {FREE, LETHAL}
-
-
 def test_the_keepout_filter_leaves_only_passable_tiles(whole, folder, route_map):
     _, params, (_, mask, _) = whole
     passable = tile_values(route_map, folder, "barred.tif") == Barred.NO
@@ -235,9 +228,10 @@ def test_what_cannot_be_exported(route_map, tmp_path, monkeypatch):
     corner = (110_000.0 * 3 - 500, 680_000.0 * 3)
     with pytest.raises(BadInputError, match="nothing of the map lies within"):
         export_map(route_map, tmp_path / "out", ExportSettings(around=corner))
-    monkeypatch.setattr("bumpymap.views.export.nav2._MAX_CELLS", 100)
-    with pytest.raises(BadInputError, match="`around`"):
-        export_map(route_map, tmp_path / "out", ExportSettings())
+    for to, told in (("nav2", "`around`"), ("gridmap", "`resolution='tile'`")):
+        monkeypatch.setattr(f"bumpymap.views.export.{to}._MAX_CELLS", 100)
+        with pytest.raises(BadInputError, match=told):
+            export_map(route_map, tmp_path / "out", ExportSettings(to=to, resolution="pixel"))
     assert not (tmp_path / "out").exists()
 
 

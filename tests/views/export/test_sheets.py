@@ -4,6 +4,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
+from cost_maps import with_objects
 
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
@@ -24,7 +25,7 @@ def part_of(record, kept):
 @pytest.mark.parametrize(
     ("to", "options"), [("nav2", {"resolution": "pixel"}), ("graph", {"every": 9}), ("gridmap", {"resolution": "tile"})]
 )
-def test_sheets_are_one_map(make_field, with_objects, write_map, tmp_path, to, options):
+def test_sheets_are_one_map(make_field, write_map, tmp_path, to, options):
     if to == "gridmap":
         pytest.importorskip("rosbags")
     whole = with_objects(make_field(18, 14, easy=True))

@@ -1,6 +1,6 @@
 """Load layers and a project as QGIS does when a user drags them in, and report what came of it as JSON.
 
-/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json [PICTURES]
+/usr/bin/python3 load_in_qgis.py FOLDER REPORT.json
 """
 
 import json
@@ -103,7 +103,7 @@ def leaves(group):
     return found
 
 
-def colours_of(layers, extent, crs, picture=None):
+def colours_of(layers, extent, crs):
     """Draw layers, the topmost first, and return the number of colours."""
     settings = QgsMapSettings()
     settings.setLayers(layers)
@@ -115,12 +115,10 @@ def colours_of(layers, extent, crs, picture=None):
     job.start()
     job.waitForFinished()
     image = job.renderedImage()
-    if picture:
-        image.save(str(picture))
     return len({image.pixel(x, y) for x in range(0, SIZE[0], 4) for y in range(0, SIZE[1], 4)})
 
 
-def describe_project(path, picture):
+def describe_project(path):
     """What opens with a project; its view as the main window takes it."""
     project, canvas = QgsProject.instance(), QgsMapCanvas()
     canvas.setObjectName("theMapCanvas")
@@ -137,15 +135,13 @@ def describe_project(path, picture):
         "tree": leaves(tree),
         "layers": {layer.id(): describe(layer) for layer in project.mapLayers().values()},
         "extent": corners(canvas.extent()),
-        "colours": colours_of(shown, canvas.extent(), project.crs(), picture),
+        "colours": colours_of(shown, canvas.extent(), project.crs()),
     }
 
 
-def main(folder, report, pictures=None):
+def main(folder, report):
     application = QgsApplication([], True)
     application.initQgis()
-    if pictures:
-        pictures.mkdir(exist_ok=True)
     found = {"qgis": Qgis.QGIS_VERSION, "layers": {}}
     for path in sorted(folder.iterdir()):
         make = QgsRasterLayer if path.suffix in {".tif", ".vrt"} else QgsVectorLayer
@@ -153,11 +149,9 @@ def main(folder, report, pictures=None):
             layer = make(str(path), path.stem)
             found["layers"][path.name] = describe(layer)
             if layer.isValid():
-                picture = pictures and pictures / f"{path.name}.png"
-                colours = colours_of([layer], layer.extent(), layer.crs(), picture)
-                found["layers"][path.name]["colours"] = colours
+                found["layers"][path.name]["colours"] = colours_of([layer], layer.extent(), layer.crs())
     if (folder / "map.qgs").exists():
-        found["project"] = describe_project(folder / "map.qgs", pictures and pictures / "map.qgs.png")
+        found["project"] = describe_project(folder / "map.qgs")
     report.write_text(json.dumps(found, indent=1), encoding="utf-8")
 
 

@@ -1,15 +1,24 @@
-"""What QGIS makes of the layers of a run when they are dragged in, and of map.qgs."""
+"""What QGIS makes of the files of a map, a comparison and a check when they are dragged in, and of map.qgs."""
 
 import json
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import geopandas
+import numpy as np
 import pytest
+from check_records import made_up_check
+from route_maps import write_folder
+from route_records import MadeUpMap
+from survey_pairs import survey
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, CostTable, Georeference
+import bumpymap
+from bumpymap.check.pipeline import write_check
+from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_CLASS, CostTable, Georeference
 from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS
+from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
+from bumpymap.layers.colours import BARRED_COLOURS, CHANGE_COLOURS, CLASS_COLOURS, OFF_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.views import write_map_views
 from bumpytiles import BLOCK_TILES
@@ -189,3 +198,35 @@ def test_a_map_in_sheets_opens_as_one(tmp_path, cost_map):
     assert {Path(layer["source"]).name: layer["renderer"] for layer in project["layers"].values()} == expected
     assert all(found for *_, found in project["tree"])
     assert project["colours"] > 100
+
+
+def legend(names, colours):
+    return [[name, "#{:02x}{:02x}{:02x}".format(*colours[code])] for code, name in enumerate(names)]
+
+
+def test_a_comparison_shows_its_kinds_as_pixels_and_places(tmp_path):
+    later = survey(3, rut=0.1, c_r=3.0)
+    later.c_r[600:] = np.nan  # the ride over the end of the rut is not known
+    before, after = write_folder(tmp_path / "may", survey(1)), write_folder(tmp_path / "june", later)
+    change = bumpymap.diff_surveys(before, after, tmp_path / "out")
+    layers = load(change.folder)["layers"]
+    raster, places = layers["change.tif"], layers["change.geojson"]
+    assert (raster["renderer"], raster["bands"], raster["crs"]) == ("paletted", [6], "EPSG:32614")
+    assert raster["values"] == [0, 1, 2, 3, 4]
+    assert raster["legend"] == [[*entry, 255] for entry in legend(CHANGE_KINDS, CHANGE_COLOURS)]
+    assert raster["colours"] >= 3  # unchanged ground, and more than one kind of change
+    assert places["renderer"] == "categorizedSymbol"
+    assert [entry[:2] for entry in places["legend"]] == legend(CHANGE_KINDS, CHANGE_COLOURS)[1:]
+    assert places["drawn"] == Counter(about["kind"] for about in change.field.regions)
+    assert places["features"] == len(change.field.regions) > 0
+
+
+def test_stretches_are_drawn_by_how_far_the_map_is_off(tmp_path):
+    result = made_up_check(60, noise=0.4, unknown=[4])
+    write_check(result, tmp_path / "out", ground=MadeUpMap.around())
+    layer = load(tmp_path / "out")["layers"]["check.geojson"]
+    assert layer["renderer"] == "categorizedSymbol"
+    assert [entry[:2] for entry in layer["legend"]] == legend(OFF_KINDS, OFF_COLOURS)
+    assert layer["drawn"] == Counter(OFF_KINDS[kind] for kind in MapOffset.of(result.stretches).kind.tolist())
+    assert layer["features"] == 60
+    assert layer["colours"] > 6

@@ -20,11 +20,12 @@ from bumpymap.core import (
     Georeference,
 )
 from bumpymap.layers import write_products
+from bumpymap.layers.check_vectors import OFF_KINDS
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
-from bumpymap.views.gis.styles import write_styles
+from bumpymap.views.gis.styles import write_check_style, write_styles
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
@@ -101,7 +102,12 @@ def test_the_style_of_costs_serves_pixels_and_regions(alone):
     assert set(re.findall(r'"(\w+)"', root.find("renderer-v2").get("attr"))) == {"class_name", "passable"}
     assert [float(item.get("value")) for item in root.iter("item")] == [1, 1.5, 2, 4, 8, 16]
     (alone / "cost.tif").unlink()
-    assert styled(alone)["cost.qml"].find("pipe") is None
+    (alone / "barred.tif").unlink()
+    for path in alone.glob("*.qml"):
+        path.unlink()
+    styles = styled(alone)
+    assert styles["cost.qml"].find("pipe") is None
+    assert "barred.qml" not in styles
 
 
 def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
@@ -144,11 +150,6 @@ def test_the_relief_is_smooth_and_in_the_unit_of_the_crs(alone):
     assert styled(alone)["class.qml"].find("pipe/rasterresampler").get("zoomedInResampler") is None
 
 
-def test_styles_are_written_for_layers_that_are_there(tmp_path):
-    (tmp_path / "barred.tif").touch()
-    assert set(styled(tmp_path)) == {"barred.qml"}
-
-
 def test_a_project_lists_what_is_there(folder):
     root = read(folder / "map.qgs")
     layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
@@ -167,8 +168,8 @@ def test_a_project_lists_what_is_there(folder):
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
 
 
-def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds):
-    """Each with the colours of the map's own speed, under the tiles where drives fail; hidden when it is opened."""
+def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_speeds, cost_map):
+    """Each with the colours of the map's own speed, under the tiles where drives fail; a map without removes them."""
     manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
     files, _ = write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
     assert all(path.exists() for path in files)
@@ -186,17 +187,10 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
     bands = [layers[leaf.get("id")].find("pipe/rasterrenderer").get("band") for leaf in speeds]
     assert bands == ["1", "4"]
-
-
-def test_a_map_without_other_speeds_removes_those_of_an_earlier_one(tmp_path, at_two_speeds, cost_map):
-    speeds = {"speeds.tif", "speeds.qml"}
-    manifest = {"calibration": CALIBRATION, "settings": {"speeds": (0.5, 2.0)}}
-    write_products(at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=manifest)
-    assert speeds <= {path.name for path in tmp_path.iterdir()}
     write_products(
         CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={"calibration": CALIBRATION}
     )
-    assert not speeds & {path.name for path in tmp_path.iterdir()}
+    assert not {"speeds.tif", "speeds.qml"} & {path.name for path in tmp_path.iterdir()}
 
 
 def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
@@ -232,30 +226,25 @@ def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     assert set(alpha.values()) == {255}
 
 
-def test_a_project_has_the_crs_of_the_survey_and_shows_all_of_it(folder, cost_map):
+def test_a_project_shows_all_of_the_survey(folder, cost_map):
     root = read(folder / "map.qgs")
-    assert CRS.from_wkt(root.find("projectCrs/spatialrefsys/wkt").text).to_epsg() == 32614
-    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == "1"
     assert root.find("properties/Paths/Absolute").text == "false"
     extent = {side.tag: float(side.text) for side in root.find("mapcanvas/extent")}
     col, row = cost_map.patches.col, cost_map.patches.row
-    assert extent["xmin"] < 3 * col.min()
-    assert extent["xmax"] > 3 * col.max() + 3
-    assert extent["ymin"] < 3 * row.min()
-    assert extent["ymax"] > 3 * row.max() + 3
+    assert extent["xmin"] < 3 * col.min() < 3 * col.max() + 3 < extent["xmax"]
+    assert extent["ymin"] < 3 * row.min() < 3 * row.max() + 3 < extent["ymax"]
 
 
-def test_a_compound_crs_is_split(tmp_path, make_field):
-    georeference = Georeference(CRS.from_user_input("EPSG:32614+5703"))
-    write_products(
-        CostTable.of(make_field(4, 4, georeference=georeference)),
-        tmp_path,
-        views=write_map_views,
-        local=False,
-        manifest={},
-    )
-    for reference in read(tmp_path / "map.qgs").iter("spatialrefsys"):
-        assert CRS.from_wkt(reference.find("wkt").text).to_epsg() == 32614
+@pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
+def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
+    cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
+    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=crs is None, manifest={})
+    root = read(tmp_path / "map.qgs")
+    assert (root.find("projectCrs") is None) == (crs is None)
+    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == ("0" if crs is None else "1")
+    references = [reference.find("wkt").text for reference in root.iter("spatialrefsys")]
+    assert len(references) > 5
+    assert {text and CRS.from_wkt(text).to_epsg() for text in references} == {crs and 32614}
 
 
 def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
@@ -263,18 +252,7 @@ def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
     (tmp_path / "class.tif").write_bytes((folder / "class.tif").read_bytes())
     write_project(tmp_path, {"calibration": CALIBRATION, "crs": {"wkt": crs.to_wkt()}})
     known = CRS.from_wkt(read(tmp_path / "map.qgs").find("projectCrs/spatialrefsys/wkt").text)
-    assert known.name == "mine \ufffd / UTM zone 14N"
-
-
-def test_a_project_without_a_crs_has_none(tmp_path, make_field):
-    cost_map = make_field(4, 4, georeference=Georeference(None))
-    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=True, manifest={})
-    root = read(tmp_path / "map.qgs")
-    assert root.find("projectCrs") is None
-    assert root.find("properties/SpatialRefSys/ProjectionsEnabled").text == "0"
-    references = [*root.iter("spatialrefsys")]
-    assert len(references) > 5
-    assert not any(reference.find("wkt").text for reference in references)
+    assert known.name == r"mine \x01 / UTM zone 14N"
 
 
 def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
@@ -283,11 +261,17 @@ def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     write_project(tmp_path, record)
     root = read(tmp_path / "map.qgs")
-    assert root.find("title").text == "Pit \ufffd <7> \ufffd &: ride cost"
+    assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
     assert "warthog" in root.find("projectMetadata/abstract").text
     assert "c0ffee" in root.find("projectMetadata/abstract").text
     assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
     assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
+
+
+def test_stretches_that_errors_do_not_explain_are_larger(tmp_path):
+    write_check_style(tmp_path / "check.qml")
+    style = (tmp_path / "check.qml").read_text()
+    assert style.count("if(&quot;explained&quot; = false, 4.2, 2.6)") == len(OFF_KINDS)
 
 
 def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):

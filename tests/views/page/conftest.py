@@ -8,11 +8,12 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
+from cost_maps import with_objects
 from route_maps import write_folder
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
-from bumpymap.core import BARRED_TEXT, CANOPY, FREE, OBSTACLE, ObjectStack
+from bumpymap.core import BARRED_TEXT
 
 
 @pytest.fixture(scope="session")
@@ -55,20 +56,6 @@ class ReadPage:
 @pytest.fixture(name="read_page", scope="session")
 def read_page_fixture():
     return ReadPage
-
-
-def with_objects(cost_map, share=0.02, seed=1):
-    """The same map with things that stand on its ground."""
-    from dataclasses import replace
-
-    rng = np.random.default_rng(seed)
-    heights = cost_map.patches.heights
-    objects = rng.choice(np.array([FREE, OBSTACLE, CANOPY], np.uint8), heights.shape, p=[1 - 2 * share, share, share])
-    part = (objects == OBSTACLE).mean(axis=(1, 2)).astype(np.float32)
-    tiles = len(part)
-    unknown = np.full(tiles, np.nan, np.float32)
-    stack = ObjectStack(objects, part, unknown, unknown, np.zeros(tiles, np.float32))
-    return replace(cost_map, objects=stack)
 
 
 @pytest.fixture(scope="session")

@@ -191,6 +191,9 @@ def test_without_a_crs(tmp_path, read_page):
     assert abs(west - spot["east"]) <= spot["size"][0] / 2
     assert abs(north - spot["north"]) <= spot["size"][1] / 2
     assert "no place on Earth" in page.text
+    collection = json.loads((change.folder / "change.geojson").read_text())
+    assert "local_coordinates" in collection
+    assert 480_000 <= collection["bbox"][0] < collection["bbox"][2] <= 480_120
 
 
 def test_the_call_of_python_gives_what_the_files_hold(may, comparison, tmp_path):

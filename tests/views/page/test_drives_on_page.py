@@ -13,7 +13,7 @@ from page_outline import Outline
 from route_maps import copy_folder
 from route_records import MadeUpMap
 
-from bumpymap.check.output import write_check
+from bumpymap.check.pipeline import write_check
 from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
 from bumpymap.layers import open_map
 from bumpymap.layers.check_vectors import MapOffset
@@ -28,7 +28,7 @@ def on_site(result, site):
     part = np.linspace(0.1, 0.9, len(result.stretches.drive))
     easting = bounds.west + part * (bounds.east - bounds.west)
     northing = bounds.south + part * (bounds.north - bounds.south)
-    return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing), tiles=None), ground
+    return replace(result, stretches=replace(result.stretches, easting=easting, northing=northing)), ground
 
 
 @pytest.fixture(scope="module")

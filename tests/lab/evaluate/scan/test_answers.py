@@ -46,11 +46,6 @@ def test_sectors_without_a_label_are_not_judged():
     assert found.even == pytest.approx((1 / 2 + 1 / 2 + 1) / 3)
 
 
-def test_without_labels_nothing_is_right_or_wrong():
-    found = accuracy_of(np.full(7, -1), np.zeros(7, int))
-    assert np.isnan([found.right, found.even, *found.recall]).all()
-
-
 @pytest.mark.parametrize("seed", range(5))
 def test_no_limits_are_better_than_the_best(seed):
     rng = np.random.default_rng(seed)

@@ -1,27 +1,19 @@
-"""Sectors to learn from: from folders as data sets lay them out, and from scenes."""
-
-from dataclasses import fields
+"""Sectors to learn from, from folders as data sets lay them out."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from rellis_folder import write_folder
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
-from bumpymap.lab.train import scan_sectors as data
 from bumpymap.lab.train.scan_sectors import (
-    SWAPPED_MEASURES,
     Sectors,
     crowns_as_bushes,
     draw_epoch,
     folder_frames,
     folder_sectors,
     labelled_sectors,
-    overhead_sectors,
-    simulated_sectors,
 )
-from bumpymap.lab.worlds.scans.lidar import Sensor
 from bumpymap.readers import LABEL_SETS
 from bumpymap.scan.learned import CHANNELS, MEASURES
 
@@ -30,26 +22,7 @@ pytestmark = pytest.mark.slow
 CLASSES = LABEL_SETS["rellis"].class_of
 
 
-@pytest.fixture(autouse=True)
-def _coarse_mesh(monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
-
-
-SMALL = Sensor(lines=32, columns=512, end_m=40.0)
-
-
-def _same(one, two):
-    for field in fields(Sectors):
-        assert_array_equal(getattr(one, field.name), getattr(two, field.name), err_msg=field.name)
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    root = tmp_path_factory.mktemp("rellis")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
-        write_folder(root, 3, range(6), "00000", SMALL)
-        return write_folder(root, 3, range(6, 8), "00003", SMALL)
+POINTS, LABELS = "os1_cloud_node_kitti_bin", "os1_cloud_node_semantickitti_label_id"
 
 
 def _ring(label, z):
@@ -58,6 +31,24 @@ def _ring(label, z):
     away, turn = rng.uniform(5, 11, 8000), rng.uniform(0, 2 * np.pi, 8000)
     points = np.column_stack([away * np.cos(turn), away * np.sin(turn), z(rng, 8000)]).astype(np.float32)
     return Scan(points, None, np.full(8000, label, np.uint16))
+
+
+def write_frame(sequence, number, scan):
+    """Write a scan as frame ``number`` of a sequence of the data set."""
+    rows = np.column_stack([scan.points, np.ones(len(scan.points))]).astype("<f4")
+    for folder, suffix, values in ((POINTS, ".bin", rows), (LABELS, ".label", scan.label.astype("<u4"))):
+        (sequence / folder).mkdir(parents=True, exist_ok=True)
+        values.tofile(sequence / folder / f"{number:06d}{suffix}")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    root = tmp_path_factory.mktemp("rellis") / "Rellis-3D"
+    for sequence, count in (("00000", 6), ("00003", 2)):
+        for number in range(count):
+            label, high = ((3, 0.01), (19, 0.1), (4, 0.4))[number % 3]
+            write_frame(root / sequence, number, _ring(label, lambda rng, n, high=high: rng.normal(-1.5, high, n)))
+    return root
 
 
 @pytest.mark.parametrize("label", [label for label, class_id in CLASSES.items() if class_id >= 0])
@@ -94,7 +85,6 @@ def test_turned_cuts_see_the_same_ground_in_other_sectors():
     assert_allclose(thrice.measures.mean(axis=0), once.measures.mean(axis=0), atol=0.02)
 
 
-@pytest.mark.open3d
 def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     learn, unseen = folder_frames(folder)
     assert [path.stem for path in learn] == ["000000", "000001", "000002", "000003", "000004", "000000"]
@@ -104,18 +94,18 @@ def test_a_folder_of_the_data_set_is_found_and_split_by_time(folder):
     assert not set(learn) & set(unseen)
 
 
-@pytest.mark.open3d
-def test_a_folder_gives_what_its_scenes_give(folder, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.draw_sensor", lambda _rng: SMALL)
-    frames = [folder / "00000" / "os1_cloud_node_kitti_bin" / f"00000{k}.bin" for k in range(2)]
+def test_frames_of_a_folder_give_the_sectors_of_their_scans(folder):
+    frames = [folder / "00000" / POINTS / f"00000{k}.bin" for k in range(2)]
     told = []
     read = folder_sectors(frames, progress=lambda *numbers: told.append(numbers))
     assert told == [(1, 2), (2, 2)]
-    _same(read, simulated_sectors(3, range(2)))
-    assert set(read.class_id) <= {0, 1, 2}
+    scans = [_ring(3, lambda rng, n: rng.normal(-1.5, 0.01, n)), _ring(19, lambda rng, n: rng.normal(-1.5, 0.1, n))]
+    made = [labelled_sectors(scan) for scan in scans]
+    assert_array_equal(read.patches, np.concatenate([sectors.patches for sectors in made]))
+    assert_array_equal(read.class_id, np.concatenate([sectors.class_id for sectors in made]))
+    assert set(read.class_id) == {0, 1}
 
 
-@pytest.mark.open3d
 def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     with pytest.raises(BadInputError, match="does not exist"):
         folder_frames(tmp_path / "nowhere")
@@ -129,15 +119,6 @@ def test_folders_without_frames_or_labels_are_refused(folder, tmp_path):
     np.full(len(np.fromfile(source, "<f4")) // 4, 7, "<u4").tofile(tmp_path / "000000.label")
     with pytest.raises(BadInputError, match="ids of RELLIS-3D"):
         folder_sectors([lonely])
-
-
-@pytest.mark.open3d
-def test_kept_sectors_are_the_same_and_are_used(tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.worlds.scans.lidar.draw_sensor", lambda _rng: SMALL)
-    first = simulated_sectors(1, [2, 3], 1, tmp_path / "keep")
-    assert len(list((tmp_path / "keep").iterdir())) == 2
-    monkeypatch.setattr(data, "scene_scan", None)
-    _same(simulated_sectors(1, [2, 3], 1, tmp_path / "keep"), first)
 
 
 def _made(counts):
@@ -170,23 +151,3 @@ def test_an_epoch_is_balanced_mirrored_and_repeats_itself():
     for one, two in zip(draw_epoch(sectors, 20, np.random.default_rng(1)), (patches, measures, class_id), strict=True):
         assert_array_equal(one, two)
     assert_array_equal(sectors.patches, before)
-
-
-def test_some_measures_are_lent_and_others_never():
-    _, measures, _ = draw_epoch(_made([900, 900, 900]), 900, np.random.default_rng(1))
-    who = measures[:, MEASURES.index("distance")]
-    for column, name in enumerate(MEASURES):
-        foreign = (measures[:, column] != who).mean()
-        assert 0.1 < foreign < 0.2 if name in SWAPPED_MEASURES else foreign == 0
-        assert_array_equal(np.sort(measures[:, column]), np.sort(who))  # lent, not made up
-
-
-def test_ground_from_above_is_half_blocks_and_none_of_it_water():
-    sectors = overhead_sectors(1, [0, 5])
-    assert set(sectors.class_id) == {0, 1}
-    assert 0.2 < (sectors.label == 34).mean() < 0.8
-    assert not np.isin(sectors.label, (6, 31)).any()
-    blocks, rest = (sectors.measures[sectors.label == 34], sectors.measures[sectors.class_id == 0])
-    column = MEASURES.index("residual")
-    assert np.median(blocks[:, column]) > np.median(rest[:, column]) + 0.3  # more than twice as rough
-    _same(overhead_sectors(1, [0, 5]), sectors)

@@ -12,11 +12,10 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'"
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.lab.settings import ScanTrainSettings  # noqa: E402
-from bumpymap.lab.train import scan_net  # noqa: E402
 from bumpymap.lab.train.scan_net import evaluate, make_scan_model, to_onnx, train  # noqa: E402
 from bumpymap.lab.train.scan_sectors import Sectors  # noqa: E402
 from bumpymap.lab.train.textures import predict  # noqa: E402
-from bumpymap.scan.learned import CHANNELS, MEASURES, SECTOR_VERSION, ScanModel, infer  # noqa: E402
+from bumpymap.scan.learned import CHANNELS, MEASURES, ScanModel, infer  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -97,15 +96,19 @@ def test_onnx_says_what_torch_says(small):
     assert_array_equal(alone[0], said[7])  # whatever stands beside it
 
 
-@pytest.mark.open3d
 def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
-    from rellis_folder import write_folder
-
-    from bumpymap.lab.worlds.scans.lidar import Sensor
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bumpymap.lab.worlds.scans.ground.STEP", 0.04)
-        folder = write_folder(tmp_path, 3, range(4), sensor=Sensor(lines=32, columns=512, end_m=40.0))
+    folder = tmp_path / "Rellis-3D"
+    for number in range(4):
+        rng = np.random.default_rng(number)
+        away, turn = np.sqrt(rng.uniform(16.0, 400.0, 9_000)), rng.uniform(0, 2 * np.pi, 9_000)
+        third = (turn // (2 * np.pi / 3)).astype(int)
+        z = -1.0 + np.array([0.003, 0.06, 0.4])[third] * rng.standard_normal(9_000)
+        rows = np.column_stack([away * np.cos(turn), away * np.sin(turn), z, np.ones(9_000)]).astype("<f4")
+        labels = np.array([10, 19, 4], "<u4")[third]
+        for name, values in (("kitti_bin/{}.bin", rows), ("semantickitti_label_id/{}.label", labels)):
+            path = folder / "00000" / f"os1_cloud_node_{name}".format(f"{number:06d}")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            values.tofile(path)
     told = []
     out = tmp_path / "m.onnx"
     made = make_scan_model(SMALL, out, folder, None, lambda *numbers: told.append(numbers))
@@ -115,18 +118,8 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
     assert model.metadata["command"].startswith("bumpymap train --scans RELLIS_FOLDER --set seed=1 --set epochs=2")
     card = made.card.read_text(encoding="utf-8")
     assert f"{100 * made.evaluation.every.accuracy:.2f} % of all sectors" in card
-    assert "synthetic" not in card
     again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)
     assert again.model.read_bytes() == out.read_bytes()
-
-
-def test_simulated_scans_make_a_model_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(scan_net, "UNSEEN_SCENES", 2)
-    monkeypatch.setattr(scan_net, "simulated_sectors", lambda _seed, scenes, *_rest: _sectors(scenes[0]))
-    made = make_scan_model(replace(SMALL, scenes=3), tmp_path / "m.onnx")
-    assert "3 synthetic scenes" in made.card.read_text(encoding="utf-8")
-    assert made.evaluation.scans == 2
-    assert ScanModel.load(made.model).metadata["sector_version"] == str(SECTOR_VERSION)
 
 
 def test_bad_places_and_folders_are_refused(tmp_path):

@@ -42,14 +42,6 @@ def test_every_terrain_is_finite_has_relief_and_no_more_than_the_ground_of_its_s
         assert 0.002 < relief < 4.5
 
 
-def test_height_scale_scales_the_ground_and_not_its_slope():
-    for kind in KINDS:
-        whole, half = (make_terrain(kind, 4, 2, height_scale=scale).surface for scale in (1.0, 0.5))
-        np.testing.assert_allclose(without_plane(half), without_plane(whole) / 2, atol=1e-9)
-        zero = make_terrain(kind, 4, 2, height_scale=0.0)
-        np.testing.assert_allclose(without_plane(zero.surface), 0, atol=1e-9)
-
-
 @pytest.mark.parametrize("limit", [10.0, 30.0])
 def test_slopes_reach_a_little_beyond_the_limit_and_half_of_them_are_gentle(limit):
     slopes = np.array(

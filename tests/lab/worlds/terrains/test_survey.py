@@ -47,22 +47,6 @@ def test_white_noise_has_its_deviation_and_neighbours_do_not_share_it(noise):
     assert abs(correlation) < 0.06
 
 
-@pytest.mark.parametrize("length", [0.1, 0.4])
-def test_shared_errors_have_their_deviation_and_fall_off_with_distance(length):
-    # White noise blurred by a Gaussian of standard deviation s: covariance exp(-d^2 / (4 s^2)).
-    draws = [survey(LEVEL, seed, density=300, noise_m=0.03, noise_length_m=length) for seed in range(30)]
-    variance = np.mean([np.mean(p.upward**2) for p in draws])
-    assert np.sqrt(variance) == pytest.approx(0.03, rel=0.12)
-    for lag in (0.5 * length, 2 * length):
-        products = []
-        for p in draws:
-            place = np.stack([p.easting, p.northing], axis=1)
-            pairs = cKDTree(place).query_pairs(lag * 1.05, output_type="ndarray")
-            far = np.linalg.norm(place[pairs[:, 0]] - place[pairs[:, 1]], axis=1) > lag * 0.95
-            products.append(np.mean(p.upward[pairs[far, 0]] * p.upward[pairs[far, 1]]))
-        assert np.mean(products) / 0.03**2 == pytest.approx(np.exp(-(lag**2) / (4 * length**2)), abs=0.16)
-
-
 @pytest.mark.parametrize("share", [0.1, 0.4])
 def test_holes_take_about_their_share_and_leave_empty_discs(share):
     full = survey(LEVEL, density=300)
@@ -73,18 +57,6 @@ def test_holes_take_about_their_share_and_leave_empty_discs(share):
     grid = np.stack(np.meshgrid(np.linspace(0.3, 2.7, 60), np.linspace(0.3, 2.7, 60)), axis=-1).reshape(-1, 2)
     empty = [cKDTree(np.stack([p.easting, p.northing], axis=1)).query(grid)[0].max() for p in (full, points)]
     assert empty[0] < 0.18 < empty[1]
-
-
-@pytest.mark.parametrize("smoothing", [0.1, 0.3])
-def test_smoothing_damps_a_wave_as_a_gaussian_does(smoothing):
-    axis = (np.arange(60) + 0.5) * 0.05
-    length = 1.0
-    wave = Terrain("wave", np.broadcast_to(np.sin(2 * np.pi * axis / length), (60, 60)).copy(), 3.0)
-    points = survey(wave, density=1000, smoothing_m=smoothing)
-    middle = np.abs(points.easting - 1.5) < 0.5
-    basis = np.sin(2 * np.pi * points.easting[middle] / length)
-    amplitude = float(basis @ points.upward[middle] / (basis @ basis))
-    assert amplitude == pytest.approx(np.exp(-2 * (np.pi * smoothing / length) ** 2), abs=0.02)
 
 
 @pytest.mark.parametrize(

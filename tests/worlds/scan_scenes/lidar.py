@@ -12,11 +12,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import UsageError
-from bumpymap.lab.worlds.scans.ground import ground_mesh
-from bumpymap.lab.worlds.scans.scene import Scene
-from bumpymap.lab.worlds.scans.things import REFLECTIONS, Floats, Label
+from bumpymap.core import Scan, UsageError
 from bumpymap.lab.worlds.terrains import log_uniform
+from scan_scenes.ground import ground_mesh
+from scan_scenes.scene import Scene, make_scene
+from scan_scenes.things import REFLECTIONS, Floats, Label
 
 Pattern = Literal["lines", "rosette"]
 """Horizontal lines, or loops through the middle of the view, as two rotating prisms make them."""
@@ -186,7 +186,7 @@ def load_open3d(what: str) -> Any:
         import open3d
     except (ImportError, OSError) as error:
         if isinstance(error, ModuleNotFoundError) and error.name == "open3d":
-            raise UsageError(f"{what} needs open3d. Install it with: pip install 'bumpymap[o3d]'") from error
+            raise UsageError(f"{what} needs open3d. Install it with: pip install open3d") from error
         raise UsageError(
             f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs system libraries. "
             "On Debian and Ubuntu: sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6"
@@ -367,6 +367,14 @@ def _returns(
     seen &= (near <= sensor.end_m) & (near > 0.3)
     stays = rng.uniform(size=count) < kept
     return seen & stays & (rng.uniform(size=count) >= sensor.lost), seen & ~stays, bright
+
+
+def scene_scan(seed: int, index: int) -> Scan:
+    """Simulate the scan of one synthetic scene; every scene has another sensor."""
+    sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
+    seen = simulate_scan(make_scene(seed, index), sensor, index)
+    there = seen.points.any(axis=1)
+    return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
 
 
 _START_M = 4.0

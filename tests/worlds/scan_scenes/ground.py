@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.lab.worlds.scans.things import Field, Floats, Label, smoothstep
 from bumpymap.lab.worlds.terrains import log_uniform
+from scan_scenes.things import Field, Floats, Label, smoothstep
 
 
 @dataclass(frozen=True, slots=True)

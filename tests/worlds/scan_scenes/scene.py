@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bumpymap.core import UsageError
-from bumpymap.lab.worlds.scans import things as make
-from bumpymap.lab.worlds.scans.ground import Bank, Blob, Region, Road, SceneGround, make_blob, make_road
-from bumpymap.lab.worlds.scans.things import Floats, Height, Label, Triangles, make_field
 from bumpymap.lab.worlds.terrains import log_uniform
+from scan_scenes import things as make
+from scan_scenes.ground import Bank, Blob, Region, Road, SceneGround, make_blob, make_road
+from scan_scenes.things import Floats, Height, Label, Triangles, make_field
 
 _END_M = 85.0
 """Things stand along the road up to this distance."""

@@ -1,0 +1,221 @@
+"""Commands of a few lines: ``compile``, ``demo``, ``report``, ``settings`` and ``vehicle``."""
+
+import shlex
+import shutil
+from importlib import import_module
+from itertools import chain
+from math import degrees
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
+from bumpymap.cli._text import print_line
+from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
+
+if TYPE_CHECKING:
+    from bumpymap.rating import Vehicle
+
+__all__ = ["compile_command", "demo_command", "report_command", "settings_command", "vehicle_command"]
+
+_SAMPLE = Path("sample_data") / "quarry.laz"
+"""In an installed package it lies inside, in the sources beside it."""
+_WITH_SETTINGS = ("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
+
+
+@job("compile")
+def compile_command(run: Run) -> None:
+    """Compile the numerical kernels, and the templates of pages, now and once, not in the first run that needs them."""
+    from bumpymap.views import compile_pages
+    from bumpytiles import compile_packages
+
+    with run.progress():
+        kept = compile_packages("bumpymap", "bumpytiles")
+        compile_pages()
+    if not kept:
+        folder = "a folder of your own that nobody else can write to"
+        raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
+
+
+@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
+@click.option(
+    "--out",
+    default="demo_out",
+    type=PATH,
+    metavar="DIR",
+    show_default=True,
+    help="Folder for the survey and the layers.",
+)
+def demo_command(run: Run, out: Path) -> None:
+    """Map a synthetic quarry as an example."""
+    from bumpymap.cli._summary import map_lines, map_record
+    from bumpymap.layers import REPORT_NAME
+    from bumpymap.survey import map_surveys
+
+    survey = _copy_sample(out / "survey" / _SAMPLE.name)
+    config = MapConfig(surveys=(survey,), out=out / "layers", overwrite=True)
+    with run.progress() as progress:
+        result = map_surveys(config, progress)
+    look = [f"Open {config.out / 'map.qgs'} in QGIS, or the layers in any other GIS."]
+    look += [f"Open {config.out / REPORT_NAME} in a browser."]
+    run.show(map_record(result, config), chain([f"Mapped {survey}"], map_lines(result, config), look))
+
+
+def _copy_sample(survey: Path) -> Path:
+    """Copy the sample survey and return the copy."""
+    package = Path(__file__).resolve().parents[1]
+    found = [path for path in (package / _SAMPLE, package.parent / _SAMPLE) if path.is_file()]
+    if not found:
+        raise BadInputError(f"{package / _SAMPLE} is missing: install bumpymap again")
+    try:
+        survey.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write the survey to {survey.parent}: {error}. Choose another --out") from error
+    with atomic(survey) as beside:
+        shutil.copyfile(found[0], beside)
+    return survey
+
+
+@job("report", quiet="Print nothing.")
+@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
+@grouped_option(
+    "--route",
+    group="Input",
+    type=PATH,
+    metavar="PATH",
+    help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
+)
+@grouped_option(
+    "--check", group="Input", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there."
+)
+@grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
+def report_command(run: Run, layers: tuple[Path, ...], **settings: Any) -> None:
+    """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
+
+    For one folder of `bumpymap diff`, the page of what has changed is made again.
+
+    \b
+    bumpymap report layers --route way
+    bumpymap report layers --check checked
+    bumpymap report may_layers june_layers --out may_and_june.html
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    if not layers:
+        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
+    from bumpymap.views import write_reports
+
+    path = write_reports(layers, **settings)
+    run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])
+
+
+@click.command("settings")
+@click.argument("command_name", type=click.Choice(_WITH_SETTINGS), metavar="COMMAND")
+def settings_command(command_name: str) -> None:
+    """Print a settings file of COMMAND: every setting with its description and default, commented out.
+
+    Remove the # before a line to set it, and give the file with --config. One setting alone is given with --set
+    KEY=VALUE, that of a table with --set TABLE.KEY=VALUE.
+
+    \b
+    bumpymap settings map > map.toml
+    bumpymap map site.laz --out layers --config map.toml
+    bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    print_line(
+        f"# Settings of `bumpymap {command_name}`, with their defaults. Remove the # before a line to set it, and give"
+    )
+    print_line("# the file with --config. Options override it; paths are relative to this file.")
+    print_line()
+    owners = import_module(f"bumpymap.cli.{command_name}_command").command.owners
+    for line in settings_template(owners).splitlines():
+        print_line(line)
+
+
+@click.group("vehicle")
+def vehicle_command() -> None:
+    """List, create and check vehicle profiles.
+
+    \b
+    bumpymap vehicle list
+    bumpymap vehicle new my_vehicle
+    bumpymap vehicle check my_vehicle.toml
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+
+
+@vehicle_command.command("list")
+def list_command() -> None:
+    """List the included vehicles."""
+    from bumpymap.rating import load_profile, shipped_profiles
+
+    for name in shipped_profiles():
+        print_line(f"{name:12s} {load_profile(name).description}")
+
+
+@vehicle_command.command("check")
+@click.argument("vehicle", metavar="NAME_OR_FILE")
+def check_command(vehicle: str) -> None:
+    """Report the errors in a profile, or a summary of the vehicle and what was estimated.
+
+    NAME_OR_FILE is a TOML file or the name of an included vehicle. The exit code is 3 if the profile has errors.
+    """
+    from bumpymap.rating import estimated_values, load_profile
+
+    profile = load_profile(vehicle)
+    for name, value in (*_meaning(profile), ("calibration", _calibration(vehicle))):
+        print_line(f"{name:13s} {value}")  # one line each, so that a command in it can be copied
+    estimates = estimated_values(vehicle)
+    if estimates:
+        print_line("estimated from mass, size and suspension; each may be set in the profile:")
+    for name, value in estimates.items():
+        print_line(f"  {name} = {value}")
+
+
+@vehicle_command.command("new")
+@click.argument("name", metavar="NAME")
+@click.option("--out", type=PATH, metavar="FILE", help="File to write [default: NAME.toml].")
+@click.option("--like", metavar="NAME_OR_FILE", help="Copy all values of this vehicle instead.")
+def new_command(name: str, out: Path | None, like: str | None) -> None:
+    """Write a vehicle profile to fill in: ten values, with units and ranges; the rest is estimated from them.
+
+    NAME is the name of the vehicle.
+    """
+    from bumpymap.rating import write_profile_template
+
+    path = out or Path(f"{name}.toml")
+    write_profile_template(name, path, like)
+    what = "change what differs" if like else "fill it in"
+    print_line(f"wrote {path}: {what}, then: bumpymap vehicle check {shlex.quote(str(path))}")
+
+
+def _meaning(profile: "Vehicle") -> list[tuple[str, str]]:
+    wheel, belly = profile.wheel, profile.belly
+    return [
+        ("vehicle", f"{profile.name}: {profile.description}"),
+        ("mass", f"{profile.mass_kg:,.6g} kg"),
+        ("footprint", f"{profile.length_m:.3g} m long, {profile.width_m:.3g} m wide"),
+        ("wheels", f"radius {wheel.radius_m:g} m, {profile.wheelbase_m:g} m from axle to axle"),
+        ("belly", f"{belly.length_m:g} m x {belly.width_m:g} m, {belly.clearance_m:g} m above level ground"),
+        ("driven at", f"{profile.speed_mps:g} m/s, on slopes up to {profile.slope_limit_deg:g} degrees"),
+        ("floor", _floor(profile.floor.c_r_radpm)),
+        ("ride weight", f"{profile.ride_weight:g} m/rad: acceptable detour to avoid one radian of pitch motion"),
+        ("fail weight", f"{profile.fail_weight:g} m: acceptable detour to avoid one failure"),
+    ]
+
+
+def _floor(c_r: float) -> str:
+    if c_r == 0.0:
+        return "none: C_r is that of the ground alone, and even ground reads as almost free"
+    return f"{c_r:g} rad/m ({degrees(c_r):.1f} degrees of pitch motion per metre) on even, level ground"
+
+
+def _calibration(vehicle: str) -> str:
+    """Return the calibration of the vehicle and how to use it, or why there is none."""
+    from bumpymap.rating import find_calibration
+
+    try:
+        found: Any = find_calibration(vehicle)
+    except BadInputError as error:
+        return str(error)
+    tiles = f"tiles of {found.tile_size:g} m with {found.pixels} pixels"
+    return f"{found.id}, {tiles}; bumpymap map --vehicle {shlex.quote(vehicle)}"
