@@ -35,15 +35,12 @@ Bytes = NDArray[np.uint8]
 
 _LEAST_GROUND = 3
 """Pixels with ground that make a surface."""
-_DENSE, _LOW = 8, 3
-"""So many more points overhead than on the ground are a thing that lets no pulse through; fewer where nothing is higher
-than `_TALL` around: a hedge or a van is so low, the top of a tree is not."""
+_DENSE = 5
+"""So many more points overhead than on the ground are a thing that lets no pulse through."""
 _FEW = 4.0
 """With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5."""
-_TALL, _LEAVES = 1.0, 12
+_LEAFY, _LEAVES = 1.0, 12
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, so many points reach no ground by chance."""
-_TOP = 3
-"""Pixels around one overhead in which its top is looked for."""
 _BESIDE = 3
 """Points of the ground count so often in a square, which may hold much of what is beside the thing."""
 _RIDGE = 1.0
@@ -102,11 +99,10 @@ class ObjectScratch(NamedTuple):
     """The same shape: lowest point overhead, m above the ground."""
     body: Annotated[Integers, 2]
     """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, those far above, and those of leaves among them."""
+    above, those above, those under, and those of leaves above."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
-    tall: Annotated[Integers, 2]
     leaves: Annotated[Integers, 2]
     places: Annotated[Integers, 1]
     """(pixels^2,) pixels with ground, row by row, and the height of each above the plane, m."""
@@ -116,7 +112,7 @@ class ObjectScratch(NamedTuple):
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
     floats = [np.empty((pixels, pixels)) for _ in range(3)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(6)]
+    whole = [np.empty((pixels, pixels), np.int32) for _ in range(5)]
     return ObjectScratch(
         surface=floats[0],
         top=floats[1],
@@ -125,8 +121,7 @@ def object_scratch(pixels: int) -> ObjectScratch:
         company=whole[1],
         above=whole[2],
         under=whole[3],
-        tall=whole[4],
-        leaves=whole[5],
+        leaves=whole[4],
         places=np.empty(pixels * pixels, np.int32),
         rests=np.empty(pixels * pixels),
     )
@@ -206,9 +201,7 @@ def _count_points(
             scratch.above[r, c] += 1
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
-            is_tall = h > limits.high + _TALL
-            scratch.tall[r, c] += is_tall
-            scratch.leaves[r, c] += is_tall and kind[i] == POINT_PLANT
+            scratch.leaves[r, c] += kind[i] == POINT_PLANT and h > limits.high + _LEAFY
         elif h >= limits.low:
             scratch.body[r, c] += 1
             scratch.company[r, c] += 1
@@ -223,7 +216,7 @@ def _clear(scratch: ObjectScratch) -> None:
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
             scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
-            scratch.under[r, c] = scratch.tall[r, c] = scratch.leaves[r, c] = 0
+            scratch.under[r, c] = scratch.leaves[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -292,7 +285,6 @@ def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: 
                     state[r, c] = LONE
             elif scratch.above[r, c] > 0 and _box_sum(scratch.above, r, c, reach) >= need:
                 least = _LEAVES if scratch.leaves[r, c] > 0 else _DENSE
-                least = _LOW if _box_sum(scratch.tall, r, c, _TOP) == 0 else least
                 state[r, c] = SOLID if _is_dense(seen, scratch.company, r, c, least) else CANOPY
             if seen[r, c] > 0:
                 state[r, c] += SEEN

@@ -165,7 +165,7 @@ def _nearest_state(own: Bytes, at: int, most: int, factor: int, offsets: Rows) -
             return OBSTACLE
         if found == UNSEEN:
             square = offsets[k, 2]
-        if near and (state == SOLID or (_is_overhead(state) and offsets[k, 2] == square)):
+        if _is_overhead(state) and near and offsets[k, 2] == square:
             found = state
         elif found == UNSEEN:
             found = FREE
