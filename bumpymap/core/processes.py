@@ -88,10 +88,12 @@ class SharedMemory:
             self._collect()
             start = self._first_gap(length)
             if start + length > self.size or self._map is None:
-                self.size = -(-(start + length) // _GROWTH) * _GROWTH
-                os.ftruncate(self.descriptor, self.size)
-                # Arrays in use keep the map that they were created from.
-                self._map = mmap.mmap(self.descriptor, self.size)
+                grown = -(-(start + length) // _GROWTH) * _GROWTH
+                os.ftruncate(self.descriptor, grown)
+                # Arrays in use keep the map that they were created from. Where no memory is left for a larger one,
+                # nothing has changed.
+                self._map = mmap.mmap(self.descriptor, grown)
+                self.size = grown
             self._ends[start] = start + length
             whole = np.frombuffer(self._map, np.uint8, length, start)
         weakref.finalize(whole, self._freed.append, start).atexit = False

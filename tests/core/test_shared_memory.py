@@ -1,5 +1,6 @@
 """Shared memory: no two arrays that are in use overlap, whatever is dropped in between, and place is used again."""
 
+import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.processes import SharedMemory
@@ -46,3 +47,20 @@ def test_trimming_takes_nothing_from_anyone():
     again = memory.allocate(5)
     again.data[:] = 8
     assert again.data.tolist() == [8] * 5
+
+
+def test_a_map_that_no_memory_is_left_for_leaves_the_one_that_is_there(monkeypatch):
+    memory = SharedMemory()
+    held = memory.allocate(1000)
+
+    def refuse(*_):
+        raise OSError(12, "Cannot allocate memory")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.core.processes.mmap.mmap", refuse)
+        for _ in range(2):  # as two threads that ask one after the other
+            with pytest.raises(OSError, match="Cannot allocate memory"):
+                memory.allocate(1 << 30)
+    held.data[:] = 7
+    assert memory.allocate(1 << 20).data.size == 1 << 20
+    assert (held.data == 7).all()

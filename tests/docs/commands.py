@@ -21,7 +21,7 @@ from bumpymap.cli import main as bumpymap_main
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
 PROGRAMS = (
-    "bumpymap", "dask", "gdal_translate", "gdaldem", "grass", "make", "pip", "python", "sudo",
+    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
 )  # fmt: skip
 SHELL = {"", "bash", "console", "sh", "shell"}
 CRS = "EPSG:32614"
@@ -42,6 +42,7 @@ RULES = (
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
     Rule(r"^dask |scheduler=|^export DASK_", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
     Rule(r"--out s3://", "takes a server: tests/survey/batch/test_remote.py has one"),
+    Rule(r"^(openssl|chmod) ", "makes keys: tests/survey/engine/test_cluster_security.py runs them"),
     Rule(r"^gdal", "takes GDAL's own tools"),
     Rule(r"^grass ", "takes GRASS"),
     Rule(r"^(xdg-open|qgis) ", "opens a window"),

@@ -125,8 +125,10 @@ def test_all_loaded_modules_are_compiled_at_once_and_reports_tell_how_far_it_is(
     code += "    native.compile_loaded()\nprint(*told)"
     assert run(place, code) == "(0, 1) (1, 1)"
     assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "other"}
+    for file in (place / "cache").iterdir():
+        file.unlink()
     assert run(place, "import tiny, third\n" + RUN) == run(place)
-    assert len(list((place / "cache").iterdir())) == 3
+    assert {file.name.split(".")[1] for file in (place / "cache").iterdir()} == {"weigh", "third"}
     assert ran(place, "import tiny, third\n" + RUN).stderr == ""
 
 

@@ -346,8 +346,13 @@ def _write(file: Path, content: bytes) -> None:
             raise
 
 
-@cache
+_said: list[str] = []
+
+
 def _say_once(where: str) -> None:
+    if _said:
+        return
+    _said.append(where)
     _log.warning(
         "the numerical kernels are compiled in every run, which takes many seconds, because they cannot be cached%s. "
         "Set NUMBA_CACHE_DIR to a folder of your own that nobody else can write to",
