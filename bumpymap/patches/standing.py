@@ -153,7 +153,7 @@ def find_in_relief(
     if block is not None:
         things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
     stack.objects[things] = OBSTACLE
-    for t in np.flatnonzero(patches.spread_count.sum(axis=(1, 2)) < patches.count):
+    for t in np.flatnonzero(patches.spread_count.sum(axis=(1, 2)) < patches.count).tolist():
         _mark_strays(t, points, patches, body, stack.objects[t], near[t])
     return ReliefObjects(stack, near, has_room)
 
@@ -252,7 +252,7 @@ def _without_strays(
     if not len(asked):
         return points, patches
     flag, kept = points.flag.copy(), []
-    for t in asked:
+    for t in asked.tolist():
         known = np.isfinite(patches.heights[t]) & ~near[t]
         if known.sum() < THIN_POINTS:
             continue
