@@ -152,7 +152,7 @@ def print_table(rows: Iterable[Sequence[str]], titles: Sequence[str] = ()) -> No
     for place, (first, *others) in enumerate(shown):
         if titles:
             cells = [first.ljust(widths[0]), *(cell.rjust(w) for cell, w in zip(others, widths[1:], strict=True))]
-            print_line("  ".join(cells), "" if place else "bold")
+            print_line("  ".join(cells).rstrip(), "" if place else "bold")
         else:
             room = max(get_terminal_size().columns - widths[0] - 4, 20)
             lines = others if is_plain() else wrap(others[0], room, break_on_hyphens=False) or others

@@ -49,6 +49,12 @@ def test_every_way_out_shows_it(capsys):
     assert json.loads(out.splitlines()[-1])["name"] == WICKED
 
 
+def test_a_line_of_a_table_ends_with_its_last_value(capsys):
+    print_table([("smooth", "2", "0.04"), ("all the others", "13", "")], ["class", "tiles", "c_r"])
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["class           tiles   c_r", "smooth              2  0.04", "all the others     13"]
+
+
 def test_an_encoding_without_the_letters(monkeypatch):
     raw = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(raw, "ascii"))
