@@ -1,9 +1,10 @@
 """Map a survey and random copies of it with fewer points, and count the tiles that a copy bars or opens.
 
-    python tests/benchmarks/thinned_maps.py SURVEY [--crs EPSG:CODE] [--densities 10,6] [--seed 1] [--dense LAYERS]
+    python tests/benchmarks/thinned_maps.py SURVEY [--crs CRS] [--densities 10,6] [--seed 1] [--dense LAYERS] [--twin]
 
 A copy bars a tile if it is passable in the map of all points and not in that of the copy; unknown tiles of the copy
-count as barred, and are named. It opens one that is barred, and not unknown, in the map of all points.
+count as barred, and are named. It opens one that is barred, and not unknown, in the map of all points. With --twin the
+copy is held against another of its density: so much is due to chance alone.
 """
 
 import argparse
@@ -44,6 +45,7 @@ def main():
     parser.add_argument("--densities", default="10,6", help="points per m2")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--dense", type=Path, help="layers of all points, if they were mapped")
+    parser.add_argument("--twin", action="store_true", help="hold each copy against another of its density")
     given = parser.parse_args()
     settings = {} if given.crs is None else {"crs": given.crs}
     with tempfile.TemporaryDirectory() as folder:
@@ -57,10 +59,14 @@ def main():
         print("| points/m2 | passable tiles that it bars | by reason | barred tiles that it opens | by reason before |")
         print("|---|---|---|---|---|")
         for wanted in map(float, given.densities.split(",")):
-            write_copy(given.survey, wanted / density, given.seed, work / "copy.las")
-            bumpymap.map_survey(work / "copy.las", work / f"at_{wanted:g}", **settings)
-            after = barred_tiles(work / f"at_{wanted:g}")
-            pairs = np.array([(code, after.get(tile, Barred.UNKNOWN)) for tile, code in before.items()])
+            maps = []
+            for seed in (given.seed, given.seed + 1)[: 1 + given.twin]:
+                write_copy(given.survey, wanted / density, seed, work / "copy.las")
+                bumpymap.map_survey(work / "copy.las", work / f"at_{wanted:g}_{seed}", **settings)
+                maps.append(barred_tiles(work / f"at_{wanted:g}_{seed}"))
+            after = maps[0]
+            first = maps[1] if given.twin else before
+            pairs = np.array([(code, after.get(tile, Barred.UNKNOWN)) for tile, code in first.items()])
             passable = pairs[pairs[:, 0] == Barred.NO, 1]
             closed = pairs[~np.isin(pairs[:, 0], (Barred.NO, Barred.UNKNOWN))]
             opened = closed[closed[:, 1] == Barred.NO, 0]
