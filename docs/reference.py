@@ -41,7 +41,7 @@ def _filled(marker: re.Match[str]) -> str:
         return _table(("key", "unit", "allowed", "meaning"), rows)
     if kind == "vehicles":
         profiles = [load_profile(vehicle).to_dict() for vehicle in shipped_profiles()]
-        rows = ((f"`{key.name}`", *(_plain(_value(profile, key.name)) for profile in profiles)) for key in KEYS)
+        rows = ((f"`{key.name}`", *(_plain(key.value_in(profile)) for profile in profiles)) for key in KEYS)
         return _table(("key", *(f"`{vehicle}`" for vehicle in shipped_profiles())), rows)
     if kind == "include":
         return _included(Path(__file__).parent / name)
@@ -71,13 +71,6 @@ def _columns(fields: Iterable[pa.Field]) -> str:
         for notes in [field.metadata]
     )
     return _table(("column", "type", "unit", "content"), rows)
-
-
-def _value(profile: dict[str, Any], key: str) -> Any:
-    """Return the value of a key such as ``chassis.mass_kg``."""
-    for name in key.split("."):
-        profile = profile[name]
-    return profile
 
 
 def _plain(value: float | list[float]) -> str:

@@ -182,6 +182,7 @@ from .scan_types import (
     SectorRide as SectorRide,
     SectorStack as SectorStack,
     cell_numbers as cell_numbers,
+    first_cells as first_cells,
     point_classes as point_classes,
     sector_bounds as sector_bounds,
 )
@@ -231,7 +232,6 @@ from .types import (
     NO_CLASS as NO_CLASS,
     OBJECT_NAMES as OBJECT_NAMES,
     OBSTACLE as OBSTACLE,
-    OBSTACLE_MARGIN_M as OBSTACLE_MARGIN_M,
     OPEN_THROUGH as OPEN_THROUGH,
     POINT_BUILDING as POINT_BUILDING,
     POINT_GROUND as POINT_GROUND,
@@ -264,6 +264,7 @@ from .types import (
     VehicleBody as VehicleBody,
     corners_join as corners_join,
     neighbour_columns as neighbour_columns,
+    obstacle_reach as obstacle_reach,
     rated_columns as rated_columns,
     speed_bands as speed_bands,
     tile_columns as tile_columns,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core.types import OBSTACLE_MARGIN_M, CostRule, Georeference
+from bumpymap.core.types import CostRule, Georeference, obstacle_reach
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -38,8 +38,8 @@ class RouteVehicle:
 
     @property
     def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m: half its width and `OBSTACLE_MARGIN_M`."""
-        return 0.5 * self.width_m + OBSTACLE_MARGIN_M
+        """Distance that the middle of the vehicle keeps from obstacles, m."""
+        return obstacle_reach(self.width_m)
 
 
 @dataclass(frozen=True, slots=True)

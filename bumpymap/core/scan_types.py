@@ -32,6 +32,7 @@ __all__ = [
     "SectorRide",
     "SectorStack",
     "cell_numbers",
+    "first_cells",
     "point_classes",
     "sector_bounds",
 ]
@@ -362,11 +363,16 @@ def sector_bounds(stack: SectorStack) -> SectorBounds:
     return SectorBounds(near, near + depth[stack.zone], right, right + width[stack.zone])
 
 
+def first_cells(settings: PolarSettings) -> NDArray[np.int64]:
+    """Return the number of the first cell of each zone, counted in zone, ring, sector order."""
+    cells = np.array(settings.sectors) * settings.rings
+    return np.asarray(np.cumsum(cells) - cells)
+
+
 def cell_numbers(stack: SectorStack) -> NDArray[np.int64]:
     """Return the numbers of sectors among all cells of their grid, (n,), counted in zone, ring, sector order."""
-    sectors, rings = np.array(stack.settings.sectors), np.array(stack.settings.rings)
-    before = np.cumsum(sectors * rings) - sectors * rings
-    return np.asarray(before[stack.zone] + stack.ring * sectors[stack.zone] + stack.sector)
+    sectors, first = np.array(stack.settings.sectors), first_cells(stack.settings)
+    return np.asarray(first[stack.zone] + stack.ring * sectors[stack.zone] + stack.sector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,8 +396,7 @@ class PolarCells:
         inside = (zone >= 0) & (zone < len(sectors))
         zone = np.where(inside, zone, 0)
         ring = ((distance - edges[zone]) / np.diff(edges)[zone] * rings[zone]).astype(np.int64)
-        before = np.cumsum(sectors * rings) - sectors * rings
-        first = before[zone] + np.clip(ring, 0, rings[zone] - 1) * sectors[zone]
+        first = first_cells(settings)[zone] + np.clip(ring, 0, rings[zone] - 1) * sectors[zone]
         around = np.where(inside, sectors[zone], 0).astype(distance.dtype)
         return cls(settings, np.where(inside, first, int(sectors @ rings)).astype(np.int32), around, turn)
 

@@ -33,7 +33,6 @@ __all__ = [
     "NO_CLASS",
     "OBJECT_NAMES",
     "OBSTACLE",
-    "OBSTACLE_MARGIN_M",
     "OPEN_THROUGH",
     "POINT_BUILDING",
     "POINT_GROUND",
@@ -67,6 +66,7 @@ __all__ = [
     "VehicleBody",
     "corners_join",
     "neighbour_columns",
+    "obstacle_reach",
     "rated_columns",
     "speed_bands",
     "tile_columns",
@@ -375,8 +375,13 @@ class VehicleBody:
         return max(self.clearance_m, self.brush_stem_m)
 
 
-OBSTACLE_MARGIN_M = 0.1
+_OBSTACLE_MARGIN_M = 0.1
 """Room between vehicle and obstacle, m: half a pixel of 0.2 m, for an obstacle fills its pixel only in part."""
+
+
+def obstacle_reach(width_m: float) -> float:
+    """Return the distance that the middle of a vehicle keeps from obstacles, m: half its width and a margin."""
+    return 0.5 * width_m + _OBSTACLE_MARGIN_M
 
 
 def corners_join(width_m: float, reach_m: float, pixel_m: float) -> bool:

@@ -1,4 +1,4 @@
-"""What stands on the ground or hangs over it: the points that are no ground, by their height above it."""
+"""Things that stand on the ground or hang over it: the points that are no ground, by their height above it."""
 
 import numpy as np
 from numpy.typing import NDArray

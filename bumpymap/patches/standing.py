@@ -1,4 +1,4 @@
-"""What the ground filter left standing: boulders and bushes lower than its threshold, found in heightmaps.
+"""Things that the ground filter left standing: boulders and bushes lower than its threshold, found in heightmaps.
 
 The filter keeps what lies close to its cloth, up to half a metre above. That belongs to the relief, and it
 is also in the way of a vehicle whose belly is lower.
@@ -72,7 +72,7 @@ Marks = NDArray[np.bool_]
 
 
 class ReliefObjects(NamedTuple):
-    """What stands on tiles where all points count as ground."""
+    """Things that stand on tiles where all points count as ground."""
 
     stack: ObjectStack
     """One row a tile."""
@@ -153,7 +153,8 @@ def find_in_relief(
     if block is not None:
         things, near, has_room = (marks[_rows_in(block, patches)] for marks in (things, near, has_room))
     stack.objects[things] = OBSTACLE
-    for t in np.flatnonzero(patches.spread_count.sum(axis=(1, 2)) < patches.count).tolist():
+    has_strays = patches.spread_count.sum(axis=(1, 2)) < patches.count
+    for t in np.flatnonzero(has_strays & _is_thin(stack.objects != EMPTY)).tolist():
         _mark_strays(t, points, patches, body, stack.objects[t], near[t])
     return ReliefObjects(stack, near, has_room)
 
@@ -161,7 +162,7 @@ def find_in_relief(
 def _mark_strays(
     t: int, points: TilePoints, patches: PatchStack, body: VehicleBody, states: NDArray[np.uint8], near: Marks
 ) -> None:
-    """Mark the pixels of a thin tile with strays at the height of the vehicle, and those near ones that it closes."""
+    """Mark the pixels of strays at the height of the vehicle in a thin tile as ``LONE``, and ``near`` around them."""
     known = np.isfinite(patches.heights[t])
     if known.sum() < THIN_POINTS:
         return
@@ -171,9 +172,14 @@ def _mark_strays(
     strays = (above > max(ground.max(), body.lowest_obstacle_m)) & (above <= body.height_m)
     strays &= (held > patches.spread_count[t])[row, col]
     found[row[strays], col[strays]] = True
-    if -math.log1p(-min(np.mean(found | (states != EMPTY)), 0.99)) < THIN:
+    if _is_thin(found | (states != EMPTY)):
         states[found] = LONE
         near |= _with_neighbours(found)
+
+
+def _is_thin(seen: Marks) -> Marks:
+    """Return whether tiles have as few points as `settle_solids` takes for thin; ``seen`` (.., pixels, pixels)."""
+    return np.asarray(-np.log1p(-np.minimum(seen.mean(axis=(-2, -1)), 0.99)) < THIN)
 
 
 def leave_out_standing(

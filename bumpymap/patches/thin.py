@@ -1,4 +1,4 @@
-"""What the points of thinly surveyed tiles tell beyond their pixels; see ``docs/pages/measuring.md``."""
+"""Measures of thinly surveyed tiles from their points, beyond their pixels; see ``docs/pages/measuring.md``."""
 
 import numpy as np
 from numpy.typing import NDArray

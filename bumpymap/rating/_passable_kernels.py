@@ -39,11 +39,11 @@ class Mosaic(NamedTuple):
     radius: float
     """Distance from obstacles that the middle of the vehicle keeps, px."""
     corners: bool
-    """Whether free pixels hang together by their corners too, see `bumpymap.core.corners_join`."""
+    """True if free pixels hang together by their corners too, see `bumpymap.core.corners_join`."""
 
 
 class InnerTiles(NamedTuple):
-    """What is known, and filled, for the tiles within the ring."""
+    """Values that are read and filled for the tiles within the ring."""
 
     edges: Annotated[Booleans, 3]
     """(tiles - 2, tiles - 2, 4) which edges can be crossed: north, east, south, west."""
@@ -79,7 +79,7 @@ def grow_scratch(rows: int, cols: int, pixels: int, radius: float) -> GrowScratc
 
 @helper
 def _has_company(objects: Bytes, pixels: int, r: int, c: int) -> bool:
-    """Whether a pixel of another tile among the eight around one holds points of an obstacle."""
+    """Return whether a pixel of another tile among the eight around one holds points of an obstacle."""
     for row in range(max(0, r - 1), min(objects.shape[0], r + 2)):
         for col in range(max(0, c - 1), min(objects.shape[1], c + 2)):
             other = row // pixels != r // pixels or col // pixels != c // pixels
@@ -180,7 +180,7 @@ def _count(sides: int) -> int:
 
 @helper
 def _near_obstacle(mosaic: Mosaic, top: int, left: int) -> bool:
-    """Whether an obstacle lies in a tile, or within the radius of one of its pixels."""
+    """Return whether an obstacle lies in a tile, or within the radius of one of its pixels."""
     rows, cols = mosaic.objects.shape
     reach, last = math.ceil(mosaic.radius), mosaic.pixels - 1
     for r in range(max(0, top - reach), min(rows, top + last + reach + 1)):

@@ -80,7 +80,7 @@ class StepMosaic(NamedTuple):
 
 
 class RawSteps(NamedTuple):
-    """What `find_raw_steps` fills."""
+    """Arrays that `find_raw_steps` fills."""
 
     least: Annotated[Floats, 2]
     """(rows, cols) the least step anywhere in the pixel, m; NaN where a side is unknown."""

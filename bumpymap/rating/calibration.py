@@ -117,9 +117,9 @@ class Calibration:
     """Everything needed to repeat the calibration: seed, command, versions, integrator settings, rule of the class
     limits. ``library`` holds the results of the drives over the terrain library, to fit a ride model again."""
     steps: dict[str, Any] | None = None
-    """What steps do to the vehicle, see ``bumpymap.rating.steps``; None: made without."""
+    """Effect of steps on the vehicle, see ``bumpymap.rating.steps``; None: made without."""
     motion: dict[str, Any] | None = None
-    """What other speeds do, and how it rolls and lifts, see ``bumpymap.rating.ride.speed``; None: made without."""
+    """Ride at other speeds, roll and lift, see ``bumpymap.rating.ride.speed``; None: made without."""
 
     def __post_init__(self) -> None:
         _check_numbers(self)

@@ -39,7 +39,7 @@ class TilesToRate(NamedTuple):
 
 
 class CostTables(NamedTuple):
-    """What a calibration says of every texture."""
+    """Table of a calibration, for every texture."""
 
     log_range: Annotated[Floats, 1]
     """(rungs,) ln of the calibrated z ranges."""
@@ -63,7 +63,7 @@ class CostRules(NamedTuple):
 
 
 class RatedTiles(NamedTuple):
-    """What is filled where a tile is known."""
+    """Arrays that are filled where a tile is known."""
 
     class_id: Annotated[NDArray[np.uint8], 1]
     """(tiles,) class."""

@@ -190,7 +190,7 @@ _STEPS = 12
 
 @dataclass(frozen=True, slots=True)
 class DrivePrior:
-    """What is known of the numbers before any drive."""
+    """Distribution of the numbers before any drive."""
 
     middle: float
     """ln C_r [rad/m] at which the shift is told."""
@@ -207,7 +207,7 @@ class DrivePrior:
 
 @dataclass(frozen=True, slots=True)
 class MovePosterior:
-    """What is known of the numbers after the drives."""
+    """Distribution of the numbers after the drives."""
 
     mean: Floats
     """(p,)"""

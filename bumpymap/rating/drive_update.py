@@ -62,7 +62,7 @@ class LogMove:
 
     @property
     def intercept(self) -> float:
-        """What is added to ``slope`` times ln C_r."""
+        """Constant that is added to ``slope`` times ln C_r."""
         return self.shift - self.tilt * self.middle
 
     def log(self, log_c_r: Floats) -> Floats:
@@ -194,7 +194,7 @@ _FLOOR_LOG_SD = 0.5, 1.0
 
 @dataclass(frozen=True, slots=True)
 class UpdateSettings:
-    """What is assumed, and how much is asked for, before a calibration is moved."""
+    """Prior of the numbers, and how much must have been driven before a calibration is moved."""
 
     shift_sd: float = 0.2
     """Standard deviation of the shift of ln C_r before any drive."""
@@ -232,7 +232,7 @@ class DriveUpdate:
     floor: tuple[float, float]
     """C_r of even ground before and after, rad/m."""
     factor: tuple[float, float, float]
-    """What the calibration's C_r is multiplied by in the middle of that range: low, median and high of 80 %."""
+    """Factor on the calibration's C_r in the middle of that range: low, median and high of 80 %."""
     ratio: tuple[float, float]
     """Median of C_r / measured before and after."""
     held_out_error: tuple[float, float]

@@ -1,9 +1,9 @@
-"""Which tiles a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
+"""Tiles that a vehicle can pass: between obstacles, over edges, on slopes and ground that it survives."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import OBSTACLE_MARGIN_M, Barred, VehicleBody, corners_join
+from bumpymap.core import Barred, VehicleBody, corners_join, obstacle_reach
 from bumpymap.rating._passable_kernels import (
     InnerTiles,
     Mosaic,
@@ -20,7 +20,7 @@ __all__ = ["close_split_tiles", "find_passable", "free_areas", "settle_objects"]
 _MOST_MARGIN = 0.45
 """Of a tile: what wide vehicles keep from tiles that their ground bars, so that corridors of one tile stay open."""
 _GROUND = (Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.STEP)
-"""What bars a whole tile; obstacles bar pixels."""
+"""Reasons that bar a whole tile; obstacles bar pixels."""
 
 
 def settle_objects(objects: NDArray[np.uint8], pixels: int) -> NDArray[np.uint8]:
@@ -83,7 +83,7 @@ def find_passable(
     found = InnerTiles(
         np.ascontiguousarray(edge_usable, np.bool_), wanted, *(np.empty(alone.shape, np.bool_) for _ in range(3))
     )
-    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
+    radius = obstacle_reach(body.width_m) * pixels / tile_size
     mosaic = Mosaic(np.ascontiguousarray(objects), pixels, radius, _by_corners(body, tile_size / pixels))
     rows, cols = objects.shape
     find_ways(mosaic, found, grow_scratch(rows, cols, pixels, radius))
@@ -116,7 +116,7 @@ def free_areas(
     """
     count = len(barred) + 2
     pixels = len(objects) // count
-    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
+    radius = obstacle_reach(body.width_m) * pixels / tile_size
     scratch = grow_scratch(len(objects), objects.shape[1], pixels, radius)
     corners = _by_corners(body, tile_size / pixels)
     grow_obstacles(Mosaic(np.ascontiguousarray(objects), pixels, radius, corners), scratch)
@@ -157,7 +157,7 @@ def close_split_tiles(
     split = np.zeros(barred.shape, np.bool_)
     corners = _by_corners(body, tile_size / pixels)
     close_split(np.ascontiguousarray(areas), largest, barred == Barred.NO, corners, split)
-    radius = (0.5 * body.width_m + OBSTACLE_MARGIN_M) * pixels / tile_size
+    radius = obstacle_reach(body.width_m) * pixels / tile_size
     near = _beside(np.isin(barred, _GROUND), min(radius, _MOST_MARGIN * pixels), pixels)
     inner = areas[1:-1, 1:-1]
     final = np.where(split, np.uint8(Barred.SPLIT), barred)[1:-1, 1:-1]
@@ -166,7 +166,7 @@ def close_split_tiles(
 
 def _by_corners(body: VehicleBody, pixel: float) -> bool:
     """Say whether free pixels hang together by their corners too; ``pixel``: their side, m."""
-    return corners_join(body.width_m, 0.5 * body.width_m + OBSTACLE_MARGIN_M, pixel)
+    return corners_join(body.width_m, obstacle_reach(body.width_m), pixel)
 
 
 def _numbered(free: NDArray[np.bool_], corners: bool) -> NDArray[np.uint8]:

@@ -118,6 +118,10 @@ class ProfileKey:
         """Name within the table."""
         return self.name.rpartition(".")[2]
 
+    def value_in(self, profile: Mapping[str, Any]) -> Any:
+        """Return its value in a profile, as `Vehicle.to_dict` returns one."""
+        return (profile[self.table] if self.table else profile)[self.short]
+
 
 def profile_keys(owner: Any, table: str = "") -> tuple[ProfileKey, ...]:
     """Return the quantities of a dataclass and of its nested dataclasses, in the order of the file."""

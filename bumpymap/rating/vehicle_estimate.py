@@ -30,7 +30,7 @@ ESTIMATED = (
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """What a short profile says of the vehicle as a whole, in the place of its parts."""
+    """Mass and kind of the whole vehicle, which a short profile gives in the place of its parts."""
 
     mass_kg: Annotated[float, Quantity("kg", 0.3, 1.2e6, "mass of the whole vehicle, payload included")]
     suspension: Literal["rocker", "sprung", "rigid"]
@@ -47,7 +47,7 @@ class _Rules:
     centre: float
     """Height of the centre of mass above the axles, in wheel radii."""
     overhang: float
-    """What the belly is longer than the wheelbase, over the wheelbase."""
+    """Length of the belly beyond the wheelbase, over the wheelbase."""
     box: tuple[float, float, float]
     """Solid box with the chassis' moments of inertia: length over the wheelbase, width and height over the track."""
     limit_rad: float
@@ -80,7 +80,7 @@ class CompletedProfile:
     values: dict[str, Any]
     """Estimated values by key, such as ``chassis.com_height_m``."""
     faults: list[str]
-    """What is wrong with the keys of `Whole`."""
+    """Faults of the keys of `Whole`."""
 
 
 def estimate_profile(record: Any) -> CompletedProfile:
@@ -166,5 +166,5 @@ def _rounded(value: float) -> float:
 
 
 def _is_positive(value: Any) -> bool:
-    """Whether a value of a TOML file is a number above 0."""
+    """Return whether a value of a TOML file is a number above 0."""
     return isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf

@@ -404,7 +404,7 @@ def profile_template(name: str, like: str | None) -> str:
         model = load_profile(like).to_dict()
         lines.append(f"# The numbers are those of {model['name']}: change whatever differs.")
         keys, description = KEYS, f"like {model['name']}"
-        values = {key.name: (model[key.table] if key.table else model)[key.short] for key in KEYS}
+        values = {key.name: key.value_in(model) for key in KEYS}
     lines += [f"name = {json.dumps(name)}", "# A one-line description."]
     lines.append(f"description = {json.dumps(description, ensure_ascii=False)}")
     if like is None:

@@ -123,10 +123,10 @@ def is_url(location: object) -> bool:
 
 
 class RangeFile(io.RawIOBase):
-    """A raw stream of the bytes of a file or URL, which are read by `read_range`."""
+    """A raw stream of the bytes of a URL, which are read by `read_range`."""
 
-    def __init__(self, location: Location) -> None:
-        self._location, self._size, self._at = location, size_of(location), 0
+    def __init__(self, url: str) -> None:
+        self._url, self._size, self._at = url, size_of(url), 0
 
     def readable(self) -> bool:
         """Return True."""
@@ -144,7 +144,7 @@ class RangeFile(io.RawIOBase):
 
     def readinto(self, buffer: Any) -> int:
         """Read bytes into a buffer, up to the end of the file; return how many."""
-        data = read_range(self._location, self._at, max(min(len(buffer), self._size - self._at), 0))
+        data = read_range(self._url, self._at, max(min(len(buffer), self._size - self._at), 0))
         np.frombuffer(buffer, np.uint8)[: data.size] = data
         self._at += data.size
         return data.size

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PolarSettings
+from bumpymap.core import PolarSettings, first_cells
 from bumpymap.scan._drop_kernels import DropRule, GroundPoints, find_drops
 from bumpymap.scan._ground_kernels import (
     FOUND,
@@ -268,7 +268,7 @@ def cell_layout(settings: PolarSettings) -> CellGeometry:
     """Return the cells with distances in the place of x, and azimuths from sector 0 in the place of y."""
     edges = np.array([*settings.zone_starts_m, settings.end_m])
     sectors, rings = np.array(settings.sectors, np.int32), np.array(settings.rings, np.int32)
-    first = np.concatenate([[0], np.cumsum(sectors * rings)[:-1]]).astype(np.int32)
+    first = first_cells(settings).astype(np.int32)
     zone = np.repeat(np.arange(len(sectors), dtype=np.int32), sectors * rings)
     place = np.arange(len(zone), dtype=np.int32) - first[zone]
     ring, sector = place // sectors[zone], place % sectors[zone]

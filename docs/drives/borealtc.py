@@ -58,7 +58,7 @@ class BorealDrive:
 
     @property
     def is_driven(self) -> bool:
-        """Whether it goes forward and nearly straight in the mean."""
+        """True if it goes forward and nearly straight in the mean."""
         return bool(self.speed.mean() > FORWARD_MPS and np.abs(self.apart).mean() < APART_MPS)
 
     @property

@@ -143,7 +143,7 @@ def pixel_means(heights: Floats, nodes: int = PIXEL) -> Floats:
 
 
 class Felt(NamedTuple):
-    """What one simulated drive felt."""
+    """Ride of one simulated drive."""
 
     c_r: float
     """Of the pitch rate low-passed at 10 Hz, rad/m; NaN if it does not get on."""

@@ -45,7 +45,7 @@ _GPU_LIBRARIES = re.compile(r"(nvidia|cuda)-")
 
 @dataclass(frozen=True, slots=True)
 class Licence:
-    """What a package says of itself."""
+    """Licence that a package states."""
 
     families: tuple[str, ...]
     """Empty: nobody can tell."""
@@ -53,7 +53,7 @@ class Licence:
 
     @property
     def refused(self) -> bool:
-        """Whether a package under Apache-2.0 should not lean on it; a choice between licences may leave it out."""
+        """True if a package under Apache-2.0 should not lean on it; a choice between licences may leave it out."""
         return any(family in REFUSED for family in self.families)
 
 

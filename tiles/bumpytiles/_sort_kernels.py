@@ -154,7 +154,7 @@ def _fill_buckets(count: int, scratch: SortScratch) -> None:
 
 @helper
 def _comes_later(points: MarkedPoints, o: int, i: int) -> Any:
-    """Whether point o goes behind point i, where their keys are equal."""
+    """Return whether point o goes behind point i, where their keys are equal."""
     if points.easting[o] != points.easting[i]:
         return points.easting[o] > points.easting[i]
     if points.northing[o] != points.northing[i]:

@@ -130,12 +130,12 @@ class TileBuckets:
 
     @property
     def is_full(self) -> bool:
-        """Whether points in memory take more than the limit: finish complete blocks, then ``compact``."""
+        """True if points in memory take more than the limit: finish complete blocks, then ``compact``."""
         return self.limits is not None and self._bytes > self.limits.waiting_bytes
 
     @property
     def must_spill(self) -> bool:
-        """Whether too little is free after ``compact``: call ``spill``."""
+        """True if too little is free after ``compact``: call ``spill``."""
         return self.limits is not None and self._bytes > (1 - _LEAST_ROOM) * self.limits.waiting_bytes
 
     def compact(self) -> None:
@@ -218,7 +218,7 @@ class TileBuckets:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no point is in memory."""
+        """True if no point is in memory."""
         return not self._chunks
 
     def keys(self) -> list[BlockKey]:

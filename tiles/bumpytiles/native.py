@@ -64,7 +64,7 @@ _OPTIONS = {"error_model": "numpy"}
 _INSIDE = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Options of what only compiled code calls; saves a fifth of the time."""
 _LIBM = frozenset({"acos", "erfc", "exp", "fmax", "fmin", "log", "memcpy", "memmove", "memset", "pow", "sqrt"})
-"""What machine code may call outside itself."""
+"""Functions that machine code may call outside itself."""
 _HEAD = 2 * hashlib.sha256().digest_size
 """Bytes before the machine code in a file: the key of what it must be of, and the digest of the code."""
 

@@ -50,7 +50,7 @@ Floats = NDArray[np.float64]
 
 @helper
 def _no_strays(distance: Floats, low: float, high: float, gap: float, most: int) -> bool:
-    """Whether it is plain that ``stray_bounds`` finds none (low and high are the extremes of the distances).
+    """Return whether ``stray_bounds`` plainly finds none (low and high are the extremes of the distances).
 
     The gap beside a stray is wider than ``gap`` and than the spread of all that stays. So what stays reaches neither
     from the lowest third of the range into the highest, nor from one end of the range into the third at the other
@@ -203,7 +203,7 @@ def fit_plane(
 
 @helper
 def is_plane(plane: Plane) -> bool:
-    """Whether it is one."""
+    """Return whether it is one."""
     return plane[0] != 0.0 or plane[1] != 0.0 or plane[2] != 0.0
 
 
@@ -262,7 +262,7 @@ class MeasureSettings(NamedTuple):
 
 
 class TileMeasures(NamedTuple):
-    """What is filled."""
+    """Arrays that are filled."""
 
     scalars: Annotated[Floats, 2]
     """(tiles, 9) z_min, z_max, z_variance, residual, slope, z_range, coverage, relief, strays. NaN where a tile has no

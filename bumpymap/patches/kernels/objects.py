@@ -61,7 +61,7 @@ class ObjectLimits(NamedTuple):
 
 
 class TileObjects(NamedTuple):
-    """What is read and filled."""
+    """Arrays that are read and filled."""
 
     kind: Annotated[Bytes, 1]
     """(points,) kind of each point."""
@@ -253,7 +253,7 @@ def _box_sum(counts: Integers, r: int, c: int, half: int) -> int:
 
 @helper
 def _is_dense(seen: Integers, company: Integers, r: int, c: int, least: int) -> bool:
-    """Whether points overhead outnumber those of the ground on a row of five pixels, or in a square, around one.
+    """Return whether more points are overhead than on the ground, on a row of five pixels or in a square around one.
 
     On a wall from 0.3 m on they do. On a wire or a twig the ground beside it outnumbers them.
     """

@@ -222,7 +222,7 @@ def _is_under(label: Bytes, r: int, c: int) -> bool:
 
 @helper
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
-    """Whether what is overhead stands on the ground: none is seen around, or beneath what lets no pulse through."""
+    """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
     overhead = under = ground = 0
     solid = False
     for k in range(len(scratch.offsets)):
@@ -241,7 +241,7 @@ def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
 
 @helper
 def _is_line_end(marks: Bytes, r: int, c: int, down: int, right: int) -> bool:
-    """Whether a line of obstacle points that ends in a pixel comes from one direction, with nothing at its sides."""
+    """Return whether obstacle points that end in a pixel come in a line from one direction, with nothing beside it."""
     count = 0
     # Across the line, down and right change places.
     far_down, far_right = _AROUND * right // 2, -(_AROUND * down // 2)

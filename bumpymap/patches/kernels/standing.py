@@ -41,7 +41,7 @@ PAIR_MEASURES = 5 + 2 * LAGS
 
 
 class PairSettings(NamedTuple):
-    """What is measured."""
+    """Settings of `measure_pairs`."""
 
     tile_size: float
     """m."""
@@ -210,7 +210,7 @@ class StandingLimits(NamedTuple):
     raised: float
     """Pixels so high above that surface are those of things, m."""
     drop: float
-    """What a side drops, m."""
+    """Drop at a side, m."""
     least: float
     """Pixels of things that are lower are left out, m."""
     share: float

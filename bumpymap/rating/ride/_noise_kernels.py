@@ -155,7 +155,7 @@ class Spectrum(NamedTuple):
 
 
 class DenoisedPatches(NamedTuple):
-    """What is filled."""
+    """Arrays that are filled."""
 
     clean: Annotated[Singles, 3]
     """(tiles, pixels, pixels) relief without noise, m."""

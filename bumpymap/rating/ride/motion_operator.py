@@ -1,4 +1,4 @@
-"""What pitches, rolls and lifts a chassis at several speeds, by geometry alone: more rows over the same rolled wheels.
+"""Pitch, roll and lift of a chassis at several speeds, by geometry alone: more rows over the same rolled wheels.
 
 Strategy. As in ``bumpymap.rating.ride.operator``, a sample is a row of a sparse matrix over the nodes of the envelope:
 
@@ -101,7 +101,7 @@ _APART = 2
 
 @dataclass(frozen=True, slots=True)
 class Rides:
-    """What a vehicle does on each of n patches; NaN where a patch has NaN."""
+    """Motion of a vehicle on each of n patches; NaN where a patch has NaN."""
 
     pitch_change: NDArray[np.float64]
     """(n,) mean absolute change of the chassis' pitch per metre, rad/m: the geometric C_r."""

@@ -43,7 +43,7 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 QUANTITIES = ("c_r", "c_roll", "a_w")
-"""What is predicted at each speed: rad/m, rad/m, m/s2."""
+"""Predicted at each speed: rad/m, rad/m, m/s2."""
 _TERMS = {"c_r": 6, "c_roll": 7, "a_w": 10}
 _PLAIN_TERMS = {"c_r": 5, "c_roll": 6, "a_w": 6}
 _LEAST = 1e-5
@@ -74,7 +74,7 @@ class MotionFit:
 
 @dataclass(frozen=True, slots=True)
 class MotionModel:
-    """What drives at several speeds taught, fitted to the drives of a calibration."""
+    """Model of the ride at several speeds, fitted to the drives of a calibration."""
 
     speed_mps: float
     """The profile's own speed."""
