@@ -25,18 +25,7 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.colours import class_limits
-from bumpymap.layers.geotiff import (
-    write_barred,
-    write_classes,
-    write_cost,
-    write_heightmap,
-    write_obstacles,
-    write_passage,
-    write_reasons,
-    write_relief,
-    write_roughness,
-    write_speeds,
-)
+from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
@@ -226,7 +215,7 @@ def write_products(
     progress : Progress, optional
         Counts the layers as they are written.
     around : TileTable, optional
-        See `write_relief`.
+        See `write_raster`.
 
     Returns
     -------
@@ -280,24 +269,20 @@ def _layers(
     Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = as_tags(metadata)
-    speeds: dict[tuple[str, ...], Callable[[], None]] = (
-        {(SPEEDS_NAME,): partial(write_speeds, table, folder / SPEEDS_NAME, tags)} if table.speeds else {}
+    fine = ("heightmap.tif", "relief.tif", "obstacle.tif", "passage.tif")
+    coarse = (
+        "roughness.tif",
+        "class.tif",
+        "reason.tif",
+        "cost.tif",
+        "barred.tif",
+        *([SPEEDS_NAME] * bool(table.speeds)),
     )
     return [
-        {
-            ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
-            ("relief.tif",): partial(write_relief, table, folder / "relief.tif", tags, around),
-            ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
-            ("passage.tif",): partial(write_passage, table, folder / "passage.tif", tags),
-        },
-        {
-            ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
-            ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
-            ("reason.tif",): partial(write_reasons, table, folder / "reason.tif", tags),
-            ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
-            ("barred.tif",): partial(write_barred, table, folder / "barred.tif", tags),
-            **speeds,
-        },
+        *(
+            {(name,): partial(write_raster, name, table, folder / name, tags, around) for name in names}
+            for names in (fine, coarse)
+        ),
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
             ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet", tags),

@@ -8,7 +8,7 @@ from region_files import regions_of, write_flatgeobuf, write_geojson
 from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
-from bumpymap.layers.geotiff import write_classes, write_heightmap, write_relief, write_roughness
+from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.tile_table import write_tiles
 
 
@@ -75,10 +75,10 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
 
 
 WRITERS = {
-    "roughness.tif": lambda cost_map, path: write_roughness(CostTable.of(cost_map), path),
-    "class.tif": lambda cost_map, path: write_classes(CostTable.of(cost_map), path),
-    "heightmap.tif": lambda cost_map, path: write_heightmap(CostTable.of(cost_map), path),
-    "relief.tif": lambda cost_map, path: write_relief(CostTable.of(cost_map), path),
+    **{
+        name: lambda cost_map, path, name=name: write_raster(name, CostTable.of(cost_map), path)
+        for name in ("roughness.tif", "class.tif", "heightmap.tif", "relief.tif")
+    },
     "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
     "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
     "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),

@@ -29,27 +29,12 @@ from bumpymap.core.types import (
 from bumpymap.layers import _cog
 from bumpymap.layers._cog import checksum, require_disk_space, require_intact, write_value_table
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.geotiff import (
-    write_barred,
-    write_classes,
-    write_cost,
-    write_heightmap,
-    write_obstacles,
-    write_reasons,
-    write_relief,
-    write_roughness,
-)
+from bumpymap.layers.geotiff import write_raster
 from bumpytiles import Grid
 
 WRITERS = {
-    "roughness": lambda cost_map, *rest: write_roughness(CostTable.of(cost_map), *rest),
-    "class": lambda cost_map, *rest: write_classes(CostTable.of(cost_map), *rest),
-    "reason": lambda cost_map, *rest: write_reasons(CostTable.of(cost_map), *rest),
-    "cost": lambda cost_map, *rest: write_cost(CostTable.of(cost_map), *rest),
-    "barred": lambda cost_map, *rest: write_barred(CostTable.of(cost_map), *rest),
-    "obstacle": lambda cost_map, *rest: write_obstacles(CostTable.of(cost_map), *rest),
-    "heightmap": lambda cost_map, *rest: write_heightmap(CostTable.of(cost_map), *rest),
-    "relief": lambda cost_map, *rest: write_relief(CostTable.of(cost_map), *rest),
+    name: lambda cost_map, *rest, file=f"{name}.tif": write_raster(file, CostTable.of(cost_map), *rest)
+    for name in ("roughness", "class", "reason", "cost", "barred", "obstacle", "heightmap", "relief")
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
@@ -161,7 +146,7 @@ def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
     share[5] = np.nan  # its free pixels are not known to be free
     stack = ObjectStack(objects, share, share, share, share)
-    write_obstacles(CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    write_raster("obstacle.tif", CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
     with rasterio.open(tmp_path / "obstacle.tif") as file:
         pixels, index = file.read(1), file.index
         assert file.nodata == NO_CLASS

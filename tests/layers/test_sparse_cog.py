@@ -7,7 +7,7 @@ from rasterio.windows import Window
 from rio_cogeo import cog_validate
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, CostTable
-from bumpymap.layers.geotiff import write_heightmap, write_obstacles
+from bumpymap.layers.geotiff import write_raster
 from bumpytiles import TileTable
 
 
@@ -25,10 +25,10 @@ def files(scattered, tmp_path_factory):
     """The same raster by the sparse writer and by GDAL's driver."""
     folder = tmp_path_factory.mktemp("sparse")
     paths = folder / "sparse.tif", folder / "gdal.tif"
-    write_heightmap(scattered, paths[0], {"vehicle": "warthog"})
+    write_raster("heightmap.tif", scattered, paths[0], {"vehicle": "warthog"})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
-        write_heightmap(scattered, paths[1], {"vehicle": "warthog"})
+        write_raster("heightmap.tif", scattered, paths[1], {"vehicle": "warthog"})
     return paths
 
 
@@ -82,10 +82,10 @@ def obstacles(scattered, tmp_path_factory):
     found["obstacle"][::2], found["obstacle"][1::2] = np.nan, 0.1
     table = CostTable(scattered.georeference, scattered.rule, TileTable.of(scattered.tiles.grid, found))
     paths = folder / "sparse.tif", folder / "gdal.tif"
-    write_obstacles(table, paths[0], {"vehicle": "warthog"})
+    write_raster("obstacle.tif", table, paths[0], {"vehicle": "warthog"})
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bumpymap.layers.geotiff._SPARSE", 0.0)
-        write_obstacles(table, paths[1], {"vehicle": "warthog"})
+        write_raster("obstacle.tif", table, paths[1], {"vehicle": "warthog"})
     return paths
 
 
