@@ -30,7 +30,7 @@ from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.sheet_paths import remove_speeds
+from bumpymap.layers.sheet_paths import SPEEDS_FILES, remove_files
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
@@ -252,7 +252,7 @@ def write_products(
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     if not table.speeds:
-        remove_speeds(folder)
+        remove_files(folder, SPEEDS_FILES)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
 

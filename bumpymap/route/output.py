@@ -26,7 +26,6 @@ from bumpymap.layers import (
     write_isochrones,
     write_profile,
     write_reach,
-    write_reach_back,
     write_route_geojson,
 )
 from bumpymap.views import write_route_picture
@@ -45,7 +44,7 @@ ROUTE_KINDS = {
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), "reach.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
 )
 
@@ -186,7 +185,7 @@ def write_reach_files(
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach_back.tif (with back-links), isochrones.geojson (with levels) and route.json to a folder.
+    """Write reach.tif, isochrones.geojson (with levels) and route.json to a folder.
 
     ``out`` may be one file instead, .tif for the cost or .geojson for the isochrones. For the other parameters, the
     result and errors see `write_routes`.
@@ -195,8 +194,6 @@ def write_reach_files(
     name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
     about = {"vehicle": name} if isinstance(name, str) else {}
     writers: dict[str, Writer] = {"reach.tif": partial(write_reach, reach, about=about)}
-    if reach.back is not None:
-        writers["reach_back.tif"] = partial(write_reach_back, reach, about=about)
     if levels is not None:
         write = partial(write_isochrones, reach, levels.values, by=levels.by, about=about)
         writers["isochrones.geojson"] = write

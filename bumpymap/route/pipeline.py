@@ -39,7 +39,7 @@ from bumpymap.route.ground import CostGround
 from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES, spread
+from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, spread
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops, place_text
 from bumpytiles import TileWindow
@@ -472,8 +472,8 @@ def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArr
     site, start = ground.site, stops.points[0]
     limits = [*(minutes * 60.0 * site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
     found = find_reach(ground, start, max(limits, default=math.inf))
-    fields = found.window, found.cost, found.minutes, found.back
-    return start, found, ReachField(site.georeference, site.grid, *fields, -MOVES)
+    fields = found.window, found.cost, found.minutes
+    return start, found, ReachField(site.georeference, site.grid, *fields)
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:

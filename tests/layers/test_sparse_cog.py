@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import rasterio
-from rasterio.windows import Window
 from rio_cogeo import cog_validate
 
 from bumpymap.core import CANOPY, FREE, NO_CLASS, OBSTACLE, CostTable
@@ -45,10 +44,6 @@ def test_values_and_tags_are_those_of_gdals_driver(files):
                 assert float(ours[name]) == pytest.approx(float(theirs[name]), rel=1e-3)
 
 
-def block_offset(file, x, y, **level):
-    return file.get_tag_item(f"BLOCK_OFFSET_{x}_{y}", "TIFF", bidx=1, **level)
-
-
 def test_overview_is_the_mean_of_the_known_pixels_among_four(files):
     with rasterio.open(files[0]) as file:
         below = file.read(1).astype(np.float64)
@@ -63,13 +58,6 @@ def test_overview_is_the_mean_of_the_known_pixels_among_four(files):
             below = overview.read(1).astype(np.float64)
         np.testing.assert_array_equal(below, mean.astype(np.float32))
         assert known.any()
-
-
-def test_empty_blocks_take_no_space(files):
-    with rasterio.open(files[0]) as file:
-        assert {block_offset(file, x, y) for x in range(8, -(-file.width // 128)) for y in (30, 35)} == {None}
-        assert np.isnan(file.read(1, window=Window(3000, 3900, 500, 500))).all()
-    assert files[0].stat().st_size < 200_000  # 45 million pixels
 
 
 @pytest.fixture(scope="module")

@@ -42,8 +42,7 @@ def no_picture(monkeypatch):
 @pytest.fixture
 def reach():
     cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    back, moves = np.zeros((3, 4), np.uint8), np.array([[0, 1]])
-    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, None, back, moves)
+    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost)
 
 
 def names(folder):
@@ -162,9 +161,9 @@ def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path):
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
     check_reach_out(tmp_path / "all", overwrite=False)
     files = write_reach_files(reach, source, tmp_path / "all", levels=ReachLevels([5.0, 9.0]), manifest=SETTINGS)
-    assert [path.name for path in files] == ["reach.tif", "reach_back.tif", "isochrones.geojson", "route.json"]
+    assert [path.name for path in files] == ["reach.tif", "isochrones.geojson", "route.json"]
     assert names(tmp_path / "all") == sorted(path.name for path in files)
-    few = write_reach_files(replace(reach, back=None, moves=None), source, tmp_path / "few", manifest=SETTINGS)
+    few = write_reach_files(reach, source, tmp_path / "few", manifest=SETTINGS)
     assert [path.name for path in few] == ["reach.tif", "route.json"]
     for name in ("cost.tif", "within.geojson"):
         out = tmp_path / name

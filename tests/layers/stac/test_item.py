@@ -135,16 +135,6 @@ def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dat
     assert faults(item) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "identifier"),
-    [("", "old-quarry-1"), ("測量", "survey-ecea53ea"), ("a\udce9/b", "a-udce9-b"), ("..", "survey-5ec1f7e7")],
-)
-def test_ids_of_odd_names(folder, tmp_path, name, identifier):
-    item = described(folder, tmp_path / "a", survey=SURVEY | {"name": name, "checksum": None})
-    assert item["id"] == identifier
-    assert faults(item) == []
-
-
 def test_surveys_of_one_name_and_the_sheets_of_one_survey_have_ids_of_their_own(folder, tmp_path):
     """A catalogue of them would hold one item, for programs that find items by their ids."""
     surveys = [SURVEY | {"checksum": f"blake3-1MiB:{digit * 64}"} for digit in "ab"]
@@ -184,14 +174,6 @@ def test_feet_and_heights_of_a_compound_crs(make_field, tmp_path):
     assert item["assets"]["class.tif"]["gsd"] == 3
     assert item["properties"]["proj:transform"][0] == pytest.approx(3 * 3937 / 1200)
     assert shapely.geometry.shape(item["geometry"]).area > 0
-
-
-def test_a_crs_without_a_code_is_written_out(make_field, tmp_path):
-    crs = CRS("+proj=tmerc +lat_0=40 +lon_0=-99.3 +x_0=500000 +y_0=100000 +ellps=GRS80 +units=m")
-    item = item_of(write(make_field(9, 7, west=166_000, south=30_000, georeference=Georeference(crs)), tmp_path / "a"))
-    assert item["properties"]["proj:code"] is None
-    assert CRS.from_wkt(item["properties"]["proj:wkt2"]) == crs
-    assert faults(item) == []
 
 
 def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
