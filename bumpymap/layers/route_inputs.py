@@ -8,6 +8,7 @@ import csv
 import io
 import json
 import logging
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -310,43 +311,32 @@ def _lonlat(
 
 def _read_csv(path: Path) -> list[FilePoint]:
     try:
-        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
-            head = file.readline()
-            separator = max(",;\t", key=head.count)
-            names = [name.strip().lower() for name in next(csv.reader([head], delimiter=separator), [])]
-            lines = list(csv.reader(file, delimiter=separator))
+        text = read_regular(path).decode("utf-8-sig")
+        separator = max(",;\t", key=text.partition("\n")[0].count)
+        head, *lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=separator)) or [[]]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(f"cannot read {path}: {error}. It must be a text file of columns {_ALLOWED}") from error
-    for system, pairs in _COLUMNS.items():
-        for pair in pairs:
-            if set(pair) <= set(names):
-                columns = [names.index(name) for name in pair]
-                name_column = names.index("name") if "name" in names else None
-                filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
-                where = [f"{path}, line {number}: {short_repr(separator.join(line))}" for number, line in filled]
-                return [
-                    _point(at, number, line, columns, name_column, system)
-                    for at, (number, line) in zip(where, filled, strict=True)
-                ]
-    raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
-
-
-def _point(
-    where: str,
-    number: int,
-    line: Sequence[Any],
-    columns: Sequence[int],
-    name_column: int | None,
-    system: Literal["lonlat", "crs"],
-) -> FilePoint:
-    try:
-        x, y = (float(line[column]) for column in columns)
-    except (ValueError, IndexError) as error:
-        raise BadInputError(f"{where} has no two numbers where they belong; write decimals with a point") from error
-    if not np.isfinite([x, y]).all():
-        raise BadInputError(f"{where} is not a place")
-    named = line[name_column].strip() if name_column is not None and name_column < len(line) else ""
-    return FilePoint(named or str(number - 1), x, y, system)
+    names = [name.strip().lower() for name in head]
+    known = [(system, pair) for system, pairs in _COLUMNS.items() for pair in pairs if set(pair) <= set(names)]
+    if not known:
+        raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
+    system, pair = known[0]
+    found = []
+    for number, line in enumerate(lines, start=2):
+        if not any(map(str.strip, line)):
+            continue
+        try:
+            x, y = (float(line[names.index(name)]) for name in pair)
+        except (ValueError, IndexError):
+            x = y = math.nan
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise BadInputError(
+                f"{path}, line {number}: {short_repr(separator.join(line))} has no two numbers where they belong; "
+                "write decimals with a point"
+            )
+        named = dict(zip(names, line, strict=False)).get("name", "").strip()
+        found.append(FilePoint(named or str(number - 1), x, y, system))
+    return found
 
 
 _GEOJSON = (".geojson", ".json")

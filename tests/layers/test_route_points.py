@@ -94,7 +94,7 @@ def test_columns_of_a_csv(tmp_path, head, system, separator):
         ("a.csv", "lon,lat\n1,2\n3,north\n", r"a\.csv, line 3: '3,north'"),
         ("a.csv", "lon,lat\n1\n", r"a\.csv, line 2"),
         ("a.csv", "x;y\n1,5;2,5\n", r"'1,5;2,5' has no two numbers .* decimals with a point"),
-        ("a.csv", "lon,lat\n1,nan\n", "is not a place"),
+        ("a.csv", "lon,lat\n1,nan\n", "has no two numbers"),
         ("a.csv", "lon,lat\n", "holds no points"),
         ("a.csv", "", r"columns \(none\)"),
         ("a.csv", b"\xff\xfe\x00", "cannot read"),
