@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from corpus.bases import bases
-from corpus.copc_file import ENTRY
 from corpus.las_file import HEADER, HEADER_1_4, layout_of
+from las_files import ENTRY
 
 __all__ = ["Edit", "Start", "applied", "mutated", "starts"]
 
