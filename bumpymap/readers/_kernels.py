@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND
-from bumpytiles import helper, kernel, tile_index
+from bumpytiles import coordinates, helper, kernel, tile_index
 
 __all__ = [
     "AXIS_BITS",
@@ -18,6 +18,7 @@ __all__ = [
     "LINE_BITS",
     "QUANTA",
     "SLOTS",
+    "STRIP",
     "SUMS",
     "CellTable",
     "Corrections",
@@ -25,7 +26,9 @@ __all__ = [
     "RecordCounts",
     "RecordRules",
     "ScaledLinedPoints",
+    "StripPlaces",
     "add_points",
+    "add_scaled_points",
     "correct_heights",
     "filter_records",
 ]
@@ -133,6 +136,8 @@ SUMS = 10
 """Sums of a cell: number of points, x, y, z, x x, x y, y y, x z, y z, z z."""
 SLOTS = 1 << 13
 """Rows of a `CellTable`; a power of two."""
+STRIP = 512
+"""Points that are turned into metres at once."""
 AXIS_BITS, LINE_BITS = 23, 17
 """Bits of a key: column and row of the cell, unique within 25,000 km; line number and ground flag."""
 _AXIS_MASK = (1 << AXIS_BITS) - 1
@@ -145,6 +150,15 @@ Rows = Annotated[NDArray[np.int64], 2]
 
 Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
+
+
+class StripPlaces(NamedTuple):
+    """Scratch for coordinates, (``STRIP``,) each."""
+
+    x: Floats
+    """m, as the two that follow."""
+    y: Floats
+    z: Floats
 
 
 class CellTable(NamedTuple):
@@ -187,13 +201,13 @@ def _key(col: int, row: int, line: int, ground: bool) -> Any:
     return key | (np.int64(line) << 1) | np.int64(ground)
 
 
-@kernel
-def add_points(points: LinedPoints, table: CellTable) -> None:
-    """Add points, from the one that ``state`` names, until all are added or the table is full.
+@helper
+def _add(points: LinedPoints, table: CellTable) -> Any:
+    """Add points until the table is full; return how many were added.
 
     Neighbours in a file are neighbours on the ground: sums of points in one cell are added up before they are stored.
     """
-    i, n = table.state[0], len(points.x)
+    i, n = 0, len(points.x)
     while i < n and table.state[1] < _FULL:
         line, ground = points.line[i], points.kind[i] == POINT_GROUND
         col, row = tile_index(points.x[i], CELL), tile_index(points.y[i], CELL)
@@ -222,7 +236,33 @@ def add_points(points: LinedPoints, table: CellTable) -> None:
         sums[7] += s7
         sums[8] += s8
         sums[9] += s9
-    table.state[0] = i
+    return i
+
+
+@kernel
+def add_points(points: LinedPoints, table: CellTable) -> None:
+    """Add points, from the one that ``state`` names, until all are added or the table is full."""
+    first = table.state[0]
+    rest = LinedPoints(points.x[first:], points.y[first:], points.z[first:], points.kind[first:], points.line[first:])
+    table.state[0] = first + _add(rest, table)
+
+
+@kernel
+def add_scaled_points(points: ScaledLinedPoints, scaling: Floats, strip: StripPlaces, table: CellTable) -> None:
+    """Do the same with points of a file's own grid, see `bumpytiles.Scaling.numbers`; ``strip`` is scratch."""
+    first, added, wanted = table.state[0], 0, 0
+    while added == wanted and first < len(points.x):
+        wanted = min(STRIP, len(points.x) - first)
+        last = first + wanted
+        there = LinedPoints(
+            strip.x[:wanted], strip.y[:wanted], strip.z[:wanted], points.kind[first:last], points.line[first:last]
+        )
+        coordinates(points.x[first:last], scaling, 0, there.x)
+        coordinates(points.y[first:last], scaling, 1, there.y)
+        coordinates(points.z[first:last], scaling, 2, there.z)
+        added = _add(there, table)
+        first += added
+    table.state[0] = first
 
 
 @kernel

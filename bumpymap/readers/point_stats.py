@@ -20,12 +20,15 @@ from bumpymap.readers._kernels import (
     AXIS_BITS,
     LINE_BITS,
     SLOTS,
+    STRIP,
     SUMS,
     CellTable,
     Corrections,
     LinedPoints,
     ScaledLinedPoints,
+    StripPlaces,
     add_points,
+    add_scaled_points,
     correct_heights,
 )
 from bumpymap.readers.source import TRUST, Location, box_text, refuse_count
@@ -52,8 +55,6 @@ MOST_ROWS = 50_000
 _WAITING_ROWS = 2 * MOST_ROWS
 """From this many rows on the parts are merged."""
 _LARGEST_STEP = 1 << 24
-_STRIP = 1 << 15
-"""Points that are turned into metres at once: so many stay in the processor's cache."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 Rows = NDArray[np.int64]
@@ -119,32 +120,23 @@ class LineSums:
         return cls(record["step"], (np.ascontiguousarray(data.T, np.int64),))
 
     @classmethod
-    def of(cls, points: LinedPoints | ScaledLinedPoints, scaling: Scaling | None = None) -> Self:
+    def of(cls, points: "LinedPoints | ScaledLinedPoints", scaling: Scaling | None = None) -> Self:
         """Return the sums of some points; ``scaling`` is that of scaled ones."""
-        parts: list[Rows] = []
-        table = _empty_table()
-        for first in range(0, len(points.x), _STRIP):
-            x, y, z, kind, line = (column[first : first + _STRIP] for column in points)
-            if scaling is not None:
-                x, y, z = (scaling.coordinates(axis, words) for axis, words in enumerate((x, y, z)))
-            strip = LinedPoints(x, y, z, kind, line)
-            table.state[0] = 0
-            add_points(strip, table)
-            while table.state[0] < len(x):  # the table is full
-                parts.append(_rows_of(table))
-                table = _empty_table(int(table.state[0]))
-                add_points(strip, table)
-        return cls(1, (*parts, _rows_of(table)) if len(points.x) else ())
-
-
-def _empty_table(first: int = 0) -> CellTable:
-    return CellTable(np.full(SLOTS, -1, np.int64), np.zeros((SLOTS, SUMS), np.int64), np.array([first, 0], np.int64))
-
-
-def _rows_of(table: CellTable) -> Rows:
-    held = np.flatnonzero(table.keys >= 0)
-    held = held[np.argsort(table.keys[held])]
-    return np.column_stack([table.keys[held], table.sums[held]])
+        parts = []
+        done = 0
+        while done < len(points.x):
+            table = CellTable(
+                np.full(SLOTS, -1, np.int64), np.zeros((SLOTS, SUMS), np.int64), np.array([done, 0], np.int64)
+            )
+            if isinstance(points, LinedPoints):
+                add_points(points, table)
+            elif scaling is not None:
+                add_scaled_points(points, scaling.numbers(), StripPlaces(*np.empty((3, STRIP))), table)
+            done = int(table.state[0])
+            held = np.flatnonzero(table.keys >= 0)
+            held = held[np.argsort(table.keys[held])]
+            parts.append(np.column_stack([table.keys[held], table.sums[held]]))
+        return cls(1, tuple(parts))
 
 
 class LineRules:
