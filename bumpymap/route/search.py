@@ -34,12 +34,12 @@ from bumpymap.route._search_kernels import (
     FROM_START,
     NEW,
     NOT_REACHED,
+    REACH,
     SETTLED,
     Ground,
     MoveTables,
     Reached,
     Seeds,
-    mark_crowded,
     search,
     walk_back,
 )
@@ -78,8 +78,6 @@ __all__ = [
     "tight_way",
 ]
 
-REACH = 4
-"""Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
     [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]
 )
@@ -87,14 +85,26 @@ MOVES: NDArray[np.int64] = np.array(
 
 
 @cache
-def _pieces() -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]], NDArray[np.float64]]:
-    """Trace every move: tiles between its ends, (n, 2) from where it starts, the length in each, and in the ends."""
-    open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
+def _traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
+    """Trace every move; also return the tiles between their ends, (n, 2) from where each starts."""
     middle = REACH + 0.5
-    traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
+    open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
     # First and last piece are as long as each other, and in tables of their own.
-    tiles = [np.column_stack([each.row, each.col])[1:-1] - REACH for each in traced]
-    return tiles, [each.length[1:-1] for each in traced], np.array([each.length[0] for each in traced])
+    traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
+    near = np.empty((len(MOVES), *open_ground.shape), np.bool_)
+    find_near(np.vstack([np.zeros((1, 2)), MOVES]) + middle, margin, near)
+    bits = 1 << np.arange(REACH * len(open_ground) + len(open_ground))
+    tables = MoveTables(
+        step=np.empty(0, np.int64),
+        length=np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1)),
+        end=np.array([each.length[0] for each in traced]),
+        first_piece=np.cumsum([0, *(len(each.length) - 2 for each in traced)]),
+        piece=np.empty(0, np.int64),
+        piece_length=np.concatenate([each.length[1:-1] for each in traced]),
+        near_north=near[:, REACH::-1].reshape(len(near), -1) @ bits,
+        near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
+    )
+    return tables, np.concatenate([np.column_stack([each.row, each.col])[1:-1] for each in traced]) - REACH
 
 
 def move_tables(width: int, margin: float) -> MoveTables:
@@ -103,26 +113,9 @@ def move_tables(width: int, margin: float) -> MoveTables:
     ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
     tiles.
     """
-    tiles, lengths, end = _pieces()
-    near = np.empty((len(MOVES), 2 * REACH + 1, 2 * REACH + 1), np.bool_)
-    find_near(np.vstack([np.zeros((1, 2)), MOVES]) + REACH + 0.5, margin, near)
-    _, row, col = np.nonzero(near)
+    tables, tiles = _traced_moves(margin)
     flat = np.array([width, 1])
-    return MoveTables(
-        step=MOVES @ flat,
-        length=np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1)),
-        end=end,
-        first_piece=_starts([len(each) for each in lengths]),
-        piece=np.concatenate(tiles) @ flat,
-        piece_length=np.concatenate(lengths),
-        first_near=_starts(near.sum(axis=(1, 2))),
-        near=(np.column_stack([row, col]) - REACH) @ flat,
-    )
-
-
-def _starts(counts: "list[int] | NDArray[np.int64]") -> NDArray[np.int64]:
-    """Where each list starts when all are set one behind the other, and where the last ends."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return tables._replace(step=MOVES @ flat, piece=tiles @ flat)
 
 
 Floats = NDArray[np.float64]
@@ -263,10 +256,9 @@ class RingedWindow:
 
     def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
         """Run the search; ``bound`` as in `Ground`."""
-        crowded = np.ones(self.cost.shape, np.uint8)
-        mark_crowded(self.cost, REACH, np.zeros(self.cost.shape[1], np.int64), crowded)
         width, count = self.cost.shape[1], self.cost.size
-        ground = Ground(self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound)
+        closed = np.append(np.packbits(~(self.cost < math.inf), bitorder="little"), np.uint8(0))
+        ground = Ground(self.cost.ravel(), closed, width, goal[0] + REACH, goal[1] + REACH, self.least, bound)
         reached = Reached(
             np.full(count, math.inf),
             np.full(count, NOT_REACHED, np.uint8),
