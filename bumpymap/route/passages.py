@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.core import OBSTACLE
-from bumpymap.route.ground import PIXEL_MARGIN, CostGround, points_along, window_around
+from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.search import find_way
 from bumpytiles import TileWindow
 
-__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas", "widest_opening"]
+__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas"]
 
 Floats = NDArray[np.float64]
 
@@ -38,9 +36,6 @@ _CHEAPER, _CORNER_TILES = 0.97, 2.0
 way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
 BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
-_LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
-"""Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
-vehicle does not fit, so that a line leads through few of them."""
 
 
 class AreaGraph(NamedTuple):
@@ -155,55 +150,6 @@ def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost
         is_between.reshape(cost.shape),
         has_room.reshape(cost.shape),
     )
-
-
-def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Floats, float] | None:
-    """Find the widest opening that is too narrow for the vehicle and joins two points that are not joined otherwise.
-
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    start, goal : array (2,)
-        Easting and northing, m; the vehicle fits there.
-
-    Returns
-    -------
-    place : array (2,)
-        Easting and northing of its narrowest point, m.
-    width : float
-        Between the pixels that close it, m.
-        None if all openings around the two points are narrower than 0.4 m (of pixels of 0.2 m), or memory does not
-        allow to look for one.
-    """
-    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
-    window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)
-    if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
-        return None
-    pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size
-    closed = np.repeat(np.repeat(np.isinf(ground.on_tiles(window)), pixels, 0), pixels, 1)
-    closed |= ground.site.objects(window) == OBSTACLE
-    room = ndimage.distance_transform_edt(np.pad(~closed, 1))[1:-1, 1:-1]
-    ends = [(float(row), float(col)) for row, col in ground.in_window(np.array([start, goal]), window)]
-    first, last = ((math.floor(row), math.floor(col)) for row, col in ends)
-    reach = min(room[first], room[last], ground.reach_m / pixel)
-    levels = np.unique(room[(room >= _LEAST_OPENING) & (room < reach)])
-    for level in levels[::-1].tolist():
-        pieces = ndimage.label(room >= level)[0]
-        if pieces[first] == pieces[last]:
-            break
-    else:
-        return None
-    cost = np.where(room < reach, np.float32(_TOO_NARROW), np.float32(1.0))
-    cost[room < level] = np.inf
-    found = find_way(cost, *ends, margin=PIXEL_MARGIN)
-    if found is None:
-        return None
-    steps = [np.linspace(a, b, 2 + math.ceil(2.0 * math.dist(a, b))) for a, b in pairwise(found.line)]
-    places = np.floor(np.concatenate(steps)).astype(np.int64)
-    narrowest = places[room[places[:, 0], places[:, 1]].argmin()]
-    width = (2.0 * room[tuple(narrowest)] - 1.0) * pixel
-    return on_grid((narrowest[None] + 0.5) / pixels, ground.site.grid, window)[0], float(width)
 
 
 def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:

@@ -26,14 +26,6 @@ _FORMS = (
 )
 
 
-_NEAR_M = 5000.0
-"""How far from the map two numbers may lie that are thought to be swapped, m."""
-
-
-_FEET_M = (0.3048, 1200 / 3937)
-"""The foot, and the US survey foot, m."""
-
-
 class GridPoint(NamedTuple):
     """A point on the grid of tiles."""
 
@@ -115,10 +107,7 @@ def place_point(
         metres = _outside_m(point, route_map)
         away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
         how_far = f"; read as {as_what}, it is {away} away from it"
-    raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}{how_far}. "
-        f"{_swapped(x, y, route_map) or _other_unit(x, y, route_map)}{_FORMS}"
-    )
+    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}{how_far}. {_FORMS}")
 
 
 def place_in_window(
@@ -179,30 +168,6 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
     easting = min(max(point.easting, bounds.west), bounds.east)
     northing = min(max(point.northing, bounds.south), bounds.north)
     return max(math.hypot(point.easting - easting, point.northing - northing), np.finfo(float).tiny)
-
-
-def _swapped(x: float, y: float, route_map: MapReader) -> str:
-    """Ask about the order of the two numbers if they lie on the map, or near it, the other way round."""
-    for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
-        point = _on_grid(y, x, route_map, system, forced=False)
-        if point is not None and _outside_m(point, route_map) <= _NEAR_M:
-            order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
-            return f"{order}: did you mean {y:.10g},{x:.10g}? "
-    return ""
-
-
-def _other_unit(x: float, y: float, route_map: MapReader) -> str:
-    """Ask about the unit if the point lies on the map, or near it, as one in feet on a map in metres, or reversed."""
-    unit = route_map.georeference.metres_per_unit
-    others = {1.0: _FEET_M, **dict.fromkeys(_FEET_M, (1.0,))}.get(unit, ())
-    points = [(x * other / unit, y * other / unit) for other in others]
-    near = {point: _outside_m(GridPoint(*route_map.to_grid(*point)), route_map) for point in points}
-    if not near or not min(near.values()) <= _NEAR_M:
-        return ""
-    meant_x, meant_y = min(near, key=lambda point: near[point])
-    own_unit, given = ("metres", "feet") if unit == 1.0 else (unit_name(unit).replace("foot", "feet"), "metres")
-    meant = f"{meant_x:.2f},{meant_y:.2f}"
-    return f"The map's coordinates are in {own_unit}: if the point is in {given}, did you mean {meant}? "
 
 
 def _extent(route_map: MapReader) -> str:
