@@ -33,15 +33,14 @@ from bumpymap.layers import PlannedRoute, open_map, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
 from bumpymap.route.planner import Planner
-from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES
+from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
 
 if TYPE_CHECKING:
     import xarray
 
-    from bumpymap.layers import ReachField
+    from bumpymap.route.reach import Reach
 
 __all__ = [
     "MOST_VISITS",
@@ -266,7 +265,7 @@ class RouteResult:
 
     routes: tuple[PlannedRoute, ...]
     """The best way first."""
-    reach: Reach | None
+    reach: "Reach | None"
     """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
     """The files that were written."""
@@ -290,10 +289,9 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
     with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import check_reach_out, check_route_out, write_routes  # slow to load
+            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_routes  # slow to load
 
-            check = check_reach_out if config.is_reach else check_route_out
-            check(config.out, overwrite=config.overwrite)
+            check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
         if config.is_reach:
             if config.out is None:
                 raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
@@ -365,40 +363,35 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
     return stops.in_order(order[: len(points)])
 
 
-def reach_from(config: RouteConfig) -> "ReachField":
+def reach_from(config: RouteConfig) -> "Reach":
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
     with _opened(config) as ground:
-        _, found, field = _reach(ground, find_stops(ground, config), config)
+        found = _reach(ground, find_stops(ground, config), config)
     for note in found.notes:
         _log.warning(note)
-    return field
+    return found
 
 
-def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArray[np.float64], Reach, "ReachField"]:
-    """Return the start, and what can be reached from it, also as it is written."""
-    from bumpymap.layers import ReachField
+def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
+    """Return what can be reached from the start, within the largest outline."""
+    from bumpymap.route.reach import find_reach
 
-    site, start = ground.site, stops.points[0]
-    limits = [*(minutes * 60.0 * site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
-    found = find_reach(ground, start, max(limits, default=math.inf))
-    fields = found.window, found.cost, found.minutes, found.back
-    return start, found, ReachField(site.georeference, site.grid, *fields, -MOVES)
+    limits = [*(minutes * 60.0 * ground.site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
+    return find_reach(ground, stops.points[0], max(limits, default=math.inf))
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
-    from bumpymap.route.output import ReachLevels, write_reach_files
+    from bumpymap.route.output import write_reach_files
 
-    start, found, field = _reach(ground, stops, config)
+    found = _reach(ground, stops, config)
     notes = (*stops.notes, *found.notes)
-    levels = ReachLevels(config.isochrones, "minutes") if config.isochrones else None
-    if config.isocosts:
-        levels = ReachLevels(config.isocosts, "cost")
     files = write_reach_files(
-        field,
+        found,
         ground.site,
         out,
-        levels=levels,
-        manifest={"settings": asdict(config), "start": start, "remarks": notes},
+        levels=config.isochrones or config.isocosts,
+        by="minutes" if config.isochrones else "cost",
+        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )
     return RouteResult((), found, tuple(files), notes)

@@ -12,7 +12,16 @@ from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["GridPoint", "in_window", "on_grid", "overlap", "parse_point", "place_in_window", "place_point"]
+__all__ = [
+    "GridPoint",
+    "in_window",
+    "on_grid",
+    "overlap",
+    "parse_point",
+    "place_in_window",
+    "place_point",
+    "window_within",
+]
 
 System = Literal["lonlat", "crs"]
 Place: TypeAlias = Sequence[float] | NDArray[np.float64]
@@ -141,6 +150,17 @@ def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
     east = min(one.col + one.cols, other.col + other.cols)
     north = min(one.row + one.rows, other.row + other.rows)
     return TileWindow(west, south, east - west, north - south)
+
+
+def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
+    """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
+    if not math.isfinite(reach):
+        return whole
+    west = max(whole.col, math.floor(start[0] - reach))
+    south = max(whole.row, math.floor(start[1] - reach))
+    east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)
+    north = min(whole.row + whole.rows, math.ceil(start[1] + reach) + 1)
+    return TileWindow(west, south, max(east - west, 1), max(north - south, 1))
 
 
 def _in_tile(coordinate: float, tile: int) -> float:

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BARRED_TEXT, NO_TILE, BadInputError, Barred, TileField
 from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
-from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
-from bumpymap.route.reach import window_within
+from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point, window_within
 from bumpymap.route.settings import RouteConfig
 from bumpytiles import TileWindow
 
