@@ -186,12 +186,12 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
 @helper
 def _closed_around(ground: Ground, tile: int, first: int, last: int) -> int:
     """Return which tiles are closed in some rows around a tile: nine bits a row, the first row's the highest."""
-    found = 0
+    found = np.int64(0)
     for row in range(first, last):
         at = tile + row * ground.width - REACH
         two = np.int64(ground.closed[at >> 3]) | np.int64(ground.closed[(at >> 3) + 1]) << 8
         found = found << (2 * REACH + 1) | (two >> (at & 7)) & ((1 << (2 * REACH + 1)) - 1)
-    return found
+    return int(found)
 
 
 @helper

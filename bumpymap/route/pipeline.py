@@ -340,8 +340,8 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             grid=site.grid,
             line=way.line,
             stops=points,
-            profile=way.measured.profile,
-            figures=way.measured.figures,
+            profile=way.profile,
+            figures=way.figures,
             vehicle=site.vehicle,
             risk_m=risk,
         )

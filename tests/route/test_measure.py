@@ -8,8 +8,8 @@ import shapely
 from tile_maps import TileMap
 
 from bumpymap.core import Barred
-from bumpymap.route import measure
-from bumpymap.route.ground import cost_of
+from bumpymap.route import CostSettings, ground, measure
+from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import measure_way
 
 SIZE = 3.0
@@ -20,9 +20,9 @@ def random_map(rows=30, cols=40, seed=0):
     return TileMap(rng.gamma(2.0, 0.1, (rows, cols)), p_fail=rng.random((rows, cols)) * 0.4)
 
 
-def measured(site, corners, **choice):
+def measured(site, corners, **settings):
     line = np.array([site.at(*corner) for corner in corners])
-    return measure_way(site, line, line[[0, -1]], lambda tiles: cost_of(tiles, **choice))
+    return measure_way(CostGround(site, CostSettings(**settings), 10**6), line, line[[0, -1]])
 
 
 def lengths_by_shapely(site, corners):
@@ -57,7 +57,8 @@ def test_stretches_do_not_change_the_figures(monkeypatch):
     corners = np.random.default_rng(1).uniform((1, 1), (59, 299), (6, 2))
     whole = measured(site, corners)
     site.windows.clear()
-    monkeypatch.setattr(measure, "_STRETCH_TILES", 7)
+    for room in (measure, ground):
+        monkeypatch.setattr(room, "_STRETCH_TILES", 7)
     parts = measured(site, corners)
     assert max(max(window.rows, window.cols) for window in site.windows) <= 11
     for name in parts.figures.__dataclass_fields__:
@@ -84,7 +85,7 @@ def test_unknown_ground_has_a_length_and_no_ride():
     barred = np.zeros((4, 20), np.uint8)
     barred[:, 5:9] = Barred.UNKNOWN
     site = TileMap(np.full((4, 20), 0.2), barred)
-    found = measured(site, [(1.5, 0.5), (1.5, 19.5)], unknown_cost=10.0)
+    found = measured(site, [(1.5, 0.5), (1.5, 19.5)], unknown=10.0)
     figures = found.figures
     assert figures.unknown_m == pytest.approx(4 * SIZE)
     assert figures.c_r_mean == pytest.approx(0.2, rel=1e-6)

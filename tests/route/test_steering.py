@@ -47,7 +47,7 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
         assert back is None
         return
     np.testing.assert_array_equal(line, back[::-1])
-    assert way_cost(site, line, ground.of_field) <= 1.03 * best
+    assert way_cost(ground, line) <= 1.03 * best
     way = shapely.LineString(line)
     along = shapely.get_coordinates(shapely.line_interpolate_point(way, np.arange(0.0, way.length, 0.01)))
     apart = np.hypot(*(along[:, None] - stone_centres(site)).T).min(axis=0)
