@@ -45,7 +45,6 @@ def plan_way(
     *,
     margin: float = 0.0,
     memory_tiles: int,
-    least: float = 1.0,
 ) -> Way | None:
     """Find the cheapest way over a map of which only a window is read.
 
@@ -61,8 +60,6 @@ def plan_way(
         Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
     memory_tiles : int
         Tiles that a window may have at most.
-    least : float
-        No tile of the map costs less; at least 1. The nearer to the truth, the smaller the window that proves a way.
 
     Returns
     -------
@@ -77,8 +74,6 @@ def plan_way(
     ValueError
         As `find_way`.
     """
-    if not least >= 1.0:
-        raise ValueError(f"least is {least}; it must be at least 1")
     start, goal = settle_point(start), settle_point(goal)
     if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
         return None
@@ -92,7 +87,7 @@ def plan_way(
             raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (start, goal))
-        found = seek(cost, here, there, margin, math.inf if window == extent else least)
+        found = seek(cost, here, there, margin, math.inf if window == extent else 1.0)
         sides = _open_sides(found, window, extent)
         if not any(sides):
             break
@@ -101,7 +96,7 @@ def plan_way(
     if found.line is None:
         return None
     way = tight_way(found, margin)
-    return Way(way.line + np.array([top, left], np.float64), way.cost, way.graph_cost)
+    return way._replace(line=way.line + np.array([top, left], np.float64))
 
 
 def _open_sides(found: Found, window: TileWindow, extent: TileWindow) -> list[bool]:
