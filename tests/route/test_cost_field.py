@@ -1,5 +1,3 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from route_maps import RULE, bare_map
@@ -75,21 +73,3 @@ def test_default_risk_is_that_of_the_layers():
     written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
     assert np.array_equal(cost_of(field), np.where(np.isnan(written), np.inf, written))
     assert np.array_equal(cost_of(field), cost_of(field, risk=RULE.fail_weight))
-
-
-def test_tiles_without_points_stay_closed():
-    field = made_field()
-    cost = cost_of(field, unknown=2.0)
-    assert np.isinf(cost[field.barred == NO_TILE]).all()
-    unknown = field.barred == Barred.UNKNOWN
-    assert np.array_equal(cost[unknown] == 2.0, field.obstacle[unknown] == 0.0)
-    free = replace(field, obstacle=np.broadcast_to(np.float32(np.nan), field.barred.shape))
-    assert (cost_of(free, unknown=2.0)[unknown] == 2.0).all()
-
-
-def test_robust_is_never_cheaper_and_needs_the_upper_end():
-    field = made_field()
-    assert (cost_of(field, robust=True) >= cost_of(field)).all()
-    passable = field.barred == Barred.NO
-    without = replace(field, c_r_high=np.full_like(field.c_r, np.nan))
-    assert np.isinf(cost_of(without, robust=True)[passable]).all()

@@ -95,16 +95,6 @@ def test_unknown_ground_has_a_length_and_no_ride():
     assert unknown.sum() == pytest.approx(4 * 3, abs=1)
 
 
-def test_heights_of_gaps_are_unknown_and_do_not_climb():
-    def height(east, north):
-        inside = (east > 160_005 * SIZE) & (east < 160_008 * SIZE)
-        return np.where(inside, np.nan, 100.0) + 0.0 * north
-
-    found = measured(TileMap(np.full((3, 20), 0.1), height=height), [(1.5, 1.0), (1.5, 19.0)])
-    assert np.isnan(found.profile.z).any()
-    assert found.figures.climb_m == found.figures.descent_m == 0.0
-
-
 def test_the_profile_ends_where_the_way_ends_at_its_cost():
     site = random_map(seed=5)
     found = measured(site, [(2.2, 3.3), (20.1, 8.8), (11.0, 30.7)])
@@ -116,10 +106,3 @@ def test_the_profile_ends_where_the_way_ends_at_its_cost():
     assert (np.diff(profile.cost) > 0).all()
     assert np.diff(profile.distance).max() <= 1.0 + 1e-9
     np.testing.assert_allclose([profile.easting[-1], profile.northing[-1]], site.at(11.0, 30.7))
-
-
-def test_a_way_of_no_length_costs_nothing():
-    found = measured(random_map(), [(2.5, 2.5), (2.5, 2.5)])
-    assert found.figures.length_m == found.figures.cost_m == found.figures.seconds == 0.0
-    assert found.figures.detour == 1.0
-    assert found.figures.p_arrives == 1.0

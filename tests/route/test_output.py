@@ -75,14 +75,6 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
 
 
-def test_the_layers_are_named_with_their_checksum(tmp_path):
-    (tmp_path / "layers").mkdir()
-    (tmp_path / "layers" / "run.json").write_text("{}")
-    write(tmp_path / "out", replace(MadeUpMap.around(), folders=(tmp_path / "layers",)))
-    (entry,) = json.loads((tmp_path / "out" / "route.json").read_text())["layers"]
-    assert entry == {"path": str(tmp_path / "layers"), "run_sha256": hashlib.sha256(b"{}").hexdigest()}
-
-
 @pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".csv", ".png", ".GPX"])
 def test_one_file_by_its_suffix(suffix, source, tmp_path):
     out = tmp_path / f"way{suffix}"

@@ -7,7 +7,6 @@ from route_maps import bare_map
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.route import parse_point
-from bumpymap.route.places import place_point
 from bumpytiles import TileWindow
 
 SITE = bare_map()
@@ -103,10 +102,3 @@ def test_a_map_without_a_crs_knows_its_own_coordinates_only():
     with pytest.raises(BadInputError, match=r"x 0\.00 to 30\.00, y 0\.00 to 30\.00 in local coordinates") as caught:
         parse_point("40,20", place)
     assert "longitude 0" not in str(caught.value)
-
-
-def test_a_pair_of_numbers_is_placed_like_its_text():
-    assert place_point(480_100.0, 2_136_100.0, SITE) == (480_100.0, 2_136_100.0)
-    for x in (np.nan, np.inf):
-        with pytest.raises(BadInputError, match="the goal lies outside"):
-            place_point(x, 2_136_100.0, SITE, name="the goal")

@@ -7,10 +7,8 @@ from tile_maps import TileMap
 
 from bumpymap.core import Barred
 from bumpymap.route.ground import CostGround
-from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.straighten import is_clear
 
 
 def planner(site, **settings):
@@ -40,19 +38,6 @@ def test_a_heavier_risk_costs_more_and_arrives_more_surely(seed):
         assert hazard[second] <= hazard[first] * (1 + 1e-3)
         assert ride[second] >= ride[first] * (1 - 1e-3)
     assert hazard[-1] < 0.9 * hazard[0]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_way_crosses_a_closed_tile_or_comes_too_near(seed):
-    site = rough_map(seed, barred_share=0.25)
-    plan = planner(site)
-    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
-    way = plan.way(stops)
-    cost = plan.ground.on_tiles(site.window, through=False)
-    line = np.array([place_in_window(point, site.grid, site.window) for point in way.line])
-    assert is_clear(cost, line, plan.ground.margin)
-    col, row = (way.tiles - (site.west, site.south)).T
-    assert (site.barred[len(site.barred) - 1 - row, col] == Barred.NO).all()
 
 
 def test_unknown_ground_is_crossed_only_at_a_price():
@@ -85,35 +70,6 @@ def test_the_upper_end_of_the_interval_is_dearer():
     usual, robust = (planner(site, robust=robust, risk=0.0).way(stops).figures for robust in (False, True))
     assert robust.cost_m > usual.cost_m
     assert robust.c_r_mean == pytest.approx(usual.c_r_mean, rel=0.05)
-
-
-def test_a_way_passes_its_stops_in_order():
-    site = rough_map(4, barred_share=0.0)
-    stops = np.array([site.at(5.5, 5.5), site.at(50.2, 8.8), site.at(30.5, 60.5)])
-    way = planner(site).way(stops)
-    for stop in stops:
-        assert np.hypot(*(way.line - stop).T).min() < 1e-6
-    legs = [planner(site).way(pair).figures.cost_m for pair in (stops[:2], stops[1:])]
-    assert way.figures.cost_m == pytest.approx(sum(legs), rel=1e-9)
-
-
-def test_there_and_back_cost_the_same():
-    site = rough_map(9)
-    stops = np.array([site.at(1.2, 1.9), site.at(58.7, 66.1)])
-    there, back = (planner(site).way(points).figures for points in (stops, stops[::-1]))
-    assert there.cost_m == pytest.approx(back.cost_m, rel=1e-12)
-
-
-def test_a_stone_on_the_line_is_passed_beside_its_tile():
-    site = TileMap(np.full((21, 40), 0.1))
-    stops = np.array([site.at(10.5, 2.5), site.at(10.5, 37.5)])
-    site.stones = [tuple(site.at(10.6, 20.5)), tuple(site.at(9.2, 20.5)), tuple(site.at(2.5, 2.5))]
-    plan = planner(site)
-    way = plan.way(stops)
-    apart = shapely.distance(shapely.LineString(way.line), shapely.points(np.array(site.stones)))
-    assert apart.min() >= plan.ground.reach_m - 0.15
-    assert way.figures.obstacle_m == 0.0
-    assert 1.0 < way.figures.detour < 1.05
 
 
 def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
@@ -174,28 +130,6 @@ def test_a_way_of_no_length_stays_there():
     figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).figures
     assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
     assert str(figures.descent_m) == "0.0"
-
-
-def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
-    barred = np.full((9, 20), Barred.SLOPE)
-    barred[4] = Barred.NO
-    site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.32, 10.5)), tuple(site.at(4.68, 14.5))]
-    plan = planner(site)
-    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
-    way = plan.way(stops)
-    line = shapely.LineString(way.line)
-    assert way.figures.obstacle_m == 0.0
-    assert shapely.distance(line, shapely.points(np.array(site.stones))).min() >= plan.ground.reach_m - 0.15
-    north, south = (site.at(row, 0)[1] for row in (4, 5))
-    assert (
-        south + plan.ground.reach_m - 1e-6
-        <= way.line[:, 1].min()
-        < way.line[:, 1].max()
-        <= north - plan.ground.reach_m + 1e-6
-    )
-    back = plan.way(stops[::-1])
-    np.testing.assert_array_equal(back.line, way.line[::-1])
 
 
 def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
