@@ -27,7 +27,6 @@ __all__ = [
     "Reached",
     "Seeds",
     "search",
-    "walk_back",
 ]
 
 Floats = NDArray[np.float64]
@@ -241,26 +240,3 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
             total = g + _move_cost(ground, moves, k, tile, reached.g[to] - g)
             if total < reached.g[to]:
                 size = _offer(ground, reached, to, total, k, size)
-
-
-@kernel
-def walk_back(
-    back: Annotated[Bytes, 2],
-    moves: Annotated[Integers, 2],
-    row: int,
-    col: int,
-    path: Annotated[Integers, 2],
-    count: Annotated[Integers, 1],
-) -> None:
-    """Fill (n, 2) the tiles of a way from a tile back to the start, as many as there is room for; count all of them."""
-    n = 0
-    while True:
-        if n < path.shape[0]:
-            path[n, 0], path[n, 1] = row, col
-        n += 1
-        k = back[row, col]
-        if k >= moves.shape[0]:
-            break
-        row -= moves[k, 0]
-        col -= moves[k, 1]
-    count[0] = n

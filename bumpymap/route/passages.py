@@ -51,19 +51,6 @@ class AreaGraph(NamedTuple):
     """(n, n) cost from node to node, in tiles."""
 
 
-class AreaReach(NamedTuple):
-    """Cost and length of the ways to the tiles of a window; all arrays are (rows, cols)."""
-
-    cost: Floats
-    """Cost of the cheapest way to the tile, in tiles; infinite where none leads."""
-    length: Floats
-    """Length of that way, in tiles."""
-    is_between: NDArray[np.bool_]
-    """Tiles to which that way leads over areas, between obstacles."""
-    has_room: NDArray[np.bool_]
-    """Tiles in which the vehicle fits somewhere."""
-
-
 def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
     """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
 
@@ -98,15 +85,18 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     return again if again is not None else line
 
 
-def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats) -> AreaReach:
+def reach_over_areas(
+    ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
     ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
     easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
-    tiles; the cost is infinite where none leads.
+    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols) each: tiles to which the way
+    leads over areas now, between obstacles; tiles in which the vehicle fits somewhere.
     """
     graph = _graph(ground, window)
-    count, cost_of_tile, length_of_tile = len(graph.tile), cost.ravel().copy(), length.ravel().copy()
+    count, cost_of_tile, length_of_tile = len(graph.tile), cost.reshape(-1), length.reshape(-1)  # views
     per_tile = ground.on_tiles(window).ravel()[graph.tile].astype(np.float64)
     # A way over whole tiles ends in the largest area of its tile, from where it goes on.
     size = np.bincount(graph.node.ravel() + 1, minlength=count + 1)[1:]
@@ -144,12 +134,7 @@ def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost
     cost_of_tile[tiles], length_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
     is_between, has_room = np.zeros(cost.size, np.bool_), np.zeros(cost.size, np.bool_)
     is_between[tiles] = has_room[graph.tile] = True
-    return AreaReach(
-        cost_of_tile.reshape(cost.shape),
-        length_of_tile.reshape(cost.shape),
-        is_between.reshape(cost.shape),
-        has_room.reshape(cost.shape),
-    )
+    return is_between.reshape(cost.shape), has_room.reshape(cost.shape)
 
 
 def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -231,11 +216,17 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
     if not np.isfinite(spent[goal]):
         return None
     left = csgraph.dijkstra(graph.arcs, indices=goal, limit=_DEARER * spent[goal] + 1.0)
+    path = _path(before, start, goal)
+    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
+    return path, np.union1d(near, path)
+
+
+def _path(before: NDArray[np.integer], start: int, goal: int) -> list[int]:
+    """Return the nodes from a start to a goal, given the one before each."""
     path = [goal]
     while path[-1] != start:
         path.append(int(before[path[-1]]))
-    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
-    return path[::-1], np.union1d(near, path)
+    return path[::-1]
 
 
 def _at_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
@@ -314,10 +305,7 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
     spent, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
     if not np.isfinite(spent[goal]):
         return None
-    path = [int(goal)]
-    while path[-1] != start:
-        path.append(int(before[path[-1]]))
-    pixels = np.argwhere(is_free)[path[::-1]]
+    pixels = np.argwhere(is_free)[_path(before, int(start), int(goal))]
     piece = ndimage.label(is_free)[0][tuple(pixels.T)]
     cuts = np.flatnonzero(np.diff(piece))
     corners = on_grid((pixels + 0.5) / ground.site.grid.pixels, ground.site.grid, window)

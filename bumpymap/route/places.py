@@ -109,14 +109,7 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
-    how_far = ""
-    if meant:
-        read_as, point = next(iter(meant.items()))
-        as_what = "longitude and latitude" if read_as == "lonlat" else "coordinates in the survey's CRS"
-        metres = _outside_m(point, route_map)
-        away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
-        how_far = f"; read as {as_what}, it is {away} away from it"
-    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}{how_far}. {_FORMS}")
+    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {_FORMS}")
 
 
 def place_in_window(

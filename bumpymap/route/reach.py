@@ -129,11 +129,10 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:
-            found = reach_over_areas(ground, window, start, spent, length)
-            spent, length = found.cost, found.length
-            back[found.is_between] = BETWEEN_OBSTACLES
+            is_between, has_room = reach_over_areas(ground, window, start, spent, length)
+            back[is_between] = BETWEEN_OBSTACLES
             _mark_all_between(back)
-            is_passable |= found.has_room
+            is_passable |= has_room
     spent[np.isinf(spent)] = np.nan
     spent *= site.grid.tile_size
     length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0

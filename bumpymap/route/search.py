@@ -41,7 +41,6 @@ from bumpymap.route._search_kernels import (
     Reached,
     Seeds,
     search,
-    walk_back,
 )
 from bumpymap.route.straighten import (
     LEAST_SAVING,
@@ -405,14 +404,9 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
         raise ValueError(f"there is no way to the tile in row {row}, column {col}")
     if back[row, col] == BETWEEN_OBSTACLES:
         raise ValueError(f"the way to the tile in row {row}, column {col} leads between obstacles: plan it as a route")
-    back, count = np.ascontiguousarray(back), np.zeros(1, np.int64)
-    path = np.empty((sum(back.shape), 2), np.int64)
-    walk_back(back, MOVES, row, col, path, count)
-    if count[0] > len(path):
-        path = np.empty((int(count[0]), 2), np.int64)
-        walk_back(back, MOVES, row, col, path, count)
-    path = path[: count[0]]
-    move = back[path[:, 0], path[:, 1]]
-    kept = np.ones(len(path), np.bool_)
-    kept[1:-1] = move[1:-1] != move[:-2]
-    return path[kept].astype(np.float64) + 0.5
+    path, last = [(row, col)], NOT_REACHED
+    while (move := int(back[row, col])) < len(MOVES):
+        row, col = row - int(MOVES[move, 0]), col - int(MOVES[move, 1])
+        path[-1:] = [(row, col)] if move == last else [path[-1], (row, col)]
+        last = move
+    return np.array(path, np.float64) + 0.5

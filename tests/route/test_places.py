@@ -50,18 +50,6 @@ def test_a_point_outside_the_map_is_refused_with_the_extent_in_both_systems():
         assert stated == pytest.approx([longitude.min(), longitude.max(), latitude.min(), latitude.max()], abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("480100,2136300", "coordinates in the survey's CRS, it is 60.0 m away"),
-        ("-99.19,20.32", r"longitude and latitude, it is 110\.\d km away"),
-    ],
-)
-def test_a_point_beside_the_map_is_told_how_far_and_as_what_it_was_read(text, told):
-    with pytest.raises(BadInputError, match=told):
-        parse_point(text, SITE)
-
-
 def test_points_near_the_map_are_taken_if_asked():
     with pytest.raises(BadInputError, match="outside"):
         parse_point("480304,2136243", SITE, beyond_m=4.9)
