@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Scan
+from bumpymap.lab import LabelSet
 from bumpymap.lab.evaluate.scans import ground_score, labels_of
-from bumpymap.readers import LabelSet, find_frames, read_scan
+from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import polar_sectors
 
 _NEAR_M = 15.0

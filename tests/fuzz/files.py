@@ -351,7 +351,7 @@ def _scans(folder):
     from bags import LIDAR, cloud, write_bag
 
     import bumpymap
-    from bumpymap.readers import label_set
+    from bumpymap.lab import label_set
     from bumpymap.scan import ScanModel
 
     rng = np.random.default_rng(2)
