@@ -21,7 +21,6 @@ from .frames.deskew_kernels import (
     deskew as deskew,
 )
 from .frames.kitti import (
-    BIN_COLUMNS as BIN_COLUMNS,
     label_file as label_file,
 )
 from .frames.poses import (

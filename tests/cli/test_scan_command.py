@@ -152,7 +152,7 @@ def doubtful_columns(folder):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (doubtful_columns, "If that is wrong, say --set columns=4"),
+        (doubtful_columns, "Say which they are with --set columns"),
         (other_poses, "holds 2 poses, but there are 1 frames"),
         (not_a_model, "is not an ONNX model"),
         (no_calibration, "c.json"),
