@@ -15,7 +15,7 @@ ROOMS = {
     "core": (set(), {"blake3", "fsspec", "numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rosbags"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
-    "rating": ({"core"}, {"numpy"}),
+    "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
         {"geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "xarray"},
