@@ -15,7 +15,7 @@ ROOMS = {
     "core": (set(), {"blake3", "fsspec", "numpy", "onnxruntime", "pyproj"}),
     "readers": ({"core"}, {"fsspec", "lazrs", "numpy", "pyarrow", "pypcd4", "pyproj", "pyulog", "rosbags"}),
     "patches": ({"core"}, {"CSF", "numpy"}),
-    "rating": ({"core"}, {"numpy"}),
+    "rating": ({"core"}, {"numpy", "scipy"}),
     "layers": (
         {"core"},
         {"geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "xarray"},
@@ -24,7 +24,7 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
-        {"numpy", "pyproj", "sklearn"},
+        {"numpy", "pyproj"},
     ),
     "route": ({"core", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
