@@ -163,9 +163,6 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
 
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
-    reason_names, barred_names = (
-        tuple(texts[code] for code in kind) for texts, kind in ((REASON_TEXT, Reason), (BARRED_TEXT, Barred))
-    )
     return {
         "roughness.tif": _Layer(
             "ride cost and roughness of each tile",
@@ -182,7 +179,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
         "reason.tif": of_codes(
             "why tiles have no class",
             "reason",
-            BandSpec("reason", text="why a tile has no class", categories=reason_names),
+            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT.values())),
             reasons,
         ),
         "cost.tif": _Layer(
@@ -199,7 +196,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
         "barred.tif": of_codes(
             "why tiles are not passable",
             "barred",
-            BandSpec("barred", text="why the tile is not passable", categories=barred_names),
+            BandSpec("barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
         ),
         "speeds.tif": _Layer(
