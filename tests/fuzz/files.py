@@ -147,7 +147,7 @@ def _layers(folder):
     from bumpymap.change import diff_surveys
     from bumpymap.layers import open_map
     from bumpymap.route import RouteConfig, plan_routes
-    from bumpymap.views import ExportSettings, export_map, write_reports
+    from bumpymap.views import ExportSettings, export_map, write_report
     from bumpytiles import Grid
 
     one = write_folder(folder / "map", make_field(12, 10, grid=Grid(3.0, 5), easy=True))
@@ -159,7 +159,7 @@ def _layers(folder):
 
     def report(place, out):
         out.mkdir()
-        write_reports([place], out / "page.html")
+        write_report(place, out / "page.html")
 
     def python(place, out):
         del out

@@ -10,9 +10,10 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import horizontal_of, stated_crs
-from bumpymap.layers import open_layer, raster_in, virtual_name
+from bumpymap.layers import REPORT_NAME, open_layer, raster_in, virtual_name
 from bumpymap.views.gis.styles import MULTIPLY, NORMAL, StyleFacts, layer_style, write_qgis, write_styles
-from bumpymap.views.page.map_page import write_report
+from bumpymap.views.page.map_page import write_map_page
+from bumpymap.views.page.site import Site
 
 __all__ = ["write_map_views", "write_project"]
 
@@ -104,7 +105,7 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     """
     write_styles(folder, record)
     write_project(folder, record)
-    write_report(folder, record)
+    write_map_page(Site.read(folder, record), folder / REPORT_NAME)
 
 
 _NAME = "map.qgs"

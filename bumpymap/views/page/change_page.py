@@ -1,7 +1,6 @@
 """The page of what has changed between two surveys, from change.tif, change.geojson and their record."""
 
 import math
-import shlex
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -344,18 +343,15 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         class_rows=[
             (name, *map(whole, row)) for name, row in zip(classes, record["classes"]["tiles_before_after"], strict=True)
         ],
-        command=_command(record["settings"]),
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
         ramp_colours=_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
-        data={"maps": [site.map_record()], "together": False, "codes": codes},
+        data={"maps": [site.map_record()], "codes": codes},
     )
 
 
 _SIDES = ("before", "after")
-_USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
-"""Settings of a comparison that `--out` alone gives."""
 
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
@@ -373,13 +369,6 @@ def _dates(run: Mapping[str, Any]) -> str | None:
     if not dates:
         return None
     return str(dates[0]) if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
-
-
-def _command(settings: Mapping[str, Any]) -> str:
-    """Return the command that compares the surveys in the same way."""
-    changed = [name for name, usual in _USUAL.items() if settings[name] != usual]
-    options = [f"--{name.replace('_', '-')} {shlex.quote(f'{settings[name]:g}')}" for name in changed]
-    return " ".join(["bumpymap diff BEFORE AFTER --out DIR", *options])
 
 
 _MEANING = {

@@ -341,8 +341,6 @@ class Site:
     """True if the page lies beside the layers, so that it can lead to the pages of sheets."""
     check: DrawnCheck | None = None
     """Findings of real drives over the map."""
-    letter: str = ""
-    """Letter of the map on a page of two."""
 
     @classmethod
     def read(
@@ -407,11 +405,6 @@ class Site:
         still = _still(tiles, light)
         shown = (tiles, grids, objects, text, relief, still)
         return cls(survey_name(record), record, summary, *shown, ways, has_links, check)
-
-    @property
-    def title(self) -> str:
-        """Name of the map, with the letter by which the page calls it."""
-        return f"{self.letter}: {self.name}" if self.letter else self.name
 
     @property
     def vehicle(self) -> str:
@@ -479,9 +472,8 @@ class Site:
 
     def charts(self) -> tuple[Chart, Chart]:
         """Return the histograms of the ride cost and of the slope."""
-        key = str("AB".find(self.letter or "A"))
-        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or (), key)
-        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"], key)
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or ())
+        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
 
     @property
     def rounding(self) -> str:
