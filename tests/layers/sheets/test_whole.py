@@ -22,7 +22,7 @@ from bumpymap.layers.sheet_paths import sheet_folders
 from bumpymap.layers.sheets import write_virtual
 from bumpymap.views import read_thumbnail, write_map_views, write_report
 from bumpymap.views.page import site as pages
-from bumpymap.views.page.map_page import write_maps
+from bumpymap.views.page.map_page import write_map_page
 from bumpymap.views.page.site import Site
 from bumpytiles import BLOCK_TILES
 
@@ -84,7 +84,7 @@ class TestPage:
         few = Site.read(sheets, record)
         many = replace(few, record=record | {"sheets": record["sheets"] * 2500})
         for site in (few, many):
-            write_maps([site], tmp_path / f"{len(site.sheets)}.html")
+            write_map_page(site, tmp_path / f"{len(site.sheets)}.html")
         text = (tmp_path / "10000.html").read_text()
         assert "10,000 sheets" in text
         assert "the first 500" in text

@@ -9,7 +9,6 @@ import pytest
 from check_records import made_up_check, make_check, stretches_at
 from page_outline import Outline
 from route_maps import copy_folder
-from route_records import MadeUpMap
 
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CLASS_NAMES
@@ -56,13 +55,6 @@ def test_without_a_check_nothing_of_drives_is_on_the_page(site, read_page):
     assert "Against real drives" not in page.text
     assert "Real drives" not in page.text
     assert page.data["maps"][0]["stretches"] == []
-
-
-def test_nothing_to_compare_is_drawn_without_a_chart(site, tmp_path):
-    result, _ = on_site(made_up_check(6, unknown=range(5)), site)
-    result = replace(result, stretches=replace(result.stretches, measured=np.zeros(6)), agreement=None, by_class={})
-    write_check(result, tmp_path, ground=MadeUpMap.around())
-    assert "chart-drives" not in (tmp_path / "check.html").read_text()
 
 
 def test_the_page_holds_map_figures_and_drives(checked, read_page):
@@ -123,16 +115,6 @@ def test_a_mark_lies_at_what_map_and_drive_say():
     zero = float(re.search(r'y="([\d.]+)" text-anchor="end">0</text>', along)[1]) - 4
     assert (zero - second[1]) / (zero - first[1]) == pytest.approx(12.0, rel=0.01)
     assert second[0] - first[0] == pytest.approx((1120 - 64 - 12) / 2, abs=0.2)
-
-
-@pytest.mark.parametrize("case", ["one stretch", "nearly nothing known", "nothing measured", "many"])
-def test_odd_findings_are_drawn_too(case):
-    number = {"one stretch": 1, "many": 3000}.get(case, 8)
-    result = made_up_check(number, unknown=range(7) if case == "nearly nothing known" else ())
-    if case == "nothing measured":
-        result = replace(result, stretches=replace(result.stretches, measured=np.full(8, np.nan)), agreement=None)
-    for chart in (drive_chart(result), along_chart(result)):
-        assert chart is None or "nan" not in "".join(chart.elements)
 
 
 _ON_SCREEN = """at => {

@@ -224,29 +224,6 @@ def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_
     assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
 
 
-def test_tiles_smaller_than_a_pixel_that_cannot_be_crossed_are_not_skipped(visit, pages):
-    page = visit(pages["one"])
-    for key in ("objects", "relief"):
-        page.uncheck(f"input[value={key}]")
-    found = page.evaluate(
-        """() => { const map = window.reportMaps[0];
-        map.ground.fill(0); map.barred.fill(0); map.layers = {};
-        map.barred[15 * map.about.cols + 20] = 3;
-        map.masks.unknown = map.tiles(() => null);
-        map.masks.barred = map.tiles((at) => map.barred[at] && [0, 0, 0, 255]);
-        map.atAll = false;
-        map.scale = 0.4 / map.about.metres / map.dense;
-        return [0, 0.5, 1, 1.5, 2, 2.5].map((tiles) => {
-          map.middle = [(20 + tiles) * map.about.metres, (15 + tiles) * map.about.metres];
-          map.draw();
-          const half = [map.canvas.width / 2, map.canvas.height / 2].map(Math.round);
-          const colours = map.context.getImageData(half[0] - 4, half[1] - 4, 8, 8).data;
-          return Math.min(...colours.filter((_, at) => at % 4 === 2));
-        }); }"""
-    )
-    assert max(found) < 182 - 10  # the blue of smooth ground, and darker than it
-
-
 def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
     page = visit(pages["one"], java_script_enabled=False)
     assert page.is_visible("img.still")

@@ -207,17 +207,6 @@ def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_p
     assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
 
 
-def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page):
-    """Its median ride cost may lie below its limit."""
-    known = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.3]}
-    folder = write_folder(tmp_path / "steep", make_field(6, 5), calibration=known)
-    page = read_page(folder / "report.html")
-    row = Outline(page.text).tables["Classes"][4]
-    assert row[0] == "3 very rough"
-    assert row[4] == "0.3 and more, or too steep, or drives fail"
-    assert f"3 very rough: C_r {row[4]}" in page.text
-
-
 def test_places_of_the_machine_are_not_in_the_page(site, tmp_path, read_page):
     places = ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"]
     inputs = [{"path": path, "format": "LAZ", "points": 1} for path in places]
@@ -236,22 +225,6 @@ def test_a_record_of_little_is_enough(tmp_path):
         tmp_path / "bare", make_field(6, 5), vehicle=None, calibration=None, model=None, settings=None
     )
     assert "The vehicle can cross" in (folder / "report.html").read_text()
-
-
-@pytest.mark.parametrize(
-    ("speeds", "told"),
-    [
-        ({}, "driven in simulation at 1.00 m/s."),
-        ({"drives_mps": 1.0}, "driven in simulation at 1.00 m/s."),
-        (
-            {"speed_mps": 2.0, "drives_mps": 1.0},
-            "driven in simulation at 1.00 m/s; the ride costs of this map are for 2.00 m/s.",
-        ),
-    ],
-)
-def test_a_map_at_another_speed_says_at_which_it_was_driven(site, tmp_path, read_page, speeds, told):
-    twin = copy_folder(site, tmp_path / "twin", vehicle=VEHICLE | speeds)
-    assert told in " ".join(read_page(write_report(twin)).text.split())
 
 
 def test_what_cannot_be_made_says_why(site, tmp_path):
