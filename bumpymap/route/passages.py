@@ -92,8 +92,8 @@ def reach_over_areas(
 
     ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
     easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
-    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols): tiles in which the vehicle fits
-    somewhere.
+    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols): tiles in which the vehicle
+    fits somewhere.
     """
     graph = _graph(ground, window)
     count, cost_of_tile, length_of_tile = len(graph.tile), cost.reshape(-1), length.reshape(-1)  # views

@@ -58,14 +58,10 @@ class MadeSurvey:
     millions: int
     order: str
     format: str
-    cuts: int = 1
     sides: tuple[str, ...] = ("map",)
 
     def title(self, scale: float) -> str:
         """Name the survey in the tables."""
-        if self.cuts > 1:
-            files = self.cuts**2
-            return f"{files} adjoining files of {self.millions * scale / files:g} million points, {self.format.upper()}"
         return f"{self.millions * scale:g} million points, {self.order}, {self.format.upper()}"
 
 
@@ -74,7 +70,6 @@ MADE = {
     "20m-laz": MadeSurvey(20, "sorted", "laz", sides=(*_ALL, "map_1gb")),
     "20m-las": MadeSurvey(20, "sorted", "las", sides=(*_ALL, "map_1gb", "before_1gb")),
     "20m-shuffled": MadeSurvey(20, "shuffled", "laz", sides=("map_1gb",)),
-    "16x2.5m-laz": MadeSurvey(40, "sorted", "laz", cuts=4, sides=("map", "before")),
     "200m-laz": MadeSurvey(200, "sorted", "laz", sides=("map_1gb",)),
     "200m-shuffled": MadeSurvey(200, "shuffled", "laz", sides=("map_1gb",)),
     "100m-laz": MadeSurvey(100, "sorted", "laz"),
@@ -164,7 +159,7 @@ class Bench:
             if key in wanted:
                 points = max(1, round(made.millions * 1_000_000 * given.scale))
                 words = ("--data", given.data, "--points", points, "--order", made.order, "--format", made.format)
-                facts[key] = {"title": made.title(given.scale), **_survey_facts(*words, "--cuts", made.cuts)}
+                facts[key] = {"title": made.title(given.scale), **_survey_facts(*words)}
                 cases[key] = self.sides(key, Path(facts[key]["path"]), made.sides)
         if "sample" in wanted:
             facts["sample"] = {"title": "sample survey", **_survey_facts("--facts", SAMPLE)}

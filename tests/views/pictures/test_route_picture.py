@@ -11,6 +11,7 @@ from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred
 from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import (
     BARRED_SHADE,
     HATCH,
