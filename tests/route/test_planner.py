@@ -108,23 +108,6 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     assert figures.p_arrives == pytest.approx(expected)
 
 
-def test_a_wall_between_passable_tiles_is_not_crossed_and_its_gap_is_found():
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line = np.arange(south + 0.1, north, 0.2)
-    wall = site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    site.stones = [(wall, y) for y in line]
-    assert planner(site).way(stops) is None
-    site.stones = [(wall, y) for y in line if abs(y - site.at(2.2, 10)[1]) > 1.0]
-    way = planner(site).way(stops)
-    gap = site.at(2.2, 10)[1]
-    crossing = np.interp(wall, *way.line.T)
-    assert abs(crossing - gap) < 0.4
-    site.stones = [(wall, y) for y in line if abs(y - gap) > 0.6]
-    assert planner(site).way(stops) is None
-
-
 def test_a_way_of_no_length_stays_there():
     site = TileMap(np.full((9, 20), 0.1))
     figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).figures
