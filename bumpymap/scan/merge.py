@@ -207,8 +207,8 @@ class DriveMerge:
         elif not given.squares and nearest > 2.0 * _REACH_M:
             wrong, reason = True, "the frames are so far apart that they share no ground"
         message = (
-            f"according to the poses, {reason}. Are `poses` those of the LiDAR (not of a camera or of the robot's base), one "
-            "per frame in order of time, in metres, and from the sensor's frame to the world's (not inverted)?"
+            f"according to the poses, {reason}. Are `poses` those of the LiDAR (not of a camera or of the robot's "
+            "base), one per frame in order of time, in metres, and from the sensor to the world (not inverted)?"
         )
         if wrong:
             raise WrongPosesError(message)

@@ -59,8 +59,7 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
         The extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
-    counts: dict[str, Counter[str]] = {}
-
+    counts: dict[str, Counter[str]] = {}  # messages of all bags: type -> topic -> number
     for bag in bags:
         for topic, (kind, count) in bag.topics.items():
             counts.setdefault(kind, Counter())[topic] += count
