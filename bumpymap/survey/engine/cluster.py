@@ -312,7 +312,7 @@ class ClusterExecutor:
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
         workers = self._workers.count()
-        shared = list(shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished, workers))
+        shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers))
         tasks = (
             (self._context, [self._source(plan, part) for part in task.ranges], task, plan.skip_bad) for task in shared
         )

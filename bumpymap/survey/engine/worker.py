@@ -19,7 +19,7 @@ from bumpymap.readers import LineSums, PointStats
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, single_task
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
@@ -178,7 +178,7 @@ class LocalExecutor:
         """Read all ranges that are unread; the worker keeps their points for the later tasks."""
         points, tiles = new_folder(self._space.points_folder), new_folder(self._space.new_tiles)
         self._worker = Worker(self._work, self._budget, points, tiles, self._progress)
-        task = single_task(plan.unread, plan.finished, plan.waiting)
+        task = ReadTask(tuple(plan.unread), (), frozenset(plan.finished), frozenset(plan.waiting))
         ranges = [
             OpenRange(part, plan.readers[part.file], plan.chunks[part.file][part.first : part.stop])
             for part in plan.unread

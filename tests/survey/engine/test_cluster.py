@@ -319,7 +319,7 @@ def test_a_block_that_two_tasks_reach_is_complete_for_neither(found, done, whole
         for box in bounds
     ]
     unread, read = ranges[done:], ranges[:done]
-    tasks = list(shared_tasks(grid, unread, read, set(), workers=2))
+    tasks = list(shared_tasks(unread, read, set(), workers=2))
     assert sorted(part.first for task in tasks for part in task.ranges) == list(range(done, len(ranges)))
     for task in tasks:
         own = [part.bounds for part in task.ranges]
