@@ -66,7 +66,9 @@ class FileReport:
     @property
     def bounds(self) -> Bounds | None:
         """Bounds of the points if they were read, else of the header, m."""
-        return self.summary.bounds if self.summary else self.info and self.info.bounds
+        if self.summary is not None:
+            return self.summary.bounds
+        return self.info.bounds if self.info is not None else None
 
     @property
     def density(self) -> float | None:

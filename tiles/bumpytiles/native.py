@@ -517,7 +517,7 @@ _tried: set[str] = set()
 
 def _compile_beside() -> None:
     """Compile the loaded kernel modules in other processes, as many as there are cores; one may fail."""
-    from multiprocessing.connection import wait
+    from selectors import EVENT_READ, DefaultSelector
 
     with _compiling_beside:
         missing = {
@@ -532,7 +532,7 @@ def _compile_beside() -> None:
         shares: list[list[str]] = [[] for _ in range(os.cpu_count() or 1)]
         for name in sorted(filter(size.get, size), key=lambda name: -size[name]):
             min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
-        children = {child.stdout: child for child in map(_start, filter(None, shares)) if child is not None}
+        children = [child for child in map(_start, filter(None, shares)) if child is not None]
         if not children:
             return
         total, done = sum(map(len, missing.values())), 0
@@ -540,13 +540,17 @@ def _compile_beside() -> None:
             plural = "s" * (total > 1)
             _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", total, plural)
         _report(done, total)
-        while children:
-            for pipe in wait(list(children)):
-                if told := len(os.read(pipe.fileno(), total)):
-                    done += told
-                    _report(done, total)
-                else:
-                    children.pop(pipe).wait()
+        with DefaultSelector() as pipes:
+            for child in children:
+                pipes.register(child.stdout or -1, EVENT_READ, child)
+            while pipes.get_map():
+                for pipe, _ in pipes.select():
+                    if told := len(os.read(pipe.fd, total)):
+                        done += told
+                        _report(done, total)
+                    else:
+                        pipes.unregister(pipe.fileobj)
+                        pipe.data.communicate()
         if done < total:  # a child died: this process compiles what it needs
             _report(total, total)
 

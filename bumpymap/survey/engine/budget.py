@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 _ADVICE = "Run the same again to continue from the finished tiles."
-_READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
+_READ, _SCRATCH, _OWNER, _SKIPPED = "read.json", "scratch.json", "owner.json", "skipped.json"
 _POINTS, _NEW_TILES = "points", "new-tiles"
 _PREFIX = "bumpymap-"
 """Prefix of the folders that runs make in ``scratch``."""
@@ -145,6 +145,24 @@ class Workspace:
     def records(self) -> list[Path]:
         """Return the records of chunks that are read, in the order of writing."""
         return _records(self.scratch)
+
+    def skipped(self) -> dict[str, str]:
+        """Return the files that an earlier run has skipped while it read them, with the reason."""
+        return read_record(self.folder / _SKIPPED) or {}
+
+    def forget_points(self, skipped: Mapping[str, str]) -> None:
+        """Note which files are skipped; delete what was read, and the tiles that were made of it.
+
+        Workers may still write to their own folders.
+        """
+        with atomic(self.folder / _SKIPPED) as temporary:
+            temporary.write_text(json.dumps(dict(skipped)), encoding="utf-8")
+        for path in (*self.tiles(), *self.records()):
+            path.unlink()
+        for folder in (self.points_folder, self.new_tiles):
+            for own in folder.iterdir():
+                if own.is_dir():
+                    shutil.rmtree(own, ignore_errors=True)
 
     def save_checkpoint(self, record: Mapping[str, Any]) -> None:
         """Save the record of a run that has finished every block."""
