@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, Barred, Progress, Steps, TileField, UsageError
 from bumpymap.lab.evaluate.survey_trial import TrialOptions, uniform_by_key
 from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.jobs import JobJournal, Key, drive_jobs
+from bumpymap.lab.simulate.jobs import Journal, Key, drive_jobs
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 from bumpymap.rating.vehicle_body import less_floor
 from bumpymap.route import CostSettings
@@ -675,7 +675,7 @@ def drive_pairs(
         jobs,
         Steps(options.progress),
         workers=options.workers,
-        journal=JobJournal(
+        journal=Journal(
             options.out / f"ways-{profile.name}.jsonl",
             _recorded(route_map, profile, pairs, settings),
             WayDrive.from_record,

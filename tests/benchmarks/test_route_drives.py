@@ -17,11 +17,11 @@ from _route_trial import (
     ride_without_correction,
 )
 from driven_ways import ReliefGround, WayDrive
+from known_grounds import sine_c_r
 
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.interrupts import SilentProgress
 from bumpymap.lab.evaluate.survey_trial import TrialOptions
-from bumpymap.lab.simulate.jobs import sine_c_r
 from bumpymap.rating import RideModel
 from bumpymap.rating.vehicle_profile import load_profile
 

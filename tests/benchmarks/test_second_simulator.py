@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_grounds import PlaneGround, SineGround
 
-from bumpymap.lab.simulate.terrain import PlaneGround, SineGround, Strip
+from bumpymap.lab.simulate.terrain import Strip
 from bumpymap.rating.vehicle_profile import load_profile
 
 pytestmark = pytest.mark.slow
