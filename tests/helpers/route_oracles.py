@@ -104,8 +104,11 @@ def integral(cost, line, points=20001):
     return total
 
 
-def cheapest_on_pixels(cost, start, goal, pixel):
-    """Cost [m] of the cheapest path over pixels in eight directions, past closed corners; inf if there is none."""
+def pixel_graph(cost, pixel, *, past_corners=False):
+    """Moves over pixels in eight directions as a graph, costs in m, and the node of each pixel.
+
+    A move past a corner needs the pixels beside it to be free, but with ``past_corners``.
+    """
     rows, cols = cost.shape
     free, number = np.isfinite(cost), np.arange(cost.size).reshape(cost.shape)
     parts = []
