@@ -81,7 +81,6 @@ from .manifest import (
     write_manifest as write_manifest,
 )
 from .map_files import (
-    RemoteFolder as RemoteFolder,
     open_layer as open_layer,
     open_raster as open_raster,
     read_averaged as read_averaged,

@@ -22,7 +22,6 @@ from bumpymap.core import (
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
-    Barred,
     CostTable,
     Reason,
     speed_bands,

@@ -26,7 +26,7 @@ from bumpymap.change import diff_surveys
 from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
 from bumpymap.layers import map_files, open_map, read_areas, read_points
-from bumpymap.views import ExportSettings, export_map, write_reports
+from bumpymap.views import ExportSettings, export_map, write_report
 
 VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
 <VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>
@@ -73,7 +73,7 @@ def list_anew(folder):
 
 
 def report(folder, out):
-    write_reports([folder], out / "page.html")
+    write_report(folder, out / "page.html")
 
 
 def export(folder, out):
