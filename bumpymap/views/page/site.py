@@ -42,6 +42,7 @@ from bumpymap.layers import (
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, crs_name, packed
+from bumpymap.views.pictures.drawing import LEVEL, light_of
 from bumpymap.views.words import survey_name
 
 __all__ = [
@@ -58,13 +59,8 @@ __all__ = [
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
-_NORTH_WEST = (-0.5, 0.5, 0.7071)
-"""Where the light comes from: east, north, up."""
-_TYPICAL = 0.35
-"""Slope, m per m, that the steepest tenth of the ground is exaggerated to."""
-_EXAGGERATION = (0.5, 6.0)
 _FLAT = 0.84
-"""Brightness where no height is known."""
+"""Brightness of level ground, and where no height is known."""
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
@@ -158,19 +154,8 @@ def tile_heights(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.float32
 
 def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
     """Return how bright the light from the north-west leaves each pixel of ``metres``, 0 to 255."""
-    if min(heights.shape) < 2:
-        return np.full(heights.shape, round(255 * _FLAT), np.uint8)
-    down, east = (np.asarray(np.gradient(heights, metres, axis=axis), np.float32) for axis in (0, 1))
-    steep: NDArray[np.float32] = np.hypot(east[::3, ::3], down[::3, ::3])
-    few = steep[np.isfinite(steep)]
-    typical = float(np.quantile(few, 0.9)) if len(few) else _TYPICAL
-    factor = np.float32(np.clip(_TYPICAL / max(typical, 1e-6), *_EXAGGERATION))
-    east *= factor
-    down *= factor
-    light = (-_NORTH_WEST[0] * east + _NORTH_WEST[1] * down + _NORTH_WEST[2]) / np.sqrt(1 + east * east + down * down)
-    bright = np.nan_to_num(np.clip(light * (_FLAT / _NORTH_WEST[2]), 0.15, 1.0), nan=_FLAT)
-    picture: NDArray[np.uint8] = np.rint(bright * 255).astype(np.uint8)
-    return picture
+    bright = np.clip(light_of(heights, (metres, metres)) * (_FLAT / LEVEL), 0.15, 1.0)
+    return np.rint(bright * 255).astype(np.uint8)
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
@@ -473,11 +458,6 @@ class Site:
         """Return the histograms of the ride cost and of the slope."""
         ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or ())
         return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
-
-    @property
-    def rounding(self) -> str:
-        """How far shown values may be from those in the layers."""
-        return "; ".join(grid.rounding for grid in self.grids if grid.is_known)
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""

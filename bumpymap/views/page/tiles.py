@@ -82,19 +82,6 @@ class ByteGrid:
         return cls(*about, scale, low, step, codes)
 
     @property
-    def rounding(self) -> str:
-        """How far a shown value may be from the one in the layers."""
-        if not self.is_known:
-            return f"{self.label}: no value"
-        if self.scale == "log":
-            return f"{self.label} ±{100 * math.expm1(self.step / 2):.2g} %"
-        unit = f" {self.unit}" if self.unit not in {"", "°"} else self.unit
-        if self.scale == "root":  # most where values are largest
-            most = max(abs(self.low), abs(self.low + _STEPS * self.step))
-            return f"{self.label} at most ±{self.step * most:.1g}{unit}"
-        return f"{self.label} ±{self.step / 2:.2g}{unit}"
-
-    @property
     def is_known(self) -> bool:
         """True if it has a value anywhere."""
         return bool((self.codes != NOT_KNOWN).any())

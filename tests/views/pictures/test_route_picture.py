@@ -11,6 +11,7 @@ from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred
 from bumpymap.layers.colours import CLASS_COLOURS, RideScale
+from bumpymap.views.pictures import drawing
 from bumpymap.views.pictures.drawing import (
     BARRED_SHADE,
     HATCH,
@@ -172,9 +173,9 @@ def class_colours(*numbers):
 
 
 def test_the_scale_of_colours_runs_through_those_of_the_classes():
-    scale = RideScale.of({}, np.full(9, 1.0))
+    scale = RideScale.of({})
     np.testing.assert_allclose(scale.colours(np.array([0.0, 1 / 3, 2 / 3, 1.0, 9.0])), class_colours(0, 1, 2, 3, 3))
-    limits = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}}, np.full(9, 77.0))
+    limits = RideScale.of({"calibration": {"class_limits": [0.1, 0.3, 0.4]}})
     middles = np.array([0.0, 0.05, 0.2, 0.35, 0.45, 8.0])
     np.testing.assert_allclose(limits.colours(middles), class_colours(0, 0, 1, 2, 3, 3))
     assert limits.end == pytest.approx(0.45)
@@ -186,7 +187,7 @@ def test_the_scale_of_colours_runs_through_those_of_the_classes():
 )
 def test_limits_that_are_none_give_a_round_scale(limits):
     for calibration in ({"class_limits": limits}, limits):
-        assert RideScale.of({"calibration": calibration}, np.full(9, 1.0)).end == 1.0
+        assert RideScale.of({"calibration": calibration}).end == 1.0
 
 
 def test_a_way_of_no_length_has_no_mean_and_no_distances(ground, monkeypatch):
