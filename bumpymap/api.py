@@ -38,7 +38,7 @@ from bumpymap.layers import (
     sheet_folders,
     virtual_name,
 )
-from bumpymap.survey import MapSettings, map_settings
+from bumpymap.survey import MapSettings, folder_of_call, map_settings
 
 if TYPE_CHECKING:
     import geopandas
@@ -524,11 +524,9 @@ def map_survey(
     own = map_settings(settings, "map_survey", MapSettings.__annotations__)
     places = _places(surveys)
     if out is not None:
-        folder = path_of_call("out", out)
-        if "://" in folder:
-            raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
-        _map(MapConfig(surveys=places, out=Path(folder), **own))
-        return Layers(folder)
+        target = folder_of_call("out", out)
+        _map(MapConfig(surveys=places, out=target, **own))
+        return Layers(target)
     if own.get("sheets") is not None:
         raise UsageError(
             f"`sheets={own['sheets']:g}` cuts a large map into folders, and layers without `out` are temporary: give "

@@ -13,7 +13,6 @@ from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
-    RemoteFolder,
     SurveyRow,
     SurveyStatus,
     open_raster,
@@ -41,14 +40,14 @@ _MOST_PIXELS = 20_000_000
 """Heights of a virtual raster to average."""
 
 
-def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
+def read_thumbnail(folder: Path, most_bytes: int) -> bytes:
     """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 
     Parameters
     ----------
-    folder : Path or RemoteFolder
+    folder : Path
     most_bytes : int
         Largest size of the PNG.
 
@@ -74,7 +73,7 @@ def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
     return b""
 
 
-def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
 
     Both have ``side`` pixels along the longer side.
@@ -94,7 +93,7 @@ def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDA
     return kind, np.clip(light / LEVEL, _DARKEST, _BRIGHTEST)
 
 
-def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.float64]:
+def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
     with open_raster(folder, "heightmap.tif") as raster:
         # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
         # of large sheets are averages already.
