@@ -30,7 +30,6 @@ from bumpymap.layers import (
 )
 from bumpymap.views.export.area import (
     ExportArea,
-    ExportPoint,
     choose_area,
     write_pixel_cost,
 )
@@ -254,7 +253,7 @@ def export_map(
     folder = Path(out)
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
     split = route_map.grid.pixels if by_pixels else 1
-    area = choose_area(route_map, split, _point(settings.around), settings.radius, _point(settings.datum))
+    area = choose_area(route_map, split, settings.around, settings.radius, settings.datum)
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
@@ -268,10 +267,6 @@ def export_map(
             record |= write(staged)
             write_manifest(record, staged / DATUM_NAME)
     return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
-
-
-def _point(place: tuple[float, float] | None) -> ExportPoint | None:
-    return None if place is None else ExportPoint(*map(float, place))
 
 
 def _sources(route_map: MapReader) -> dict[str, Any]:

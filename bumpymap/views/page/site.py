@@ -41,7 +41,7 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
-from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, crs_name, packed
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, block_means, crs_name, packed
 from bumpymap.views.pictures.drawing import LEVEL, light_of
 from bumpymap.views.words import survey_name
 
@@ -53,8 +53,6 @@ __all__ = [
     "object_grid",
     "read_heights",
     "read_ways",
-    "shade",
-    "tile_heights",
 ]
 
 _STRIP_PIXELS = 16_000_000
@@ -140,22 +138,6 @@ def _spans(start: int, count: int, step: int) -> list[tuple[int, int, int]]:
         pixels = max(1, (last - first) // step)
         parts.append((first, pixels, (last - first) // pixels))
     return parts
-
-
-def tile_heights(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.float32]:
-    """Return mean heights on the page's grid, (rows, cols), NaN where there is none."""
-    rows, cols = spot.shape
-    blocks = heights.reshape(rows, heights.shape[0] // rows, cols, heights.shape[1] // cols)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
-
-
-def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
-    """Return how bright the light from the north-west leaves each pixel of ``metres``, 0 to 255."""
-    bright = np.clip(light_of(heights, (metres, metres)) * (_FLAT / LEVEL), 0.15, 1.0)
-    return np.rint(bright * 255).astype(np.uint8)
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
@@ -373,12 +355,14 @@ class Site:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
             heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
-            grids = _grids(tiles, tile_heights(heights, spot))
+            grids = _grids(tiles, block_means(heights, spot.shape))
             taken = sum(len(packed(grid.codes)) for grid in grids)
             if taken < 0.7 * budget or max(spot.shape) < 100:
                 break
             step *= 2
-        light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
+        side_m = spot.metres * spot.shape[0] / heights.shape[0]
+        bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
+        light = np.rint(bright * 255).astype(np.uint8)
         relief = jpeg(light, int(0.2 * budget))
         side = _SIDE
         while True:

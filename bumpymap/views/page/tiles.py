@@ -24,6 +24,7 @@ __all__ = [
     "ByteGrid",
     "PageTiles",
     "Spot",
+    "block_means",
     "crs_name",
     "packed",
 ]
@@ -191,6 +192,16 @@ class Spot:
             for size in self.shape
         )
         return down[:, None], right[None, :]
+
+
+def block_means(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the means of what is known in each of ``shape`` blocks of an array; NaN where nothing is."""
+    rows, cols = shape
+    blocks = values.reshape(rows, values.shape[0] // rows, cols, values.shape[1] // cols)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
 
 
 def crs_name(record: Mapping[str, Any]) -> str:

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
 from bumpymap.core import NO_TILE, Barred
@@ -104,23 +103,6 @@ def test_slopes_to_the_north_west_are_bright(view, ground):
         ground.height = rise.astype(np.float32)  # a plane that faces the side it is named after
         brightness[name] = paint_ground(ground, view)[0].sum(axis=2).mean()
     assert brightness["south-east"] + 30 < brightness["level"] < brightness["north-west"] - 30
-
-
-@given(
-    st.lists(st.tuples(st.floats(-1e4, 1e4), st.floats(-1e4, 1e4)), min_size=1, max_size=5),
-)
-def test_a_view_holds_its_points_with_a_margin_and_keeps_angles(points):
-    points = np.array(points) + np.array([5e5, 4e6])
-    view = MapView.around(Grid(), points, 600, (300, 500))
-    pixels = view.pixels(points)
-    margin = 15.0 / view.metres - 1e-3
-    assert (pixels >= margin).all()
-    assert (pixels <= np.array([view.width, view.height]) - margin).all()
-    assert view.width == 600
-    assert 300 <= view.height <= 500
-    ten = 10 * view.metres * np.eye(2)
-    east, south = (view.pixels(points[:1] + step) for step in (ten[:1], -ten[1:]))
-    np.testing.assert_allclose([east - pixels[:1], south - pixels[:1]], [[[10.0, 0.0]], [[0.0, 10.0]]], atol=1e-3)
 
 
 def test_the_way_and_its_ends_stand_where_they_are(ground):
