@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -24,7 +23,6 @@ from bumpymap.core import (
     Nullable,
     Number,
     shape_fault,
-    stated_crs,
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
@@ -41,7 +39,17 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
-from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, block_means, crs_name, packed
+from bumpymap.views.page.tiles import (
+    NO_POINTS,
+    UNKNOWN_FROM,
+    ByteGrid,
+    PageTiles,
+    Spot,
+    block_means,
+    crs_name,
+    map_metres,
+    packed,
+)
 from bumpymap.views.pictures.drawing import LEVEL, light_of
 from bumpymap.views.words import survey_name
 
@@ -244,29 +252,13 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
-    metres = _placer(record)
+    metres = map_metres(record)
     for geometry, about in geojson_features(path)[0]:
         if geometry["type"] in {"LineString", "MultiLineString"}:
             if fault := shape_fault(about, _WAY_SHAPE):
                 raise ValueError(fault)
-            yield DrawnWay(about.get("name") or "way", tuple(map(metres, line_parts(geometry))), about)
-
-
-def _placer(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return how positions of route.geojson become metres of the map's grid, (n, 2)."""
-    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
-    forward = None
-    if crs is not None:
-        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
-
-    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
-        if forward is not None:
-            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
-        if not np.isfinite(part).all():
-            raise ValueError("a position has no coordinates in the CRS of the map")
-        return np.round(part * unit, _DECIMALS)
-
-    return metres
+            lines = tuple(np.round(metres(part), _DECIMALS) for part in line_parts(geometry))
+            yield DrawnWay(about.get("name") or "way", lines, about)
 
 
 _BUDGET = 1_700_000

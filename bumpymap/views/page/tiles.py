@@ -3,7 +3,7 @@
 import base64
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,8 +11,9 @@ from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import Transformer
 
-from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason, stated_crs
 from bumpymap.layers import UNKNOWN_OBJECT, open_layer, raster_in, read_tiles, sheets_of
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Spot",
     "block_means",
     "crs_name",
+    "map_metres",
     "packed",
 ]
 
@@ -202,6 +204,26 @@ def block_means(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[
     count = known.sum(axis=(1, 3))
     total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def map_metres(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return how positions of GeoJSON, (n, 2), become metres of the grid of a map or a comparison.
+
+    It raises ValueError for a position without coordinates in the CRS.
+    """
+    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
+    forward = None
+    if crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
+
+    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        if forward is not None:
+            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
+        if not np.isfinite(part).all():
+            raise ValueError("a position has no coordinates in the CRS of the map")
+        return part * unit
+
+    return metres
 
 
 def crs_name(record: Mapping[str, Any]) -> str:

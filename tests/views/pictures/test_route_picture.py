@@ -97,7 +97,7 @@ def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
 def test_slopes_to_the_north_west_are_bright(view, ground):
     rows, cols = np.mgrid[: ground.window.rows, : ground.window.cols]
     ground.barred[:] = 0
-    ground.c_r[:] = 0.1
+    ground.c_r[:] = 0.3
     brightness = {}
     for name, rise in {"north-west": rows + cols, "level": 0 * rows, "south-east": -rows - cols}.items():
         ground.height = rise.astype(np.float32)  # a plane that faces the side it is named after
