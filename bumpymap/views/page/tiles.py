@@ -92,18 +92,9 @@ class ByteGrid:
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        values = [float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends]
+        plain = {"log": math.exp, "root": lambda root: root * abs(root)}.get(self.scale, float)
+        values = [plain(round(end, 12)) + 0.0 for end in ends]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
-
-    def values(self) -> NDArray[np.float64]:
-        """Return what the page shows, NaN where unknown."""
-        plain = self.low + self.step * self.codes.astype(np.float64)
-        return np.where(self.codes == NOT_KNOWN, np.nan, self._value(plain))
-
-    def _value(self, plain: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.scale == "linear":
-            return plain
-        return np.asarray(np.exp(plain) if self.scale == "log" else plain * np.abs(plain))
 
     def record(self) -> dict[str, Any]:
         """Return the grid as plain JSON."""
