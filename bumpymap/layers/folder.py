@@ -278,11 +278,13 @@ def _layers(
         "barred.tif",
         *([SPEEDS_NAME] * bool(table.speeds)),
     )
+
+    def rasters(names: tuple[str, ...]) -> dict[tuple[str, ...], Callable[[], None]]:
+        return {(name,): partial(write_raster, name, table, folder / name, tags, around) for name in names}
+
     return [
-        *(
-            {(name,): partial(write_raster, name, table, folder / name, tags, around) for name in names}
-            for names in (fine, coarse)
-        ),
+        rasters(fine),
+        rasters(coarse),
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
             ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet", tags),

@@ -164,7 +164,8 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
     reason_names, barred_names = (
-        tuple(texts[code] for code in kind) for texts, kind in ((REASON_TEXT, Reason), (BARRED_TEXT, Barred))
+        tuple(REASON_TEXT[code] for code in Reason),
+        tuple(BARRED_TEXT[code] for code in Barred),
     )
     return {
         "roughness.tif": _Layer(
