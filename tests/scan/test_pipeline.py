@@ -322,7 +322,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
         raise OutputError("No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.folder.write_roughness", full)
+        patch.setattr("bumpymap.layers.folder.write_raster", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == [
