@@ -310,7 +310,6 @@ class Layers:
         out: str | os.PathLike[str] | None = None,
         *,
         route: str | os.PathLike[str] | None = None,
-        check: str | os.PathLike[str] | None = None,
         overwrite: bool = False,
     ) -> Path:
         """Write the page of this map, as ``bumpymap report`` does.
@@ -321,8 +320,6 @@ class Layers:
             The file; default is report.html in the folder of the layers.
         route : path, optional
             A folder that ``bumpymap route`` wrote: its ways are drawn.
-        check : path, optional
-            A folder that ``bumpymap check`` wrote for this map: its drives are shown.
         overwrite : bool
             Replace ``out`` if it exists.
 
@@ -334,14 +331,14 @@ class Layers:
         Raises
         ------
         BadInputError, OutputError, UsageError
-            See `bumpymap.views.write_reports`.
+            See `bumpymap.views.write_report`.
         """
-        from bumpymap.views import write_reports
+        from bumpymap.views import write_report
 
-        for name, place in {"out": out, "route": route, "check": check}.items():
+        for name, place in {"out": out, "route": route}.items():
             if place is not None:
                 path_of_call(name, place)
-        return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
+        return write_report(self.folder, out, route=route, overwrite=overwrite)
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))

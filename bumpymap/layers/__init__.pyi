@@ -118,7 +118,6 @@ from .reach import (
     reach_dataset as reach_dataset,
     write_isochrones as write_isochrones,
     write_reach as write_reach,
-    write_reach_back as write_reach_back,
 )
 from .regions import (
     label as label,

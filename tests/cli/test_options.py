@@ -149,8 +149,6 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--set", "min_starts=60"], "more than --set max_starts, which is 48"),
-        (["calibrate", "--check", "--set", "patches=4"], "leave out --set patches"),
-        (["calibrate", "--check", "--out", "c.json"], "leave out --out"),
     ],
 )
 def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch):

@@ -33,7 +33,10 @@ BY_NAME = {scene.name: seen_from_above(scene) for scene in SCENES}
         ("wall 0.6 m", 50, 0.93),
         ("crates", 50, 0.9),
         *((name, 50, 0.93) for name in ("bales", "vans", "hut", "hut, unassigned", "hedge")),
-        *((name, 8, least) for name, least in (("bales", 0.85), ("vans", 0.75), ("hut", 0.85), ("crates", 0.8))),
+        *(
+            (name, 8, least)
+            for name, least in (("bales", 0.85), ("vans", 0.75), ("hut", 0.85), ("crates", 0.8), ("hedge", 0.8))
+        ),
     ],
 )
 def test_a_solid_seen_only_from_above_is_closed(name, density, least, noise):

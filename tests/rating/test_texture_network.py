@@ -2,7 +2,6 @@
 
 import json
 import os
-import pickle
 import subprocess
 import sys
 from itertools import pairwise
@@ -58,6 +57,10 @@ def test_shipped_network_knows_fresh_textures(model):
     per_texture = 250
     relief = _textures(per_texture) * 0.4 - 0.1
     probability = classify(_stack(relief), model).probability
+    assert np.abs(probability.sum(axis=1) - 1).max() < 1e-5
+    assert np.abs(classify(_stack(100 * relief), model).probability - probability).max() < 1e-3, (
+        "height does not matter"
+    )
     answer = probability.argmax(axis=1).reshape(4, per_texture)
     right = (answer == np.arange(4)[:, None]).mean(axis=1)
     assert right.mean() >= 0.97
@@ -77,20 +80,6 @@ def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_po
         assert len(flat) == 100
         assert flat.mean() < 0.02
         assert np.quantile(flat, 0.97) < 0.5
-
-
-def test_rows_are_probabilities(model):
-    probability = classify(_stack(_textures(20)), model).probability
-    assert probability.shape == (80, 4)
-    assert probability.dtype == np.float32
-    assert probability.min() >= 0
-    assert np.abs(probability.sum(axis=1) - 1).max() < 1e-5
-
-
-def test_height_does_not_matter(model):
-    relief = _textures(10)
-    low, high = (classify(_stack(relief * scale), model).probability for scale in (0.03, 3.0))
-    assert np.abs(low - high).max() < 1e-3
 
 
 @pytest.mark.parametrize("sizes", [[1] * 30, [255, 1, 256, 88], [257, 343], [100, 500], [600]])
@@ -131,10 +120,6 @@ def test_level_ground_is_flat_for_certain(model):
     assert rough[0].argmax() == 3
 
 
-def test_no_tiles_at_all(model):
-    assert classify(_stack(np.zeros((0, 15, 15))), model).probability.shape == (0, 4)
-
-
 def test_a_hole_in_known_ground_is_an_error(model):
     relief = _textures(1)
     relief[0, 3, 3] = np.nan
@@ -160,18 +145,6 @@ def test_shipped_file_says_where_it_comes_from(model):
     for name in ("confusion_unseen", "confusion_altered_copies"):
         assert np.array(json.loads(model.metadata[name])).shape == (4, 4)
     assert len(model.id) == 12
-
-
-def test_models_travel_between_processes(model):
-    copy = pickle.loads(pickle.dumps(model))  # noqa: S301 - our own bytes
-    relief = _textures(2)
-    assert copy.id == model.id
-    assert_array_equal(classify(_stack(relief), copy).probability, classify(_stack(relief), model).probability)
-
-
-def test_load_reads_what_shipped_reads(model, tmp_path):
-    (tmp_path / "copy.onnx").write_bytes(model.content)
-    assert TextureModel.load(tmp_path / "copy.onnx") == model
 
 
 def _with_metadata(model, **changes):
@@ -200,19 +173,15 @@ def test_foreign_and_damaged_networks_are_refused(model, tmp_path, changes, mess
     assert "bumpymap train" in str(refusal.value)
 
 
-@pytest.mark.parametrize("content", [b"", b"no model at all", None])
-def test_files_that_are_no_model_are_refused(tmp_path, content):
+@pytest.mark.parametrize("content", [b"", b"no model at all", "half", None])
+def test_files_that_are_no_model_are_refused(model, tmp_path, content):
     path = tmp_path / "bad.onnx"
+    if content == "half":
+        content = model.content[: len(model.content) // 2]
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(BadInputError, match=r"bad\.onnx"):
         TextureModel.load(path)
-
-
-def test_a_truncated_network_is_refused(model, tmp_path):
-    (tmp_path / "cut.onnx").write_bytes(model.content[: len(model.content) // 2])
-    with pytest.raises(BadInputError, match=r"cut\.onnx"):
-        TextureModel.load(tmp_path / "cut.onnx")
 
 
 def test_onnxruntime_is_loaded_only_when_used():

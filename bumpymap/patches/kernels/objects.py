@@ -25,6 +25,7 @@ from bumpymap.core import (
     UNSEEN,
 )
 from bumpymap.patches.kernels.measure import PointsByTile
+from bumpymap.patches.kernels.solids import THIN
 from bumpytiles import helper, kernel
 
 __all__ = ["ObjectLimits", "ObjectScratch", "TileObjects", "find_in_tiles", "object_scratch"]
@@ -41,6 +42,8 @@ _FEW = 4.0
 """With fewer points on 3 x 3 pixels on average, canopy is looked for on 5 x 5."""
 _LEAFY, _LEAVES = 1.0, 12
 """Plants so far above the vehicle, m, are crowns: where leaves are dense, so many points reach no ground by chance."""
+_SHRUB = 3
+"""As ``_DENSE``, in a thin survey, for plants that end lower than crowns: a hedge."""
 _BESIDE = 3
 """Points of the ground count so often in a square, which may hold much of what is beside the thing."""
 _RIDGE = 1.0
@@ -99,11 +102,12 @@ class ObjectScratch(NamedTuple):
     """The same shape: lowest point overhead, m above the ground."""
     body: Annotated[Integers, 2]
     """The same shape: points between ``low`` and ``high``; then these and those
-    above, those above, those under, and those of leaves above."""
+    above, those above, those under, those of leaves above, and those of lower plants above."""
     company: Annotated[Integers, 2]
     above: Annotated[Integers, 2]
     under: Annotated[Integers, 2]
     leaves: Annotated[Integers, 2]
+    shrubs: Annotated[Integers, 2]
     places: Annotated[Integers, 1]
     """(pixels^2,) pixels with ground, row by row, and the height of each above the plane, m."""
     rests: Annotated[Floats, 1]
@@ -112,7 +116,7 @@ class ObjectScratch(NamedTuple):
 def object_scratch(pixels: int) -> ObjectScratch:
     """Make scratch for tiles of so many pixels along a side."""
     floats = [np.empty((pixels, pixels)) for _ in range(3)]
-    whole = [np.empty((pixels, pixels), np.int32) for _ in range(5)]
+    whole = [np.empty((pixels, pixels), np.int32) for _ in range(6)]
     return ObjectScratch(
         surface=floats[0],
         top=floats[1],
@@ -122,6 +126,7 @@ def object_scratch(pixels: int) -> ObjectScratch:
         above=whole[2],
         under=whole[3],
         leaves=whole[4],
+        shrubs=whole[5],
         places=np.empty(pixels * pixels, np.int32),
         rests=np.empty(pixels * pixels),
     )
@@ -202,6 +207,7 @@ def _count_points(
             scratch.company[r, c] += 1
             scratch.least[r, c] = min(scratch.least[r, c], h)
             scratch.leaves[r, c] += kind[i] == POINT_PLANT and h > limits.high + _LEAFY
+            scratch.shrubs[r, c] += kind[i] == POINT_PLANT and h <= limits.high + _LEAFY
         elif h >= limits.low:
             scratch.body[r, c] += 1
             scratch.company[r, c] += 1
@@ -216,7 +222,7 @@ def _clear(scratch: ObjectScratch) -> None:
     for r in range(scratch.body.shape[0]):
         for c in range(scratch.body.shape[0]):
             scratch.body[r, c] = scratch.company[r, c] = scratch.above[r, c] = 0
-            scratch.under[r, c] = scratch.leaves[r, c] = 0
+            scratch.under[r, c] = scratch.leaves[r, c] = scratch.shrubs[r, c] = 0
             scratch.top[r, c], scratch.least[r, c] = 0.0, np.inf
 
 
@@ -270,7 +276,7 @@ def _is_dense(seen: Integers, company: Integers, r: int, c: int, least: int) -> 
 
 
 @helper
-def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: ObjectScratch) -> None:
+def _first_states(need: int, reach: int, thin: bool, seen: Integers, state: Bytes, scratch: ObjectScratch) -> None:
     """States from the points of the 3 x 3 pixels around each; for canopy from those within ``reach``."""
     size = state.shape[0]
     for r in range(size):
@@ -285,6 +291,8 @@ def _first_states(need: int, reach: int, seen: Integers, state: Bytes, scratch: 
                     state[r, c] = LONE
             elif scratch.above[r, c] > 0 and _box_sum(scratch.above, r, c, reach) >= need:
                 least = _LEAVES if scratch.leaves[r, c] > 0 else _DENSE
+                if thin and scratch.leaves[r, c] == 0 and scratch.shrubs[r, c] > 0:
+                    least = _SHRUB
                 state[r, c] = SOLID if _is_dense(seen, scratch.company, r, c, least) else CANOPY
             if seen[r, c] > 0:
                 state[r, c] += SEEN
@@ -344,5 +352,5 @@ def find_in_tiles(points: PointsByTile, limits: ObjectLimits, tiles: TileObjects
         density = (end - begin) / area
         need = max(2, math.ceil(limits.share * 9.0 * pixel * pixel * density))
         reach = 1 if 9.0 * pixel * pixel * density >= _FEW else 2
-        _first_states(need, reach, tiles.seen[t], state, scratch)
+        _first_states(need, reach, pixel * pixel * density < THIN, tiles.seen[t], state, scratch)
         _summarise(state, scalars, scratch)

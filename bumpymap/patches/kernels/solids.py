@@ -25,9 +25,11 @@ _MARGIN = _MOST + 1
 """Pixels around a mosaic, so that nothing that is looked at lies beyond."""
 _FULL = 17
 """Mark of an obstacle: in the sum of nine marks, the number of obstacles stands in front of that of all parts."""
-_FILL, _RAY, _NEAR = 3, 5, 5
+_FILL, _RAY, _NEAR, _NEAR_IF_THIN = 3, 5, 5, 7
 """A pixel without points takes the state of one at most so far away, px; rays from the ground to what is overhead; and
 the surroundings of a pixel overhead in which such ground is counted. Together at most 15."""
+_CHANCE = 2.0
+"""In a thin survey, fewer pixels of ground beneath what is overhead may lie beside it."""
 _MAJORITY = 5
 """A pixel among so many of eight with an obstacle belongs to it."""
 _NEARER = 2
@@ -224,19 +226,21 @@ def _is_under(label: Bytes, r: int, c: int) -> bool:
 def _stands(r: int, c: int, mean: float, scratch: SolidScratch) -> bool:
     """Return whether what is overhead stands on the ground, of which none is seen around, or beneath a solid thing."""
     overhead = under = ground = 0
-    solid = False
+    solid, near, least = False, _NEAR, 1.0
+    if mean < THIN:
+        near, least = _NEAR_IF_THIN, _CHANCE
     for k in range(len(scratch.offsets)):
         square = scratch.offsets[k, 2]
-        if square > _NEAR * _NEAR:
+        if square > near * near:
             break
         row, col = r + scratch.offsets[k, 0], c + scratch.offsets[k, 1]
         overhead += _is_overhead(scratch.label[row, col])
         under += scratch.under[row, col] == 2
         ground += scratch.under[row, col] > 0
         solid = solid or (scratch.label[row, col] % SEEN == SOLID and square <= _GROW * _GROW)
-    hidden = ground == 0 and mean * math.pi * _NEAR * _NEAR >= _HIDDEN
+    hidden = ground == 0 and mean * math.pi * near * near >= _HIDDEN
     enough = min(_OPEN_MOST, 1.0 - math.exp(-_OPEN * mean))
-    return hidden or (solid and under < max(1.0, enough * overhead))
+    return hidden or (solid and under < max(least, enough * overhead))
 
 
 @helper
