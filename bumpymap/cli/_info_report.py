@@ -10,6 +10,7 @@ from rich.filesize import decimal
 
 from bumpymap.cli._text import Styled, Table, about, as_options
 from bumpymap.core import (
+    GROUND_CLASSES,
     REASON_TEXT,
     BadInputError,
     FeatureSettings,
@@ -86,8 +87,8 @@ class Report:
     error: str = ""
     options: tuple[str, ...] = ()
     """Options of the command line that ``map`` needs too, such as ``--crs EPSG:32614``."""
-    ground: Ground = "auto"
-    """The ``ground`` setting for ``map``."""
+    config: MapConfig = MapConfig((), Path())  # noqa: RUF009 (frozen)
+    """Settings for ``map``."""
     lines: FlightLines = FlightLines()  # noqa: RUF009 (frozen)
     """Height steps between flight lines; without ``--quick``."""
 
@@ -110,7 +111,7 @@ class Report:
     @property
     def outcome(self) -> Outcome | None:
         """Forecast of the tiles that ``bumpymap map`` will make; None if the points were not read."""
-        return _outcome_of(self.summary, self.ground) if self.summary is not None else None
+        return _outcome_of(self.summary, self.config.ground) if self.summary is not None else None
 
     @property
     def sheets(self) -> float | None:
@@ -132,9 +133,14 @@ class Report:
                 f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
             )
         summary = self.summary
-        if summary and summary.ground_tiles and self.ground == "auto" and _outcome_of(summary).measured == "points":
+        if (
+            summary
+            and summary.ground_tiles
+            and self.config.ground == "auto"
+            and _outcome_of(summary).measured == "points"
+        ):
             share = summary.ground_tiles / summary.tiles
-            lines.append(f"ground points (class 2) in only {share:.0%} of tiles: --ground auto will use all points")
+            lines.append(f"ground points in only {share:.0%} of tiles: --ground auto will use all points")
         return lines or [self._ready()]
 
     def _ready(self) -> str:
@@ -183,6 +189,8 @@ def map_options(config: MapConfig, place: Georeference) -> Iterator[str]:
         yield from ("--set", "trust_points=true")
     if config.ground != "auto":
         yield from ("--ground", config.ground)
+    if config.ground_classes != GROUND_CLASSES:
+        yield from ("--ground-classes", ",".join(map(str, config.ground_classes)))
 
 
 def report_record(reports: Sequence[Report], budget: Budget) -> dict[str, Any]:
@@ -262,7 +270,7 @@ def _advise_one_map(
     summary = None if whole is None else whole.summary()
     if whole is None or summary is None:
         return [text]
-    outcome = _outcome_of(summary, reports[0].ground)
+    outcome = _outcome_of(summary, reports[0].config.ground)
     advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
     steps = describe_lines(compare_lines(whole.lines), "report")
     return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
@@ -292,7 +300,7 @@ def _outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
     return Outcome(
         tiles=summary.tiles,
         unknown=summary.ground_unknown if ground_only else summary.unknown,
-        measured="ground points (class 2)" if ground_only else "points",
+        measured="ground points" if ground_only else "points",
         points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
         all_points_per_tile=summary.points / summary.tiles,
         thin=True,
@@ -335,7 +343,7 @@ def _as_record(report: Report) -> dict[str, Any]:
             "points_per_tile": summary.points_per_tile,
             "ground_points": summary.ground_share,
             "ground_tiles": summary.ground_tiles / summary.tiles,
-            "unknown_tiles_about": _shares(_outcome_of(summary, report.ground)),
+            "unknown_tiles_about": _shares(_outcome_of(summary, report.config.ground)),
             "flight_lines": report.lines.to_record(),
         }
     return record if report.dropped is None else record | {"dropped": report.dropped}
@@ -373,7 +381,7 @@ def _as_rows(report: Report) -> list[tuple[str, str]]:
     if report.dropped is not None or info.has_classes is False:
         rows.append(("classified", _classified(report)))
     if report.summary is not None and report.summary.ground_share > 0:
-        rows += _classes(report.classes, report.summary.points)
+        rows += _classes(report)
     if text := describe_pairs(report.lines):
         rows.append(("flight lines", as_options(text)))
     return rows + [("note", note) for note in info.notes]
@@ -453,11 +461,12 @@ def _has_classes(report: Report) -> bool | None:
     return report.info.has_classes if report.info else None
 
 
-def _classes(classes: dict[int, int], points: int) -> list[tuple[str, str]]:
+def _classes(report: Report) -> list[tuple[str, str]]:
     """Return the classes of a classified survey by what `map` takes their points for."""
-    taken = {2: "as ground", 6: "as obstacles"}
+    points = max(1, sum(report.classes.values()))
+    taken = {6: "as obstacles"} | dict.fromkeys(report.config.ground_classes, "as ground")
     rows: dict[str, list[str]] = {}
-    for code, count in classes.items():
+    for code, count in report.classes.items():
         named = " ".join(filter(None, (str(code), _CLASS_NAMES.get(code))))
         rows.setdefault(taken.get(code, "by height"), []).append(f"{named} {count / points:.1%}")
     texts = {name: ", ".join(parts) for name, parts in rows.items()}
@@ -470,8 +479,8 @@ def _classified(report: Report) -> str:
     if report.info is not None and report.info.has_classes is False:
         return f"no: the file has no classes; {_ON_THE_GROUND}"
     if report.summary is None or report.summary.ground_share == 0:
-        return f"no: no point has class 2 (ground); {_ON_THE_GROUND}"
-    return f"yes: {report.summary.ground_share:.0%} of the points are ground (class 2)"
+        return f"no: no point is of a ground class; {_ON_THE_GROUND}"
+    return f"yes: {report.summary.ground_share:.0%} of the points are ground"
 
 
 def _sides(bounds: Bounds | None, unit: float) -> tuple[float, float, float, float] | None:

@@ -22,7 +22,7 @@ __all__ = [
     "unknown_line",
 ]
 
-Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
+Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
 _FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 _LARGEST_TILE = 20
@@ -150,7 +150,7 @@ def _too_few(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[s
 
 def _all_points(outcome: Outcome, mean_points: str) -> str:
     text = f"--ground all measures every point, {mean_points}, vegetation too"
-    if outcome.measured == "ground points (class 2)":
+    if outcome.measured == "ground points":
         text += "; --ground csf detects ground points where the survey has any"
     return text
 
@@ -200,7 +200,7 @@ def _outliers(outcome: Outcome, grid: Grid, settings: FeatureSettings) -> tuple[
     return why, "Mark stray points as noise (class 7 or 18), or raise stray_share in [features] of --config"
 
 
-_MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
+_MEASURED: tuple[Measured, Measured] = ("ground points", "ground points (found by the cloth)")
 """Source of the ground points: the survey, or the cloth filter."""
 _LAYERED_SHARE = 0.25
 _TALL_SHARE = 0.5

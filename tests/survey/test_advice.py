@@ -18,7 +18,7 @@ from bumpytiles import Grid
 pytestmark = pytest.mark.slow
 
 SETTINGS = FeatureSettings()
-CLASS_2 = "ground points (class 2)"
+CLASS_2 = "ground points"
 
 
 def write(path, density, ground_share=0.0, side=60.0):
