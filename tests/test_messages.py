@@ -194,7 +194,7 @@ def test_what_inputs_and_folders_cause_is_told_in_arguments(prepare, tmp_path):
     ("settings", "words"),
     [
         ({"method": "sharp"}, "method"),
-        ({"method": "learned", "compat": "paper"}, "compat='paper'"),
+        ({"method": "filter", "model": "a.onnx"}, "`method` is filter"),
         ({"model": "missing.onnx"}, "missing.onnx"),
         ({"robot": {"radius": 1}}, "radius"),
         ({"polar": {"rings": "many"}}, "rings"),

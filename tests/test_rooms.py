@@ -24,7 +24,7 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
-        {"numpy", "pyproj", "sklearn"},
+        {"numpy", "pyproj"},
     ),
     "route": ({"core", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),

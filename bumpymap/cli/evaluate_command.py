@@ -103,8 +103,8 @@ def _record(out: Path, files: list[Path]) -> dict[str, Any]:
 
 
 def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
-    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, read_frames, write_scan_report
-    from bumpymap.readers import find_frames
+    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, write_scan_report
+    from bumpymap.readers import find_frames, read_scan
     from bumpymap.scan import ScanModel, load_stripes
 
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
@@ -114,7 +114,7 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
     labels = labels_of(frames, given["labels"])
     with locked(out), run.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
-        findings = evaluate_scans(read_frames(frames, labels), len(frames), settings, methods, progress, labels)
+        findings = evaluate_scans(map(read_scan, frames), len(frames), settings, methods, progress, labels)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
 

@@ -235,8 +235,7 @@ class SectorStack:
     count: NDArray[np.int32]
     """(n,) points."""
     normal: NDArray[np.float32]
-    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground.
-    With ``ground_only=False`` this and the next measures are those of all points, of every sector."""
+    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground."""
     traversable: NDArray[np.bool_]
     """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
@@ -274,7 +273,7 @@ class SectorStack:
     """(m,) height above the ground of its sector, m; NaN where no ground is known."""
     ground_end: NDArray[np.float32]
     """(directions,) distance at which the farthest ground in each direction ends, m; in equal steps from
-    ``azimuth_start_rad`` on. Infinite with ``ground_only=False``."""
+    ``azimuth_start_rad`` on."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)

@@ -12,13 +12,13 @@ from .evaluate.scans import (
     ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
-    read_frames as read_frames,
 )
 from .evaluate.survey_trial import (
     Findings as Findings,
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
 )
+from .label_sets import LABEL_SETS as LABEL_SETS, LabelSet as LabelSet, label_set as label_set
 from .settings import (
     CalibrationSettings as CalibrationSettings,
     EvaluateSettings as EvaluateSettings,

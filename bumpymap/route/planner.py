@@ -20,14 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
-from bumpymap.route.ground import CostGround, WornTiles, points_along, window_around
+from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, seek, settle_point, tight_way
 from bumpymap.route.straighten import as_cost
-from bumpytiles import Grid, TileWindow
+from bumpytiles import TileWindow
 
-__all__ = ["PlannedWay", "Planner", "plan_way", "sample_line", "steer_clear"]
+__all__ = ["Planner", "plan_way", "steer_clear"]
 
 _LEAST_PAD = 16
 """Tiles around start and goal at least, and by which a window grows at least."""
@@ -45,7 +45,6 @@ def plan_way(
     *,
     margin: float = 0.0,
     memory_tiles: int,
-    least: float = 1.0,
 ) -> Way | None:
     """Find the cheapest way over a map of which only a window is read.
 
@@ -61,8 +60,6 @@ def plan_way(
         Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
     memory_tiles : int
         Tiles that a window may have at most.
-    least : float
-        No tile of the map costs less; at least 1. The nearer to the truth, the smaller the window that proves a way.
 
     Returns
     -------
@@ -77,8 +74,6 @@ def plan_way(
     ValueError
         As `find_way`.
     """
-    if not least >= 1.0:
-        raise ValueError(f"least is {least}; it must be at least 1")
     start, goal = settle_point(start), settle_point(goal)
     if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
         return None
@@ -92,7 +87,7 @@ def plan_way(
             raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
         here, there = ((row - top, col - left) for row, col in (start, goal))
-        found = seek(cost, here, there, margin, math.inf if window == extent else least)
+        found = seek(cost, here, there, margin, math.inf if window == extent else 1.0)
         sides = _open_sides(found, window, extent)
         if not any(sides):
             break
@@ -101,7 +96,7 @@ def plan_way(
     if found.line is None:
         return None
     way = tight_way(found, margin)
-    return Way(way.line + np.array([top, left], np.float64), way.cost, way.graph_cost)
+    return way._replace(line=way.line + np.array([top, left], np.float64))
 
 
 def _open_sides(found: Found, window: TileWindow, extent: TileWindow) -> list[bool]:
@@ -147,8 +142,6 @@ _LONGEST_TILES = 96
 """A longer section is not searched."""
 _AROUND_TILES = 5
 """How far beside a section a way round obstacles is searched."""
-_STEP = 0.5
-"""Distance of the points of a line that are examined, in pixels."""
 
 
 def steer_clear(ground: CostGround, line: Floats) -> Floats | None:
@@ -187,13 +180,6 @@ def _steered(ground: CostGround, section: Floats) -> Floats | None:
     return steered
 
 
-def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
-    """Return points in the middle of even parts of a line, half a pixel apart, and the length of a part, m."""
-    length = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1]
-    count = max(1, int(np.ceil(length / (_STEP * grid.pixel_size))))
-    return points_along(line, (np.arange(count) + 0.5) * (length / count)), float(length / count)
-
-
 def _cuts(is_clear: NDArray[np.bool_], apart: float, count: int) -> list[int]:
     """Return the numbers of points at which a line is cut: the ends, and clear points about so many apart."""
     cuts, clear = [0], np.flatnonzero(is_clear)
@@ -223,30 +209,13 @@ _NEAR_TILES = 8
 
 
 @dataclass(frozen=True, slots=True)
-class PlannedWay:
-    """A way through all stops."""
-
-    line: Floats
-    """(m, 2) easting and northing of its corners, m."""
-    measured: MeasuredWay
-
-    def shared(self, other: "PlannedWay") -> float:
-        """Return the share of this way's tiles that the other crosses too, or passes beside."""
-        crossed = np.unique(self.measured.tiles, axis=0)
-        beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
-        near = (other.measured.tiles[:, None] + beside).reshape(-1, 2)
-        _both, count = np.unique(np.concatenate([crossed, np.unique(near, axis=0)]), axis=0, return_counts=True)
-        return int((count > 1).sum()) / len(crossed)
-
-
-@dataclass(frozen=True, slots=True)
 class Planner:
     """Plans ways over one map, and keeps the lines between stops."""
 
     ground: CostGround
     _legs: dict[tuple[float, ...], Floats | None] = field(default_factory=dict, init=False, repr=False)
 
-    def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> PlannedWay | None:
+    def way(self, stops: Floats, risk: float | None = None, worn: WornTiles | None = None) -> MeasuredWay | None:
         """Plan the cheapest way through stops in their order; None if there is none.
 
         ``stops`` (k, 2): easting and northing, m, at least two; ``risk``: weight of the hazard for this way, m; what it
@@ -259,22 +228,12 @@ class Planner:
                 return None
             legs.append(leg)
         line = np.concatenate([legs[0][:1], *(leg[1:] for leg in legs)])
-        ground, touched = self.ground, 0.0
-        if ground.settings.through_obstacles:
-            points, step = sample_line(line, ground.site.grid)
-            touched = float((~ground.clear_at(points)).sum()) * step
-        tight = ground.tight_turns_deg(line)
-        measured = measure_way(ground.site, line, stops, ground.of_field, obstacle_m=touched, tight_turns_deg=tight)
-        if touched > 0.0:
-            profile = measured.profile
-            clear = ground.clear_at(np.column_stack([profile.easting, profile.northing]))
-            measured = replace(measured, profile=replace(profile, obstacle=~clear))
-        return PlannedWay(line, measured)
+        return measure_way(self.ground, line, stops)
 
     def leg_cost(self, start: Floats, goal: Floats) -> float:
         """Return the cost of the cheapest way between two points, m; inf if there is none."""
         line = self.line(start, goal)
-        return np.inf if line is None else way_cost(self.ground.site, line, self.ground.of_field)
+        return np.inf if line is None else way_cost(self.ground, line)
 
     def line(
         self, start: Floats, goal: Floats, risk: float | None = None, worn: WornTiles | None = None
@@ -313,7 +272,7 @@ class Planner:
             touching = replace(ground, touching=True)
             over_tiles = _tile_line(touching, start, goal)
             return None if over_tiles is None else steer_clear(touching, over_tiles)
-        return min(lines, key=partial(way_cost, ground.site, cost_of=ground.of_field), default=None)
+        return min(lines, key=partial(way_cost, ground), default=None)
 
 
 def _tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:

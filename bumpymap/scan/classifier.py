@@ -16,7 +16,6 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     VEHICLE_OR_CALIBRATION,
     ClassedSectors,
-    Compat,
     PolarSettings,
     Robot,
     Scan,
@@ -133,7 +132,6 @@ class ClassifierSettings(TypedDict, total=False):
 
     method: ScanMethod | None
     model: str | os.PathLike[str] | None
-    compat: Compat
     polar: PolarSettings | Mapping[str, Any] | None
     robot: Robot | Mapping[str, Any] | None
     vehicle: str | os.PathLike[str] | None
@@ -152,8 +150,6 @@ class ScanClassifier:
         How sectors are classified; the default is the network if one is included for the grid.
     model : path, optional
         A scan network, instead of the included one.
-    compat : {"none", "paper"}
-        ``paper``: fit the stripe classes in every scan.
     polar : dict, optional
         The polar grid, with the names and values of ``[polar]`` in a settings file.
     robot : dict, optional
@@ -266,8 +262,8 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     points : array (n, 3 or more) or path
         As for a call of `ScanClassifier`.
     **settings
-        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``compat``,
-        ``polar``, ``robot``, ``vehicle``, ``calibration``.
+        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``polar``,
+        ``robot``, ``vehicle``, ``calibration``.
 
     Returns
     -------

@@ -34,7 +34,7 @@ from bumpymap.layers import (
     sync_to_disk,
     write_frame,
 )
-from bumpymap.readers import BagReader, LabelSet, deskew, label_set, read_message, read_scan, require_label_set
+from bumpymap.readers import BagReader, deskew, read_message, read_scan
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 from bumpymap.views import GridBag, write_picture
@@ -62,12 +62,10 @@ class FrameReader:
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
-        self._labels: LabelSet | None = None if config.labels is None else label_set(config.labels)
         self.skipped: dict[str, str] = {}
         """Origin -> error message of each frame that was skipped."""
         self._bags: dict[Path, BagReader] = {}
         self._lock = Lock()
-        self._told_of_no_labels = False
 
     def read(self, frame: Frame) -> Scan:
         """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
@@ -75,21 +73,7 @@ class FrameReader:
             scan = read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
         else:
             scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
-        if self._labels is not None and scan.label is not None:
-            require_label_set(scan.label, self._labels, frame.origin)
-        elif self._labels is not None:
-            self._tell_of_no_labels()
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
-
-    def _tell_of_no_labels(self) -> None:
-        """Say once that there is nothing to check the label set with."""
-        with self._lock:
-            told, self._told_of_no_labels = self._told_of_no_labels, True
-        if not told:
-            _log.warning(
-                "there are frames without labels, so `labels` was not checked for them. Labels of DIR/NAME.bin are in "
-                "NAME.label in DIR, or in a folder labels beside it"
-            )
 
     def _bag(self, path: Path) -> BagReader:
         """Return a bag, which is opened once."""

@@ -56,14 +56,12 @@ from bumpymap.layers import (
 )
 from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import (
-    LABEL_SETS,
     FramePoses,
     bag_files,
     files_beside_poses,
     find_sources,
     identity,
     label_file,
-    label_set,
     place_sources,
 )
 from bumpymap.scan.align import WrongPosesError
@@ -218,10 +216,7 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
-    if config.labels is not None:
-        label_set(config.labels)  # says which there are
-    labels = [] if config.labels is None or config.labels in LABEL_SETS else [Path(config.labels)]
-    labels += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
+    labels = [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
     beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
     bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
     stored = [file for bag in bags for file in bag_files(bag)]
@@ -259,7 +254,7 @@ def crs_of_poses(config: ScanConfig) -> CRS | None:
 def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | None:
     """Return the settings of the map of the drive, None without poses; check its calibration before the long work."""
     if all(frame.pose is None for frame in frames):
-        config.refuse_map_settings()
+        config.refuse_crs()
         return None
     own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
     drive = MapConfig(

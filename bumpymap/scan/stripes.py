@@ -24,9 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    CLASSES,
     NOT_TRAVERSABLE,
-    BadInputError,
     ClassedSectors,
     PolarSettings,
     SectorStack,
@@ -41,7 +39,6 @@ __all__ = [
     "StripeModel",
     "classify_filter",
     "count_stripes",
-    "fit_centres",
     "gabor_bank",
     "load_stripes",
     "nearest_class",
@@ -92,7 +89,7 @@ class StripeModel:
         if settings.pixels != self.pixels:
             raise UsageError(
                 f"the stripe classes were fitted on heightmaps of {self.pixels} pixels, and pixels is "
-                f"{settings.pixels}. Leave out pixels, or pass `compat='paper'`, which fits classes in every scan"
+                f"{settings.pixels}. Leave out pixels"
             )
 
 
@@ -164,23 +161,6 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
         wave = np.cos(2.0 * math.pi * u / settings.wavelength_px)
         bank[:, number, : pixels * pixels] = envelope * wave / (envelope * wave**2).sum(axis=1, keepdims=True)
     return bank
-
-
-def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[float, float, float]:
-    """Return the centres of class 0, 1 and 2 of the stripe counts of traversable sectors."""
-    try:
-        from sklearn.cluster import KMeans
-    except ImportError as error:
-        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'") from error
-    if len(np.unique(stripes)) < CLASSES:
-        raise BadInputError(
-            f"{scans} scans with {len(stripes)} traversable sectors hold fewer than {CLASSES} different stripe counts: "
-            "no classes can be told apart. Name more scans, of smooth and of rough ground"
-        )
-    column = stripes.astype(np.float64)[:, None]
-    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=seed).fit(column)
-    smooth, middle, rough = sorted(found.cluster_centers_.ravel().tolist(), reverse=True)
-    return smooth, middle, rough
 
 
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:

@@ -152,7 +152,7 @@ def doubtful_columns(folder):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (doubtful_columns, "If that is wrong, say --set columns=4"),
+        (doubtful_columns, "Say which they are with --set columns"),
         (other_poses, "holds 2 poses, but there are 1 frames"),
         (not_a_model, "is not an ONNX model"),
         (no_calibration, "c.json"),
@@ -182,7 +182,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
         (["--set", "range_m=0"], "range_m is 0; it must be a number from 1 to 1000 m"),
         (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
-        (["--set", "compat=paper", "--method", "learned"], "options of one"),
+        (["--set", "model=a.onnx", "--method", "filter"], "give one of them"),
         (["--fit"], "--fit is gone: train a network"),
     ],
 )

@@ -50,7 +50,7 @@ def refused(path, *says, options=DEFAULT):
         (139, "<d", 0.0, "scale"),
         (155, "<d", np.nan, "offset"),
         (171, "<d", -np.inf, "offset"),
-        (131, "<d", 1e300, "not a number or infinite"),
+        (131, "<d", 1e300, "coordinates finite"),
         (131, "<d", 1e8, "not a location on Earth"),
     ],
 )

@@ -72,22 +72,6 @@ def test_some_windows_grow_and_most_need_not_be_whole():
     assert (tiles < EXTENT.rows * EXTENT.cols).mean() > 0.5
 
 
-def test_a_short_way_on_even_ground_reads_one_small_window():
-    reading = Map(np.ones((EXTENT.rows, EXTENT.cols), np.float32))
-    way = plan(reading, (50.0, 60.0), (55.0, 70.0))
-    assert way.cost == pytest.approx(np.hypot(5, 10))
-    assert len(reading.windows) == 1
-    assert reading.windows[0].rows * reading.windows[0].cols < 2500
-
-
-def test_the_least_cost_of_the_map_spares_reading():
-    cost = 4 * smooth_field(np.random.default_rng(2), (EXTENT.rows, EXTENT.cols), most=1.2)
-    blind, told = Map(cost), Map(cost)
-    ways = plan(blind, (50.0, 60.0), (90.0, 80.0)), plan(told, (50.0, 60.0), (90.0, 80.0), least=float(cost.min()))
-    assert ways[0].cost == pytest.approx(ways[1].cost, rel=1e-12)
-    assert told.windows[-1].rows * told.windows[-1].cols < blind.windows[-1].rows * blind.windows[-1].cols
-
-
 def test_a_start_that_is_walled_in_is_found_without_reading_the_whole_map():
     cost = np.ones((EXTENT.rows, EXTENT.cols), np.float32)
     cost[50:61, 50:61] = np.inf
@@ -117,13 +101,3 @@ def test_a_window_that_memory_does_not_hold_is_refused_before_it_is_read():
     with pytest.raises(UsageError, match="allowed are 100 tiles"):
         plan(reading, (50.0, 20.0), (70.0, 20.0), memory_tiles=100)
     assert not reading.windows
-
-
-def test_least_costs_below_one_are_refused():
-    with pytest.raises(ValueError, match="least is"):
-        plan(Map(np.ones((120, 140), np.float32)), (5.0, 5.0), (9.0, 9.0), least=0.5)
-
-
-def test_a_window_of_another_shape_is_refused():
-    with pytest.raises(ValueError, match="load gave"):
-        plan(lambda window: np.ones((window.rows, window.cols + 1), np.float32), (5.0, 5.0), (9.0, 9.0))

@@ -51,15 +51,6 @@ def test_along_a_border_the_dearer_tile_counts(turned):
     assert np.isinf(line_cost(cost, line))
 
 
-def test_through_corners_of_four_tiles_only_two_count():
-    cost = np.arange(1, 26, dtype=np.float32).reshape(5, 5)
-    line = np.array([[0.5, 0.5], [4.5, 4.5]])
-    pieces = trace(cost, line)
-    np.testing.assert_array_equal(pieces.row, np.arange(5))
-    np.testing.assert_array_equal(pieces.col, np.arange(5))
-    np.testing.assert_allclose(pieces.length, np.sqrt(2) * np.array([0.5, 1, 1, 1, 0.5]), rtol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_through_corners_and_along_borders_turned_lines_cost_the_same(seed):
     """Corners at whole and half tiles: every special case of borders, in all turns of the map."""
@@ -86,13 +77,6 @@ def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
     assert (pieces.row.min(), pieces.row.max(), pieces.col.min(), pieces.col.max()) == (0, 2, 0, 3)
     with pytest.raises(ValueError, match="leaves the window"):
         trace(cost, np.array([[1.0, 1.0], [1.0, 4.01]]))
-
-
-def test_a_line_without_length_has_no_pieces():
-    cost = np.ones((3, 4), np.float32)
-    for line in (np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([[1.5, 0.3]]), np.empty((0, 2))):
-        assert len(trace(cost, line).row) == 0
-        assert line_cost(cost, line) == 0.0
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])

@@ -147,13 +147,6 @@ def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
     assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
 
 
-def test_a_corridor_that_is_narrower_than_the_vehicle_stays_closed():
-    site, start, goal = corridor(10)
-    ground = CostGround(site, CostSettings(), 10**6)
-    assert Planner(ground).line(start, goal) is None
-    assert np.isnan(find_reach(ground, start).cost[:, 8]).all()
-
-
 def test_a_way_back_leads_nowhere_but_to_the_start():
     """Of tiles whose moves lead over one that is reached more cheaply between obstacles."""
     site, start = walled(2.6)
@@ -167,13 +160,6 @@ def test_a_way_back_leads_nowhere_but_to_the_start():
         line = np.concatenate([follow_back(back, int(row), int(col)), [[15.5, 8.5]]])
         length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
         assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
-
-
-def test_a_start_beside_an_obstacle_in_a_split_tile_reaches_its_side():
-    site, _ = walled(0.0)
-    reach = find_reach(CostGround(site, CostSettings(), 10**6), site.at(15.5, 20.1))
-    assert np.isfinite(reach.cost[:, :20]).all()
-    assert np.isnan(reach.cost[:, 21:]).all()
 
 
 def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():

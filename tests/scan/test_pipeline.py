@@ -216,23 +216,17 @@ def test_poses_that_change_during_the_run_are_not_recorded_as_those_that_were_us
     assert not (config.out / "scan.json").exists()
 
 
-@pytest.mark.parametrize("suffix", [".label", ".csv"])
-def test_a_file_of_labels_is_an_input(drive, tmp_path, suffix):
+def test_a_file_of_labels_is_an_input(drive, tmp_path):
     frames = tmp_path / "frames"
     frames.mkdir()
     shutil.copy(drive / "frames" / "0.bin", frames / "0.BIN")
     labels = np.full((frames / "0.BIN").stat().st_size // 16, 40, "<u4")
     labels.tofile(frames / "0.label")
-    (tmp_path / "own.csv").write_text("id,class\n40,0\n", encoding="utf-8")
-    config = ScanConfig(
-        (frames,), tmp_path / "out", labels=str(tmp_path / "own.csv"), method="filter", products=("table",)
-    )
+    config = ScanConfig((frames,), tmp_path / "out", method="filter", products=("table",))
     scan_frames(config)
     assert scan_frames(config).already_done
-    (tmp_path / "own.csv").write_text("id,class\n40,1\n", encoding="utf-8") if suffix == ".csv" else np.full_like(
-        labels, 48
-    ).tofile(frames / "0.label")
-    with pytest.raises(OutputError, match=rf"\{suffix} has changed since"):
+    np.full_like(labels, 48).tofile(frames / "0.label")
+    with pytest.raises(OutputError, match=r"\.label has changed since"):
         scan_frames(config)
 
 
@@ -307,9 +301,7 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     for other, words in (
         (replace(config, robot=Robot(1.0)), "robot.radius_m was 0.5, is 1.0"),
         (replace(config, frames=(frames / "0.bin",)), "1.bin was an input, but is not given now"),
-        (replace(config, compat="paper"), "compat was none, is paper"),
         (replace(config, poses=drive / "poses.txt"), "poses.txt is given now, but was not an input"),
-        (replace(config, labels="rellis"), "labels was not given, is rellis"),
     ):
         with pytest.raises(
             OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*`overwrite=True`"
@@ -472,14 +464,11 @@ def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
     ("settings", "words"),
     [
         ({"crs": "EPSG:32614"}, "add `poses="),
-        ({"vehicle": "warthog", "compat": "paper"}, "leave out `compat='paper'`"),
         ({"products": ("tables",)}, "polygons, table, cloud"),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"products": ()}, "give one or more"),
         ({"threads": 0}, "`threads` is 0"),
-        ({"method": "learned", "compat": "paper"}, "options of one"),
-        ({"method": "filter", "model": "a.onnx"}, "options of one"),
-        ({"model": "a.onnx", "compat": "paper"}, "options of one"),
+        ({"method": "filter", "model": "a.onnx"}, "give one of them"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

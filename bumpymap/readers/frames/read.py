@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Robot, Scan, UsageError
 from bumpymap.readers.frames.kitti import POINT_FOLDERS, read_kitti
-from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.frames.raw import (
     BAG_SUFFIXES,
     CLOUD,
@@ -24,6 +23,7 @@ from bumpymap.readers.frames.raw import (
     read_cloud,
     read_table,
 )
+from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["BagTopics", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]

@@ -109,11 +109,6 @@ def test_a_point_on_the_antimeridian_is_west_of_it(tmp_path):
     checked(tmp_path / "route.gpx")
 
 
-def test_a_way_of_length_0(tmp_path):
-    write_gpx([make_route(corners=CORNERS[:1])], tmp_path / "route.gpx")
-    assert len(list(checked(tmp_path / "route.gpx").iter(f"{NAMESPACE}trkpt"))) == 1
-
-
 def test_without_a_crs_it_is_refused(tmp_path):
     with pytest.raises(BadInputError, match="no CRS"):
         write_gpx([replace(make_route(), georeference=Georeference(None))], tmp_path / "route.gpx")

@@ -55,13 +55,6 @@ def test_back_links_come_with_their_moves(reach, tmp_path):
         assert file.tags()["straight_to_start"] == "254"
 
 
-def test_arrays_that_do_not_fit_are_refused(reach):
-    with pytest.raises(ValueError, match="cost"):
-        replace(reach, cost=reach.cost[1:])
-    with pytest.raises(ValueError, match="moves"):
-        replace(reach, moves=None)
-
-
 def isochrones(reach, levels, path, by="cost"):
     write_isochrones(reach, levels, path, by=by, about={"vehicle": "warthog"})
     collection = json.loads(path.read_text(), parse_constant=pytest.fail)
@@ -115,8 +108,3 @@ def test_levels_that_mean_nothing_are_refused(reach, levels, tmp_path):
     with pytest.raises(BadInputError, match="positive"):
         write_isochrones(reach, levels, tmp_path / "a.geojson", by="cost")
     assert not list(tmp_path.iterdir())
-
-
-def test_minutes_that_are_not_known_are_refused(reach, tmp_path):
-    with pytest.raises(BadInputError, match="minutes"):
-        write_isochrones(replace(reach, minutes=None), [5.0], tmp_path / "a.geojson", by="minutes")

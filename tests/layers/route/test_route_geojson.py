@@ -105,19 +105,6 @@ def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
     ]
 
 
-def test_a_way_back_to_its_start_has_both_ends(tmp_path):
-    there_and_back = np.concatenate([CORNERS, CORNERS[1::-1]])
-    stops = stops_of(written([make_route(corners=there_and_back)], tmp_path / "route.geojson"))
-    assert [stop["properties"]["role"] for stop in stops] == ["start", "goal"]
-    assert stops[0]["geometry"] == stops[1]["geometry"]
-
-
-def test_a_way_of_length_0_is_a_line_of_two_positions(tmp_path):
-    (line,) = lines_of(written([make_route(corners=CORNERS[:1])], tmp_path / "route.geojson"))
-    first, second = line["geometry"]["coordinates"]
-    assert first == second
-
-
 def test_without_a_crs_the_file_says_what_its_coordinates_are(tmp_path):
     collection = written([make_route(georeference=Georeference(None, 0.5))], tmp_path / "route.geojson")
     (line,) = lines_of(collection)
@@ -173,12 +160,6 @@ def test_a_cut_line_is_the_line(steps, first):
         assert np.min(near, axis=0).max() < 1e-6
     length = sum(shapely.length(shapely.linestrings(part)) for part in parts)
     assert length == pytest.approx(shapely.length(whole), abs=1e-5)
-
-
-def test_any_name_is_json(tmp_path):
-    name = 'a "quoted" \\ name \udce9 \x01 é'
-    (line,) = lines_of(written([make_route(name)], tmp_path / "route.geojson"))
-    assert line["properties"]["name"].startswith('a "quoted" \\ name')
 
 
 def test_where_its_crs_does_not_reach_a_way_keeps_the_coordinates_of_the_survey(tmp_path):

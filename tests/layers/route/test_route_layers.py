@@ -11,7 +11,7 @@ from route_records import make_route
 from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers import open_map
 from bumpymap.route.output import write_routes
-from bumpytiles import Grid, TileWindow
+from bumpytiles import Grid
 
 SMALL = Grid(3.0, 4)
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -20,14 +20,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 @pytest.fixture(scope="module")
 def folder(make_field, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("relief") / "layers", make_field(40, 30, grid=SMALL, seed=4))
-
-
-def test_relief_at_full_size_is_the_heightmap(folder):
-    found = open_map([folder])
-    whole = found.window
-    np.testing.assert_array_equal(found.relief(whole, (whole.rows * 4, whole.cols * 4)), found.heights(whole))
-    part = TileWindow(whole.col - 5, whole.row + 20, 25, 22)  # beyond the map to the west and the north
-    np.testing.assert_array_equal(found.relief(part, (88, 100)), found.heights(part))
 
 
 def test_coarse_relief_holds_means(folder):

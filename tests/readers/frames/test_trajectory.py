@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from bumpymap.readers.frames.pose_files import FrameTree
+from bumpymap.readers.frames.transforms import FrameTree
 
 START = 1_700_000_000
 
