@@ -31,7 +31,7 @@ ROOMS = {
     "check": ({"core", "readers", "layers", "views"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "matplotlib", "numpy", "onnx", "scipy", "torch"},
+        {"dartpy", "numpy", "onnx", "scipy", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},

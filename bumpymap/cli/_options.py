@@ -63,7 +63,7 @@ class _NamedPath(click.Path):
         if isinstance(value, str) and (reason := path_fault(value)):
             self.fail(reason, param, ctx)
         if isinstance(value, str) and "://" in value:
-            self.fail(f"{value} is a URL; URLs can be surveys, and the --out of batch", param, ctx)
+            self.fail(f"{value} is a URL; only surveys can be URLs. Give a path of this machine", param, ctx)
         return super().convert(value, param, ctx)
 
 

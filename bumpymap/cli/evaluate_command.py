@@ -69,12 +69,10 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
         evaluate_survey,
         open_readers,
         require_dart,
-        require_matplotlib,
         write_report,
     )
     from bumpymap.readers import ReadOptions
 
-    require_matplotlib()
     require_dart()
     reading = run.given
     options = ReadOptions(reading.get("crs"), reading.get("z_unit"), force_crs=given["force_crs"])

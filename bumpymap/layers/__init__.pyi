@@ -81,7 +81,6 @@ from .manifest import (
     write_manifest as write_manifest,
 )
 from .map_files import (
-    RemoteFolder as RemoteFolder,
     open_layer as open_layer,
     open_raster as open_raster,
     read_averaged as read_averaged,
@@ -119,7 +118,6 @@ from .reach import (
     reach_dataset as reach_dataset,
     write_isochrones as write_isochrones,
     write_reach as write_reach,
-    write_reach_back as write_reach_back,
 )
 from .regions import (
     label as label,

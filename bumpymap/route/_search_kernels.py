@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from bumpytiles import helper, kernel
 
 __all__ = [
-    "BETWEEN_OBSTACLES",
     "FROM_START",
     "NEW",
     "NOT_REACHED",
@@ -34,8 +33,6 @@ Integers = NDArray[np.int64]
 Tiles = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-BETWEEN_OBSTACLES = 253
-"""In place of a move: the way leads over areas of tiles, where there are no moves."""
 FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255

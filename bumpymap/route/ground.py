@@ -95,30 +95,20 @@ class CostGround:
         return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
 
     @property
-    def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m."""
-        return self.site.vehicle.reach_m
-
-    @property
     def joins_corners(self) -> bool:
         """True if it can go from one free pixel to another that touches it at a corner alone."""
-        return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
+        return corners_join(self.site.vehicle.width_m, self.site.vehicle.reach_m, self.site.grid.pixel_size)
 
     @property
     def margin(self) -> float:
         """Distance that it keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
-        return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
+        return min(self.site.vehicle.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
 
     @property
     def bands(self) -> tuple[str, ...]:
         """Bands of the map on which the cost depends, besides what bars tiles."""
         obstacle = () if self.settings.unknown is None else ("obstacle",)
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
-
-    @property
-    def has_areas(self) -> bool:
-        """True if there are areas to avoid, or to stay in."""
-        return self.avoid is not None or self.only is not None
 
     @property
     def memory_bytes(self) -> int:
@@ -194,10 +184,10 @@ class CostGround:
         """
         crosses_unknown = self.settings.unknown is not None
         free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
-        reach = self.reach_m / self.site.grid.pixel_size
+        reach = self.site.vehicle.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
             free &= _apart(self.site.objects(window) == OBSTACLE, reach)
-        if crosses_unknown or self.has_areas:
+        if crosses_unknown or self.avoid is not None or self.only is not None:
             free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free
 

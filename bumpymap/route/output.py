@@ -25,7 +25,6 @@ from bumpymap.layers import (
     write_isochrones,
     write_profile,
     write_reach,
-    write_reach_back,
     write_route_geojson,
 )
 from bumpymap.views import write_route_picture
@@ -44,7 +43,7 @@ ROUTE_KINDS = {
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), "reach.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
 )
 
@@ -158,7 +157,7 @@ def write_reach_files(
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach_back.tif (with back-links), isochrones.geojson (with levels) and route.json to a folder.
+    """Write reach.tif, isochrones.geojson (with levels) and route.json to a folder.
 
     ``out`` may be one file instead, .tif for the cost or .geojson for the isochrones; ``levels`` of these: m of cost,
     or minutes, as ``by`` says (``cost``, ``minutes``). For the other parameters, the result and errors see
@@ -169,8 +168,6 @@ def write_reach_files(
     name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
     about = {"vehicle": name} if isinstance(name, str) else {}
     writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
-    if reach.back is not None:
-        writers["reach_back.tif"] = partial(write_reach_back, reach, about=about)
     if levels:
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, by=by, about=about)
     if one_file is None:

@@ -87,13 +87,13 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
 
 def reach_over_areas(
     ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+) -> NDArray[np.bool_]:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
     ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
     easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
-    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols) each: tiles to which the way
-    leads over areas now, between obstacles; tiles in which the vehicle fits somewhere.
+    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols): tiles in which the vehicle
+    fits somewhere.
     """
     graph = _graph(ground, window)
     count, cost_of_tile, length_of_tile = len(graph.tile), cost.reshape(-1), length.reshape(-1)  # views
@@ -132,9 +132,9 @@ def reach_over_areas(
     is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
     nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
     cost_of_tile[tiles], length_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
-    is_between, has_room = np.zeros(cost.size, np.bool_), np.zeros(cost.size, np.bool_)
-    is_between[tiles] = has_room[graph.tile] = True
-    return is_between.reshape(cost.shape), has_room.reshape(cost.shape)
+    has_room = np.zeros(cost.size, np.bool_)
+    has_room[graph.tile] = True
+    return has_room.reshape(cost.shape)
 
 
 def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:

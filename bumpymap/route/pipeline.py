@@ -7,7 +7,7 @@ subsets: Held and Karp 1962), plan the ways, measure them, write them.
 import logging
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -46,7 +46,6 @@ __all__ = [
     "MOST_VISITS",
     "RouteResult",
     "best_order",
-    "explain_no_way",
     "find_routes",
     "map_reach",
     "plan_routes",
@@ -87,23 +86,6 @@ def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
         seen, at = seen - {at}, before
         order.append(at)
     return [0, *reversed(order), *([n - 1] if fixed_end else [])]
-
-
-def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
-    """Return the message for the first two points without a way between them.
-
-    ``points`` (k, 2): easting and northing of the stops, m; ``names``: how the message calls each of them.
-    """
-    for number, (start, goal) in enumerate(pairwise(points)):
-        if np.isfinite(planner.leg_cost(start, goal)):
-            continue
-        unknown = "cross unknown ground with `unknown=COST`, " if planner.ground.settings.unknown is None else ""
-        return (
-            f"there is no way from {names[number]} to {names[number + 1]} on which the vehicle fits. Choose other "
-            f"points (without a goal, the same command maps what can be reached), {unknown}map the survey for another "
-            "vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
-        )
-    return "there is no way through all points"
 
 
 PathLike: TypeAlias = str | os.PathLike[str]
@@ -329,7 +311,14 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
     points = stops.points
     ways = find_alternatives(partial(planner.way, points), config.alternatives, ground.risk_m)
     if not ways:
-        raise BadInputError(explain_no_way(planner, points, stops.names))
+        legs = zip(pairwise(points), pairwise(stops.names), strict=True)
+        first, second = next(names for (start, goal), names in legs if planner.line(start, goal) is None)
+        unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
+        raise BadInputError(
+            f"there is no way from {first} to {second} on which the vehicle fits. Choose other points (without a goal, "
+            f"the same command maps what can be reached), {unknown}map the survey for another vehicle, or drive "
+            "through what the map takes for an obstacle with `through_obstacles`"
+        )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
     site = ground.site

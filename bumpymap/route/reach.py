@@ -11,7 +11,7 @@ from bumpymap.core import Barred, UsageError
 from bumpymap.layers import ReachField
 from bumpymap.route.ground import CostGround
 from bumpymap.route.places import place_in_window, window_within
-from bumpymap.route.search import BETWEEN_OBSTACLES, MOVES, spread
+from bumpymap.route.search import MOVES, spread
 from bumpytiles import kernel
 
 __all__ = ["Reach", "add_up_lengths", "find_reach"]
@@ -65,12 +65,7 @@ _ONLY_WHOLE = (
 
 @dataclass(frozen=True, slots=True)
 class Reach(ReachField):
-    """Cost and time of the cheapest way to the tiles of a window from one start, and how it was looked for.
-
-    ``back`` holds rows of `bumpymap.route.search.MOVES`; `FROM_START` (254) if the way leads straight from the start to
-    the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where there are no moves,
-    `NOT_REACHED` (255) if there is none.
-    """
+    """Cost and time of the cheapest way to the tiles of a window from one start, and how it was looked for."""
 
     passable: int = 0
     """Tiles of the window that are not closed, or in which the vehicle fits between obstacles."""
@@ -129,10 +124,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:
-            is_between, has_room = reach_over_areas(ground, window, start, spent, length)
-            back[is_between] = BETWEEN_OBSTACLES
-            _mark_all_between(back)
-            is_passable |= has_room
+            is_passable |= reach_over_areas(ground, window, start, spent, length)
     spent[np.isinf(spent)] = np.nan
     spent *= site.grid.tile_size
     length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0
@@ -143,20 +135,7 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         window,
         cost=spent.astype(np.float32),
         minutes=length.astype(np.float32),
-        back=back,
-        moves=-MOVES,
         passable=int(is_passable.sum()),
         limit_m=None if window == site.window else most_m,
         notes=notes,
     )
-
-
-def _mark_all_between(back: NDArray[np.uint8]) -> None:
-    """Set `BETWEEN_OBSTACLES` for all tiles whose moves lead to one that has it."""
-    row, col = np.indices(back.shape, np.int32)
-    has_move = back < len(MOVES)
-    move = MOVES[np.where(has_move, back, 0)] * has_move[..., None]
-    ahead = ((row - move[..., 0]) * back.shape[1] + col - move[..., 1]).ravel()
-    while not np.array_equal(ahead, further := ahead[ahead]):  # each pass doubles how far is looked
-        ahead = further
-    back[(back.ravel()[ahead] == BETWEEN_OBSTACLES).reshape(back.shape)] = BETWEEN_OBSTACLES

@@ -30,7 +30,6 @@ from numpy.typing import NDArray
 
 from bumpymap.route._line_kernels import connect, find_near
 from bumpymap.route._search_kernels import (
-    BETWEEN_OBSTACLES,
     FROM_START,
     NEW,
     NOT_REACHED,
@@ -55,7 +54,6 @@ from bumpymap.route.straighten import (
 )
 
 __all__ = [
-    "BETWEEN_OBSTACLES",
     "BYTES_PER_TILE",
     "FROM_START",
     "MOST_TILES",
@@ -385,7 +383,7 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     Parameters
     ----------
     back : array (rows, cols) uint8
-        From `spread`, or of a `Reach`.
+        From `spread`.
     row, col : int
         A tile that has been reached.
 
@@ -398,12 +396,10 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     Raises
     ------
     ValueError
-        There is no way to the tile, or it leads between obstacles, where there are no moves.
+        There is no way to the tile.
     """
     if back[row, col] == NOT_REACHED:
         raise ValueError(f"there is no way to the tile in row {row}, column {col}")
-    if back[row, col] == BETWEEN_OBSTACLES:
-        raise ValueError(f"the way to the tile in row {row}, column {col} leads between obstacles: plan it as a route")
     path, last = [(row, col)], NOT_REACHED
     while (move := int(back[row, col])) < len(MOVES):
         row, col = row - int(MOVES[move, 0]), col - int(MOVES[move, 1])

@@ -64,7 +64,6 @@ from bumpymap.readers import (
     label_file,
     place_sources,
 )
-from bumpymap.scan.align import WrongPosesError
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import (
     FrameProducts,
@@ -77,7 +76,7 @@ from bumpymap.scan.frames import (
     present_products,
     staging_folder,
 )
-from bumpymap.scan.merge import PlacedPoints
+from bumpymap.scan.merge import PlacedPoints, WrongPosesError
 from bumpymap.scan.methods import Method, choose_method
 from bumpymap.views import check_bag_file
 

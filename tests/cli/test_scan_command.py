@@ -203,35 +203,3 @@ def test_a_bad_frame_among_others(scan, frame, tmp_path):
     assert "skipped frames: 1;" in result.stdout
     assert str(bad) in result.stderr
     assert "frames/frame.ply" in out_files(tmp_path)
-
-
-def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
-    config = tmp_path / "scan.toml"
-    config.write_text(
-        'frames = ["frame.ply"]\nproducts = ["table"]\nmethod = "filter"\n'
-        "[polar]\nzone_starts_m = [3, 6.5]\nend_m = 11\nsectors = [8, 16]\nrings = [1, 2]\nleast_points = 10\n"
-        "[robot]\nradius_m = 2.5\nbox_m = [-1, 0, -0.5, 0.5]\n"
-    )
-    result = CliRunner().invoke(
-        main,
-        [
-            "scan",
-            "--config",
-            str(config),
-            "--out",
-            str(tmp_path / "out"),
-            "--set",
-            "polar.rings=2,2",
-            "--set=polar.zone_starts_m=3,6",
-            "--set=polar.end_m=12",
-        ],
-    )
-    assert result.exit_code == 0, result.output
-    settings = json.loads((tmp_path / "out" / "scan.json").read_text())["settings"]
-    assert settings["frames"] == [str(frame)]
-    assert settings["products"] == ["table"]
-    polar = settings["polar"]
-    assert (polar["zone_starts_m"], polar["end_m"], polar["sectors"]) == ([3.0, 6.0], 12.0, [8, 16])
-    assert (polar["rings"], polar["least_points"]) == ([2, 2], 10)
-    assert settings["robot"] == {"radius_m": 2.5, "box_m": [-1.0, 0.0, -0.5, 0.5]}
-    assert out_files(tmp_path) == ["scan.json", "sectors.parquet"]

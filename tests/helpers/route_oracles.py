@@ -5,7 +5,6 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import shapely
-from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -103,16 +102,6 @@ def integral(cost, line, points=20001):
         at = np.floor(a + share[:, None] * (b - a)).astype(int)
         total += np.linalg.norm(b - a) * cost[at[:, 0], at[:, 1]].mean()
     return total
-
-
-def two_media(start, goal, border, above, below):
-    """Least cost from a point above a horizontal border to one below it (Snell's law holds where it is least)."""
-
-    def through(c):
-        return above * np.hypot(border - start[0], c - start[1]) + below * np.hypot(goal[0] - border, goal[1] - c)
-
-    low, high = sorted((start[1], goal[1]))
-    return minimize_scalar(through, bounds=(low, high), method="bounded", options={"xatol": 1e-10}).fun
 
 
 def pixel_graph(cost, pixel, *, past_corners=False):

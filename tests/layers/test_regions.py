@@ -94,15 +94,6 @@ def test_numbers_are_means_over_the_tiles(make_map):
     assert np.isnan(regions.hazard[:3]).all()
 
 
-def test_passable_and_impassable_tiles_of_one_class_are_never_one_region(make_map):
-    made = make_map([0, 1, 2], [0, 0, 0], [3, 3, 3], [0, 0, 0])
-    slope = np.array([10.0, 26.0, 10.0])  # the limit is 25
-    cost_map = replace(made, p_fail=np.zeros(3, np.float32), patches=replace(made.patches, slope=slope))
-    regions = regions_of(cost_map)
-    assert regions.tiles.tolist() == [1, 1, 1]
-    assert regions.passable.tolist() == [True, False, True]
-
-
 def joined(batches):
     """Outlines as text, and every column, of all regions in their order."""
     names = ("class_id", "reason", "tiles", "passable", "c_r", "c_r_low", "c_r_high", "p_fail", "hazard", "cost")
@@ -143,16 +134,6 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     check_coverage(own, holes_of_tiles(patches.col, patches.row))
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values)
-
-
-def test_regions_are_numbered_in_their_order(make_field, monkeypatch):
-    table = CostTable.of(make_field(45, 30))
-    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
-    monkeypatch.setattr("bumpymap.layers.regions.BATCH", 7)
-    batches = list(dissolve(table))
-    numbers = np.concatenate([batch.number for batch in batches])
-    assert len(batches) > 6
-    assert numbers.tolist() == list(range(1, sum(len(batch.tiles) for batch in batches) + 1))
 
 
 def only(cost_map, chosen):

@@ -44,13 +44,6 @@ def planner(ways):
     return plan
 
 
-def test_one_way_is_the_best_one():
-    ways = [way(100, 0.3, 0), way(150, 0.01, 1)]
-    ((found, risk),) = find_alternatives(planner(ways), 1, OWN_RISK)
-    assert found is ways[1]
-    assert risk == OWN_RISK
-
-
 def test_the_hull_is_found_whole_and_in_order():
     hull = [way(100, 0.5, 0), way(120, 0.3, 1), way(160, 0.1, 2), way(250, 0.0, 3)]
     inside = [way(200, 0.4, 4), way(240, 0.2, 5)]

@@ -61,17 +61,6 @@ def test_a_grown_window_gives_the_way_of_the_whole_map(seed):
     np.testing.assert_array_equal(back.line[::-1], way.line)
 
 
-def test_some_windows_grow_and_most_need_not_be_whole():
-    windows = []
-    for seed in range(12):
-        reading = Map(map_with_walls(seed)[0])
-        plan(reading, *map_with_walls(seed)[1:])
-        windows.append(reading.windows)
-    assert max(map(len, windows)) >= 3
-    tiles = np.array([each[-1].rows * each[-1].cols for each in windows])
-    assert (tiles < EXTENT.rows * EXTENT.cols).mean() > 0.5
-
-
 def test_a_start_that_is_walled_in_is_found_without_reading_the_whole_map():
     cost = np.ones((EXTENT.rows, EXTENT.cols), np.float32)
     cost[50:61, 50:61] = np.inf

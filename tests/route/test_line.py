@@ -102,13 +102,6 @@ def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
     assert not is_clear(cost, np.array([[3.9, 4.2], [4.1, 4.5], [3.5, 4.5]]), 0.0)
 
 
-def test_outside_the_window_all_is_closed():
-    cost = np.ones((4, 4), np.float32)
-    assert np.isinf(line_cost(cost, np.array([[2.0, 2.0], [2.0, 4.1]])))
-    assert not is_clear(cost, np.array([[2.0, 2.0], [0.3, 2.0], [0.3, 3.0]]), 0.4)
-    assert is_clear(cost, np.array([[2.0, 2.0], [0.41, 2.0], [0.41, 3.0]]), 0.4)
-
-
 @pytest.mark.parametrize("line", [np.zeros(4), np.zeros((3, 3)), np.array([[0.0, np.nan], [1.0, 1.0]])])
 def test_what_is_no_line_is_refused(line):
     with pytest.raises(ValueError, match="a line is"):

@@ -93,16 +93,3 @@ def test_unknown_ground_has_a_length_and_no_ride():
     unknown = np.isnan(found.profile.c_r)
     np.testing.assert_allclose(found.profile.distance[unknown].min(), 4.5 * SIZE, atol=1.0)
     assert unknown.sum() == pytest.approx(4 * 3, abs=1)
-
-
-def test_the_profile_ends_where_the_way_ends_at_its_cost():
-    site = random_map(seed=5)
-    found = measured(site, [(2.2, 3.3), (20.1, 8.8), (11.0, 30.7)])
-    profile, figures = found.profile, found.figures
-    assert profile.distance[0] == 0.0
-    assert profile.distance[-1] == pytest.approx(figures.length_m, rel=1e-9)
-    assert profile.cost[0] == 0.0
-    assert profile.cost[-1] == pytest.approx(figures.cost_m, rel=1e-9)
-    assert (np.diff(profile.cost) > 0).all()
-    assert np.diff(profile.distance).max() <= 1.0 + 1e-9
-    np.testing.assert_allclose([profile.easting[-1], profile.northing[-1]], site.at(11.0, 30.7))

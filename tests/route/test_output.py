@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -42,8 +41,7 @@ def no_picture(monkeypatch):
 @pytest.fixture
 def reach():
     cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    back, moves = np.zeros((3, 4), np.uint8), np.array([[0, 1]])
-    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, None, back, moves)
+    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost)
 
 
 def names(folder):
@@ -154,9 +152,9 @@ def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path):
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
     check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
     files = write_reach_files(reach, source, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
-    assert [path.name for path in files] == ["reach.tif", "reach_back.tif", "isochrones.geojson", "route.json"]
+    assert [path.name for path in files] == ["reach.tif", "isochrones.geojson", "route.json"]
     assert names(tmp_path / "all") == sorted(path.name for path in files)
-    few = write_reach_files(replace(reach, back=None, moves=None), source, tmp_path / "few", manifest=SETTINGS)
+    few = write_reach_files(reach, source, tmp_path / "few", manifest=SETTINGS)
     assert [path.name for path in few] == ["reach.tif", "route.json"]
     for name in ("cost.tif", "within.geojson"):
         out = tmp_path / name

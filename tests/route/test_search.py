@@ -2,28 +2,13 @@ import math
 
 import numpy as np
 import pytest
-from route_oracles import gap_to_closed, reach_by_graph, smooth_field, taut_length, two_media
+from route_oracles import gap_to_closed, reach_by_graph, smooth_field
 
 from bumpymap.route._search_kernels import FROM_START, NOT_REACHED
 from bumpymap.route.search import MOVES, find_way, follow_back, spread
 from bumpymap.route.straighten import is_clear, line_cost, pull_tight, wide_margin
 
 EVEN = np.ones((100, 100), np.float32)
-
-
-def spiral(turns):
-    """Walls of one tile, ways of one tile, that wind to the middle."""
-    size = 4 * turns + 1
-    cost = np.full((size, size), np.inf, np.float32)
-    row, col, step = 1, 0, [(0, 1), (1, 0), (0, -1), (-1, 0)]
-    reach = size - 2
-    cost[row, col] = 1
-    lengths = [reach, *(n for n in range(reach - 1, 0, -2) for _ in range(2))]
-    for k, length in enumerate(lengths):
-        for _ in range(length):
-            row, col = row + step[k % 4][0], col + step[k % 4][1]
-            cost[row, col] = 1
-    return cost, (1.5, 0.5), (row + 0.5, col + 0.5)
 
 
 def test_even_ground_is_crossed_straight_in_all_directions():
@@ -91,19 +76,6 @@ def test_following_back_gives_a_way_of_the_cost_reached():
         follow_back(back, *closed)
 
 
-def test_light_is_not_faster_between_two_media():
-    """Refraction, 20 geometries, ratios from 1 : 1.5 to 1 : 4."""
-    rng, shares = np.random.default_rng(5), []
-    for k in range(20):
-        above, below = (1.0, np.linspace(1.5, 4.0, 20)[k])[:: 1 if k % 2 else -1]
-        cost = np.full((60, 80), above, np.float32)
-        cost[30:] = below
-        start, goal = (rng.uniform(3, 29), rng.uniform(2, 78)), (rng.uniform(31, 57), rng.uniform(2, 78))
-        shares.append(find_way(cost, start, goal).cost / two_media(start, goal, 30, above, np.float32(below)))
-    assert min(shares) >= 1 - 1e-6
-    assert max(shares) <= 1.001  # 1.005 is asked for
-
-
 @pytest.mark.parametrize("margin", [0.1, 0.3, 0.45])
 def test_a_margin_bends_the_way_around_a_corner_in_an_arc(margin):
     cost = EVEN[:40, :40].copy()
@@ -121,16 +93,6 @@ def test_a_margin_bends_the_way_around_a_corner_in_an_arc(margin):
     assert exact - 1e-6 <= way.cost <= exact * 1.001
     assert margin - 1e-6 <= gap_to_closed(cost, way.line) <= 1.05 * margin + 1e-4
     assert len(way.line) < 12
-
-
-@pytest.mark.parametrize("turns", [2, 4])
-def test_a_spiral_is_followed_to_its_middle(turns):
-    cost, start, goal = spiral(turns)
-    way = find_way(cost, start, goal)
-    assert way.cost == pytest.approx(taut_length(cost, start, goal), rel=1e-5)
-    wide = find_way(cost, start, goal, margin=0.4)
-    assert way.cost < wide.cost < wide.graph_cost
-    assert gap_to_closed(cost, wide.line) >= 0.4 - 1e-6
 
 
 @pytest.mark.parametrize("seed", range(4))

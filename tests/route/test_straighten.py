@@ -29,18 +29,6 @@ def test_never_dearer_and_never_too_near(seed, margin):
         np.testing.assert_array_equal(pulled[[0, -1]], line[[0, -1]])
 
 
-def test_the_way_stays_on_its_side_of_what_is_closed():
-    cost = np.ones((60, 60), np.float32)
-    cost[25:35, 20:40] = np.inf
-    around = {
-        side: np.array([[10.0, 30.0], [30.0, col], [50.0, 30.0]]) for side, col in (("west", 3.0), ("east", 57.0))
-    }
-    for side, line in around.items():
-        pulled = pull_tight(cost, line)
-        assert line_cost(cost, pulled) == pytest.approx(10 + 2 * math.hypot(15, 10), rel=1e-5), side
-        assert (pulled[1:-1, 1].max() < 30) == (side == "west")
-
-
 def test_around_blocks_the_line_is_taut():
     """Moves decide on which side of a block the way passes; where both cost nearly the same, that may be the longer."""
     shares = []

@@ -1,6 +1,5 @@
 """A scan run from Python: what it writes, what it leaves when it ends early, and the map of a drive."""
 
-import errno
 import hashlib
 import json
 import os
@@ -20,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -314,27 +312,6 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
-    out = tmp_path / "out"
-    config = replace(mapped[2], out=out)
-
-    def full(name, *rest):
-        if name == "1":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write_polygons(name, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
-        with pytest.raises(OutputError, match="No space left") as failed:
-            scan_frames(config)
-    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
-    done_frames.clear()
-    scan_frames(config)
-    assert done_frames == ["1"]
-    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
-
-
-@pytest.mark.slow
 def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
     drive, mapped, tmp_path, monkeypatch, done_frames
 ):
@@ -345,7 +322,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
         raise OutputError("No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.folder.write_roughness", full)
+        patch.setattr("bumpymap.layers.folder.write_raster", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == [
@@ -374,20 +351,6 @@ def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tm
     assert inodes(mine) == before
     assert not [path for path in out.rglob("*") if path.is_symlink()]
     assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
-
-
-def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, mapped, tmp_path):
-    out = tmp_path / "out"
-    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
-    scan_frames(config)
-    before = checksums(out)
-    assert scan_frames(config).already_done
-    with pytest.raises(OutputError, match="overwrite=True"):
-        scan_frames(replace(config, products=("table",)))
-    assert checksums(out) == before
-    paths = (drive / "frames" / "1.bin",)
-    scan_frames(ScanConfig(paths, out, overwrite=True, products=(), pictures=3, method="filter"))
-    assert files(out) == ["frames/1.png", "scan.json"]
 
 
 def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_theirs(drive, tmp_path, caplog):

@@ -289,7 +289,7 @@ def _compare_drives(
         jobs,
         Steps(trial.progress, settings.min_starts),
         workers=trial.workers,
-        journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded),
+        journal=Journal(trial.out / f"drives-{subject.key}.jsonl", recorded, PatchDrives.read),
         discard_other=trial.overwrite,
     )
     driven, verdicts = DriveStats.of(list(results.values())), subject.judge(patches)

@@ -4,6 +4,7 @@ import logging
 import os
 import re
 import struct
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,7 +59,10 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
         The extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
-    counts = _counts(bags)
+    counts: dict[str, Counter[str]] = {}  # messages of all bags: type -> topic -> number
+    for bag in bags:
+        for topic, (kind, count) in bag.topics.items():
+            counts.setdefault(kind, Counter())[topic] += count
     cloud = _choose(counts, CLOUD, topics.cloud, "topic")
     recorded = _Poses(counts if topics.poses else {}, topics.odometry)
     sources = [
@@ -67,16 +71,6 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
     if not sources:
         raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
     return recorded.add_poses(sources) if topics.poses else sources
-
-
-def _counts(bags: Iterable[BagReader]) -> dict[str, dict[str, int]]:
-    """Count the messages of all bags: type -> topic -> number."""
-    counts: dict[str, dict[str, int]] = {}
-    for bag in bags:
-        for topic, (kind, count) in bag.topics.items():
-            of_kind = counts.setdefault(kind, {})
-            of_kind[topic] = of_kind.get(topic, 0) + count
-    return counts
 
 
 def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | None, setting: str) -> str:
@@ -156,7 +150,7 @@ class _Poses:
         origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
         times = seconds_since(origin_ns, np.array([message.stamp_ns for message in messages]))
         try:
-            track = self._by_odometry(sensor, origin_ns) or self._by_transforms(sensor, origin_ns, times)
+            track = self._track(sensor, origin_ns, times)
         except BadInputError as error:
             raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
         if track is None:
@@ -180,39 +174,29 @@ class _Poses:
             raise BadInputError(f"{what}. Are their headers from different clocks?")
         _log.warning("%s. Frames without a pose are classified, but not mapped", what)
 
-    def _by_odometry(self, sensor: str, origin_ns: int) -> PoseTrack | None:
-        if self._base is None:
-            return None
-        mount = self._tree.mount(self._base, sensor)
-        if mount is None:
-            if self._wanted is None:
-                return None
+    def _track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
+        """Return the poses of the sensor by odometry, or else by transforms; None if there are none."""
+        mount = None if self._base is None else self._tree.mount(self._base, sensor)
+        if mount is not None:
+            track = self._trajectory.track(origin_ns)
+            return PoseTrack(track.times, track.poses @ mount)
+        if self._base is not None and self._wanted is not None:
             raise BadInputError(
                 f"{self._odometry} moves the frame '{self._base}', and no static transform (/tf_static) says where the "
                 f"sensor's frame '{sensor}' is on it. Record /tf_static too, or give poses of the sensor with "
                 "`poses='FILE'`"
             )
-        track = self._trajectory.track(origin_ns)
-        return PoseTrack(track.times, track.poses @ mount)
-
-    def _by_transforms(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
-        track = self._tree.track(sensor, origin_ns, times)
-        if track is None:
-            odometry = ""
-            if self._odometry is not None:
-                odometry = (
-                    f", and no static transform (/tf_static) says where it is on '{self._base}' of {self._odometry}"
-                )
-            elif self._several:
-                odometry = f", and there are several odometries: name one with `odometry` ({', '.join(self._several)})"
+        found = self._tree.track(sensor, origin_ns, times)
+        if found is None:
             _log.warning(
-                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames "
-                "are classified, but not mapped",
+                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s, nor, with "
+                "/tf_static, to that of the only odometry (topics: %s; name one of several with `odometry`). The "
+                "frames are classified, but not mapped",
                 sensor,
                 " and ".join(FIXED_FRAMES),
-                odometry,
+                ", ".join(self._several) or "none",
             )
-        return track
+        return found
 
 
 SUFFIXES = (".ply", ".pcd", ".bin")

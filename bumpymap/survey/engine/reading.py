@@ -126,24 +126,12 @@ _Fetching = tuple[OpenRange, Chunk, Future[Any]]
 
 
 def read_chunks(
-    ranges: Sequence[OpenRange], grid: Grid, threads: int, skipped: set[int]
+    ranges: Sequence[OpenRange], grid: Grid, threads: int
 ) -> Iterator[tuple[ReadChunk, GroupedPoints] | BadFile]:
-    """Yield the chunks of ranges in order, with their points grouped by block.
+    """Yield the chunks of ranges in order, with their points grouped by block; last a file that cannot be read."""
 
-    Parameters
-    ----------
-    ranges : sequence of OpenRange
-    grid : Grid
-    threads : int
-    skipped : set of int
-        Files that are read no further. One that cannot be read is added, and yields one `BadFile` after its good
-        chunks.
-    """
-
-    def grouped(fetching: _Fetching) -> tuple[ReadChunk, GroupedPoints] | BadFile | None:
+    def grouped(fetching: _Fetching) -> tuple[ReadChunk, GroupedPoints] | BadFile:
         source, chunk, future = fetching
-        if source.range.file in skipped:
-            return None  # found to be bad while this chunk was fetched
         try:
             batch = source.reader.convert(chunk, future.result())
         except BadInputError as error:
@@ -155,14 +143,12 @@ def read_chunks(
     np.empty(_LARGEST_KEPT, np.uint8)
     fetchers: dict[int, ThreadPoolExecutor] = {}
     try:
-        fetched = _fetched(ranges, threads, skipped, fetchers)
+        fetched = _fetched(ranges, threads, fetchers)
         with closing(run_blocks(grouped, fetched, threads, threads + 1)) as results:
             for read in results:
-                if read is None or (read.source if isinstance(read, BadFile) else read[0].source).range.file in skipped:
-                    continue
-                if isinstance(read, BadFile):
-                    skipped.add(read.source.range.file)
                 yield read
+                if isinstance(read, BadFile):
+                    return
                 del read
     finally:
         for fetcher in fetchers.values():
@@ -170,9 +156,7 @@ def read_chunks(
         close_decoder()
 
 
-def _fetched(
-    ranges: Sequence[OpenRange], threads: int, skipped: set[int], fetchers: dict[int, ThreadPoolExecutor]
-) -> Iterator[_Fetching]:
+def _fetched(ranges: Sequence[OpenRange], threads: int, fetchers: dict[int, ThreadPoolExecutor]) -> Iterator[_Fetching]:
     """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead.
 
     ``fetchers`` receives the threads, by the number of chunks that are fetched at a time.
@@ -183,8 +167,6 @@ def _fetched(
         at_once = requests_at_once(largest, threads) if source.reader.info.parallel else 1
         fetcher = fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
         for chunk in source.chunks:
-            if source.range.file in skipped:
-                break
             ahead.append((source, chunk, fetcher.submit(source.reader.fetch, chunk)))
             while len(ahead) > at_once:
                 yield ahead.popleft()
@@ -249,8 +231,7 @@ class RangeReader:
         progress: Progress,
     ) -> None:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
-        self._progress, self._skip_bad = progress, False
-        self._ranges, self._skipped = ranges, set[int]()
+        self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
@@ -265,19 +246,19 @@ class RangeReader:
         """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before."""
         return key not in self._elsewhere and self._completion.is_complete(key)
 
-    def run(self, *, skip_bad: bool = False) -> Iterator[ReadResult]:
-        """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files.
-
-        With ``skip_bad``, reading goes on after a bad file. Ranges are then whole files; the points of a file can be
-        dropped, and none of its blocks is complete, until its last chunk has been judged.
-        """
-        self._skip_bad = skip_bad
-        self._store.final = 0 if self._skip_bad else None
-        for read in read_chunks(self._ranges, self._work.grid, self._threads, self._skipped):
+    def run(self) -> Iterator[ReadResult]:
+        """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
+        for read in read_chunks(self._ranges, self._work.grid, self._threads):
+            error: BadInputError | None
             if isinstance(read, BadFile):
-                yield from self._drop(read)
+                part, error = read.source.range, read.error
             else:
                 yield from self._add(*read)
+                part, error = read[0].source.range, self._judge(read[0])
+            if error is not None:
+                yield from self._spilled()
+                yield ReadResult(((part.file, part.first, part.stop),), error=error)
+                return
         yield from self._spilled()
 
     def remainder(self) -> ReadResult | None:
@@ -295,20 +276,21 @@ class RangeReader:
         self._next += 1
         self._stats = self._stats.merge(read.stats)
         self._progress.advance(read.chunk.points)
-        if not self._skip_bad:
-            self._mark_read(source.range.file, read.chunk.index)
-        is_last = read.chunk.index + 1 == source.range.stop
-        if is_last and source.range.is_whole:
+        area = self._areas.get((source.range.file, read.chunk.index))
+        if area is not None:
+            self._completion.mark_read(area)
+        if self._store.is_full:
+            yield from self._make_room()
+
+    def _judge(self, read: ReadChunk) -> BadInputError | None:
+        """Return why a file is bad whose last chunk this is; None if it is good."""
+        source = read.source
+        if source.range.is_whole and read.chunk.index + 1 == source.range.stop:
             try:
                 source.reader.verify(self._stats)
             except BadInputError as error:
-                yield from self._drop(BadFile(source, error))
-                return
-        if is_last and self._skip_bad:
-            self._store.final = self._next
-            self._mark_all_read(source)
-        if self._store.is_full:
-            yield from self._make_room()
+                return error
+        return None
 
     def _make_room(self) -> Iterator[ReadResult]:
         """Rate complete blocks; if that does not make room, write the older half of the waiting points to disk.
@@ -365,27 +347,6 @@ class RangeReader:
             lines = lines.merge(taken.lines)
         hashed = {file: self._readers[file].take_hashed() for file in stats}
         return ReadResult(tuple(spans), stats, flagged, lines, hashed)
-
-    def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
-        """Drop the points of a bad file and yield its error; earlier results of the file become void."""
-        part = bad.source.range
-        yield from self._spilled()
-        self._skipped.add(part.file)
-        while self._pending and self._pending[-1][1].source.range.file == part.file:
-            self._pending.pop()
-        if self._skip_bad:
-            self._store.drop_from(self._store.final or 0)
-            self._mark_all_read(bad.source)
-        yield ReadResult(((part.file, part.first, part.stop),), error=bad.error)
-
-    def _mark_all_read(self, source: OpenRange) -> None:
-        for index in range(source.range.first, source.range.stop):
-            self._mark_read(source.range.file, index)
-
-    def _mark_read(self, file: int, index: int) -> None:
-        area = self._areas.get((file, index))
-        if area is not None:
-            self._completion.mark_read(area)
 
 
 def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:

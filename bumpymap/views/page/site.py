@@ -41,7 +41,7 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
-from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, packed
+from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, crs_name, packed
 from bumpymap.views.words import survey_name
 
 __all__ = [
@@ -341,8 +341,6 @@ class Site:
     """True if the page lies beside the layers, so that it can lead to the pages of sheets."""
     check: DrawnCheck | None = None
     """Findings of real drives over the map."""
-    letter: str = ""
-    """Letter of the map on a page of two."""
 
     @classmethod
     def read(
@@ -409,11 +407,6 @@ class Site:
         return cls(survey_name(record), record, summary, *shown, ways, has_links, check)
 
     @property
-    def title(self) -> str:
-        """Name of the map, with the letter by which the page calls it."""
-        return f"{self.letter}: {self.name}" if self.letter else self.name
-
-    @property
     def vehicle(self) -> str:
         """Name of the vehicle; ``vehicle`` if the record has none."""
         known, driven = self.record.get("calibration") or {}, self.record.get("vehicle") or {}
@@ -442,8 +435,7 @@ class Site:
     @property
     def crs_name(self) -> str:
         """Name of the CRS."""
-        crs = self.record.get("crs")
-        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+        return crs_name(self.record)
 
     @property
     def tile_area(self) -> float:
@@ -479,9 +471,8 @@ class Site:
 
     def charts(self) -> tuple[Chart, Chart]:
         """Return the histograms of the ride cost and of the slope."""
-        key = str("AB".find(self.letter or "A"))
-        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or (), key)
-        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"], key)
+        ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or ())
+        return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
 
     @property
     def rounding(self) -> str:
@@ -490,19 +481,9 @@ class Site:
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""
-        spot = self.tiles.spot
-        rows, cols = spot.shape
         return {
             "name": self.name,
-            "crs": self.crs_name,
-            "west": spot.west,
-            "north": spot.north,
-            "unit": spot.unit,
-            "metres": spot.metres,
-            "rows": rows,
-            "cols": cols,
-            "width": spot.cols * spot.tile_size,
-            "height": spot.rows * spot.tile_size,
+            **self.tiles.spot.record(),
             "ground": packed(self.tiles.ground),
             "barred": packed(self.tiles.barred),
             "grids": [grid.record() for grid in self.grids],
@@ -533,13 +514,8 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
         if code != NO_CLASS:
             colours[code] = colour[:3]
     colours[NO_POINTS] = _BLANK
-    factor = max(1, _STILL_SIDE // max(tiles.spot.shape))
-    rows, cols = (side * factor for side in tiles.spot.shape)
-    size = (min(cols, _STILL_SIDE * cols // max(rows, cols)), min(rows, _STILL_SIDE * rows // max(rows, cols)))
-    width, height = (max(1, side) for side in (size if max(rows, cols) > _STILL_SIDE else (cols, rows)))
-    line = (np.arange(height) + 0.5) * tiles.spot.shape[0] / height
-    column = (np.arange(width) + 0.5) * tiles.spot.shape[1] / width
-    shown = np.ix_(line.astype(int), column.astype(int))
+    shown = tiles.spot.shown(_STILL_SIDE)
+    height, width = len(shown[0]), shown[1].shape[1]
     ground, barred = tiles.ground[shown], tiles.barred[shown]
     ground = np.where((barred == Barred.UNKNOWN) & (ground < UNKNOWN_FROM), UNKNOWN_FROM, ground)
     bright = np.asarray(Image.fromarray(light).resize((width, height), Image.Resampling.BOX), np.float32) / 255
@@ -549,5 +525,6 @@ def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:
     bright[hatch & ((down + right) % 6 < 1)] *= 0.7
     closed = (barred > Barred.UNKNOWN) & (ground < UNKNOWN_FROM)
     lines = (down - right) % 6 < 2
-    bright[closed & lines if factor >= _LINES else closed] *= 0.25 if factor >= _LINES else 0.4
+    has_room = height >= _LINES * tiles.spot.shape[0]
+    bright[closed & lines if has_room else closed] *= 0.25 if has_room else 0.4
     return jpeg(np.rint(colours[ground] * bright[:, :, None]).astype(np.uint8), 150_000)

@@ -24,6 +24,7 @@ __all__ = [
     "ByteGrid",
     "PageTiles",
     "Spot",
+    "crs_name",
     "packed",
 ]
 
@@ -163,7 +164,7 @@ class Spot:
             place, width, height = file.transform, file.width, file.height
         unit = float(record.get("metres_per_unit", {}).get("horizontal", 1.0))
         grid = record["grid"]
-        step = max(1, math.ceil(max(width, height) / side))
+        step = math.ceil(max(width, height) / side)
         tile, pixels = float(grid["tile_size_m"]), int(grid["pixels"])
         return cls(place.c * unit, place.f * unit, tile, pixels, width, height, step, unit)
 
@@ -176,6 +177,39 @@ class Spot:
     def metres(self) -> float:
         """Side of a pixel of the page's grid, m."""
         return self.tile_size * self.step
+
+    def record(self) -> dict[str, Any]:
+        """Return what the script of the page needs, as plain JSON."""
+        rows, cols = self.shape
+        return {
+            "west": self.west,
+            "north": self.north,
+            "unit": self.unit,
+            "metres": self.metres,
+            "rows": rows,
+            "cols": cols,
+            "width": self.cols * self.tile_size,
+            "height": self.rows * self.tile_size,
+        }
+
+    def shown(self, side: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return row and column of the page's grid of each pixel of a picture, to index with; ``side`` is its longer.
+
+        Where the grid is smaller, its pixels are whole numbers of those of the picture.
+        """
+        longer = max(self.shape)
+        scale = max(1, side // longer) if longer <= side else side / longer
+        down, right = (
+            ((np.arange(max(1, int(size * scale))) + 0.5) * size / max(1, int(size * scale))).astype(np.int64)
+            for size in self.shape
+        )
+        return down[:, None], right[None, :]
+
+
+def crs_name(record: Mapping[str, Any]) -> str:
+    """Return the name of the CRS of a record."""
+    crs = record.get("crs")
+    return "local coordinates, no CRS" if crs is None else str(crs["name"])
 
 
 @dataclass(frozen=True, slots=True)

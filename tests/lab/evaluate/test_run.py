@@ -71,7 +71,7 @@ def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_pa
     record = json.loads((out / "report.json").read_text())
     assert list(record["classes"]) == ["table"]
     written = sorted(path.name for path in out.iterdir() if path.suffix != ".jsonl")
-    assert written == ["driven_warthog.png", "failures_warthog.png", "report.json", "report.md"]
+    assert written == ["report.json", "report.md"]
     refused = cli(*words)
     assert refused.exit_code == 3
     assert "--overwrite" in refused.output

@@ -56,7 +56,7 @@ def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
 
 def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     patches = {(col, -1): LEVEL for col in range(4)}
-    journal = Journal(tmp_path / "j", {"survey": "x"})
+    journal = Journal(tmp_path / "j", {"survey": "x"}, PatchDrives.read)
     first = drive_patches(dict(list(patches.items())[:3]), 2, journal=journal)
     fake_drive["seeds"].clear()
     seen = []

@@ -1,14 +1,11 @@
 """Routes over layers that a run has written: the relief of pictures, and every file together."""
 
-import json
-
 import numpy as np
 import pytest
-import rasterio
 from route_maps import write_folder
 from route_records import make_route
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError
 from bumpymap.layers import open_map
 from bumpymap.route.output import write_routes
 from bumpytiles import Grid
@@ -43,19 +40,6 @@ def test_sheets_make_one_relief(make_field, tmp_path):
     for half, folder in ((relief[:, :40], west), (relief[:, 40:], east)):
         alone = open_map([folder])
         np.testing.assert_array_equal(half, alone.relief(alone.window, (60, 40)))
-
-
-def test_a_run_leaves_all_its_files(folder, tmp_path):
-    found = open_map([folder])
-    bounds = found.grid.window_bounds(found.window)
-    corners = np.array([[bounds.west + 10, bounds.south + 10], [bounds.east - 30, bounds.north - 8]])
-    route = make_route(corners=corners, georeference=Georeference(found.georeference.crs))
-    write_routes([route], found, tmp_path / "out", manifest={"settings": {}})
-    record = json.loads((tmp_path / "out" / "route.json").read_text())
-    assert record["layers"][0]["path"] == str(folder)
-    assert record["vehicle"]["name"] == "warthog"
-    with rasterio.open(tmp_path / "out" / "route.png") as file:
-        assert file.width == 1600
 
 
 def test_damaged_layers_leave_nothing(make_field, tmp_path):

@@ -87,23 +87,6 @@ def test_kitti_has_no_times(tmp_path):
     assert found.times is None
 
 
-@pytest.mark.parametrize("stamp", ["12:30:01", "noon", "nan"])
-def test_words_that_are_no_times_are_ignored(tmp_path, stamp):
-    rows = [[stamp, *row] for row in numbers(PLACES, QUATS)]
-    found = read_pose_file(write(tmp_path / "p.csv", rows, "time,x,y,z,qx,qy,qz,qw"))
-    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
-    assert found.times is None
-
-
-def test_rounding_of_matrices_is_removed(tmp_path):
-    header = ",".join(f"T{r}{c}" for r in range(3) for c in range(4))
-    rows = [[f"{v:.3f}" for v in pose[:3].ravel()] for pose in MATRICES]
-    poses = read_pose_file(write(tmp_path / "p.csv", rows, header)).poses
-    np.testing.assert_allclose(poses, MATRICES, atol=2e-3)
-    turns = poses[:, :3, :3]
-    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (6, 1, 1)), atol=1e-12)
-
-
 def test_transforms_of_several_frames_are_refused(tmp_path):
     rows = [row for pair in zip(tf_rows("lidar"), tf_rows("camera"), strict=True) for row in pair]
     with pytest.raises(BadInputError, match=r"several frames.*camera, lidar"):
@@ -262,14 +245,6 @@ def test_without_times_of_the_frames_the_order_counts(tmp_path):
         read_poses(path, numbered(tmp_path / "frames", 5))
 
 
-@pytest.mark.parametrize("count", [5, 7])
-def test_another_number_of_frames_is_refused(tmp_path, count):
-    _, poses = drive(6)
-    path = write(tmp_path / "poses.txt", kitti_rows(poses), separator=" ")
-    with pytest.raises(BadInputError, match=f"6 poses, but there are {count} frames;"):
-        read_poses(path, numbered(tmp_path / "frames", count))
-
-
 def test_frames_without_a_pose_are_counted(tmp_path):
     times, poses = drive(100, rate=10.0)
     keep = (times < 3.0) | (times > 6.0)
@@ -352,13 +327,6 @@ def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
     assert found.calib is None
 
 
-def test_a_camera_that_stands_is_one_too(tmp_path):
-    _, poses = drive()
-    write_calib(tmp_path)
-    path = write(tmp_path / "poses.txt", kitti_rows(of_camera(poses[:1])), separator=" ")
-    assert read_poses(path, numbered(tmp_path / "velodyne", 1)).calib is not None
-
-
 @pytest.mark.parametrize("world", [TR, np.diag([1.0, -1.0, -1.0, 1.0])])
 def test_a_world_that_is_not_upright_is_refused(tmp_path, world):
     _, poses = drive()
@@ -385,10 +353,3 @@ def test_real_frames_without_a_pose(shared_data, robot, reason):
     folder = shared_data / "scans" / "monoforce" / robot
     with pytest.raises(BadInputError, match=reason):
         read_poses(folder / "lidar_poses.csv", list(folder.glob("*.ply")))
-
-
-@pytest.mark.realdata
-def test_real_poses_every_second(shared_data, tmp_path):
-    found = read_poses(shared_data / "scans/monoforce/husky/lidar_poses.csv", files(tmp_path, ["1666877651_500000000"]))
-    assert found.matched_by == "time"
-    assert found.poses[0, 2, 2] > 0.99

@@ -121,14 +121,6 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
     assert [colour for _, _, colour in items] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
 
 
-def test_without_limits_the_ride_cost_of_the_map_sets_the_scale(tmp_path, cost_map):
-    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={})
-    items = [float(item.get("value")) for item in read(tmp_path / "roughness.qml").iter("item")]
-    assert items == pytest.approx([0.0, items[-1] / 3, 2 * items[-1] / 3, items[-1]])
-    assert 0.1 <= items[-1] <= 2.0
-    assert [label for label, _, _ in palette(read(tmp_path / "class.qml")).values()] == list(CLASS_NAMES)
-
-
 @pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
 def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
     styles = styled(alone, settings=settings)
@@ -224,15 +216,6 @@ def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     alpha = {int(entry.get("value")): int(entry.get("alpha")) for entry in palette_of}
     assert 128 < alpha.pop(Barred.UNKNOWN) < 255  # the relief shows through
     assert set(alpha.values()) == {255}
-
-
-def test_a_project_shows_all_of_the_survey(folder, cost_map):
-    root = read(folder / "map.qgs")
-    assert root.find("properties/Paths/Absolute").text == "false"
-    extent = {side.tag: float(side.text) for side in root.find("mapcanvas/extent")}
-    col, row = cost_map.patches.col, cost_map.patches.row
-    assert extent["xmin"] < 3 * col.min() < 3 * col.max() + 3 < extent["xmax"]
-    assert extent["ymin"] < 3 * row.min() < 3 * row.max() + 3 < extent["ymax"]
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])

@@ -6,7 +6,6 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-import rasterio
 from hypothesis import given, strategies as st
 from route_records import CORNERS, MadeUpMap, make_route
 
@@ -23,7 +22,7 @@ from bumpymap.views.pictures.drawing import (
     hatched,
     paint_ground,
 )
-from bumpymap.views.pictures.route_picture import paint_route, write_route_picture
+from bumpymap.views.pictures.route_picture import paint_route
 from bumpytiles import Grid
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -140,13 +139,6 @@ def test_the_way_and_its_ends_stand_where_they_are(ground):
         assert picture[row, col].tolist() == colour
 
 
-def test_of_several_ways_each_has_its_colour(ground):
-    routes = [make_route(str(number), CORNERS + np.array([0.0, 12.0 * number])) for number in range(7)]
-    picture = np.asarray(paint_route(routes, ground)).reshape(-1, 3)
-    for colour in ((0, 0, 0), (136, 14, 112), (0, 90, 60), (110, 60, 0), (60, 60, 160)):
-        assert (picture == colour).all(axis=1).sum() > 500
-
-
 def test_the_profile_is_filled_with_the_colours_of_the_ride_cost(ground):
     ground.barred[:] = NO_TILE  # the map itself has no colour
     base = make_route()
@@ -174,14 +166,6 @@ def test_what_is_unknown_is_drawn_without_complaint(ground, unknown, recwarn):
         ground.c_r[:] = np.nan
     assert paint_route([route], ground).width == 1600
     assert not [str(warning.message) for warning in recwarn if "numpy" in str(warning.filename)]
-
-
-def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(ground, tmp_path):
-    for name in ("a.png", "b.png"):
-        write_route_picture([make_route()], ground, tmp_path / name)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    with rasterio.open(tmp_path / "a.png") as file:
-        np.testing.assert_array_equal(file.read().transpose(1, 2, 0), np.asarray(paint_route([make_route()], ground)))
 
 
 def class_colours(*numbers):
