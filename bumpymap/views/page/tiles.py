@@ -92,8 +92,8 @@ class ByteGrid:
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        plain = {"log": math.exp, "root": lambda root: root * abs(root)}.get(self.scale, float)
-        values = [plain(round(end, 12)) + 0.0 for end in ends]
+        plain: dict[str, Callable[[float], float]] = {"log": math.exp, "root": lambda root: root * abs(root)}
+        values = [plain.get(self.scale, float)(round(end, 12)) + 0.0 for end in ends]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
 
     def record(self) -> dict[str, Any]:
