@@ -38,7 +38,7 @@ from bumpymap.layers import (
     sheet_folders,
     virtual_name,
 )
-from bumpymap.survey import MapSettings, map_settings
+from bumpymap.survey import MapSettings, folder_of_call, map_settings
 
 if TYPE_CHECKING:
     import geopandas
@@ -310,7 +310,6 @@ class Layers:
         out: str | os.PathLike[str] | None = None,
         *,
         route: str | os.PathLike[str] | None = None,
-        check: str | os.PathLike[str] | None = None,
         overwrite: bool = False,
     ) -> Path:
         """Write the page of this map, as ``bumpymap report`` does.
@@ -321,8 +320,6 @@ class Layers:
             The file; default is report.html in the folder of the layers.
         route : path, optional
             A folder that ``bumpymap route`` wrote: its ways are drawn.
-        check : path, optional
-            A folder that ``bumpymap check`` wrote for this map: its drives are shown.
         overwrite : bool
             Replace ``out`` if it exists.
 
@@ -334,14 +331,14 @@ class Layers:
         Raises
         ------
         BadInputError, OutputError, UsageError
-            See `bumpymap.views.write_reports`.
+            See `bumpymap.views.write_report`.
         """
-        from bumpymap.views import write_reports
+        from bumpymap.views import write_report
 
-        for name, place in {"out": out, "route": route, "check": check}.items():
+        for name, place in {"out": out, "route": route}.items():
             if place is not None:
                 path_of_call(name, place)
-        return write_reports([self.folder], out, route=route, check=check, overwrite=overwrite)
+        return write_report(self.folder, out, route=route, overwrite=overwrite)
 
     def __repr__(self) -> str:
         counts, grid, crs = (self.manifest[name] for name in ("counts", "grid", "crs"))
@@ -527,11 +524,9 @@ def map_survey(
     own = map_settings(settings, "map_survey", MapSettings.__annotations__)
     places = _places(surveys)
     if out is not None:
-        folder = path_of_call("out", out)
-        if "://" in folder:
-            raise UsageError(f"out is {folder}, a URL; bumpymap.map_batch uploads layers, each survey to a folder")
-        _map(MapConfig(surveys=places, out=Path(folder), **own))
-        return Layers(folder)
+        target = folder_of_call("out", out)
+        _map(MapConfig(surveys=places, out=target, **own))
+        return Layers(target)
     if own.get("sheets") is not None:
         raise UsageError(
             f"`sheets={own['sheets']:g}` cuts a large map into folders, and layers without `out` are temporary: give "

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from packaging.requirements import Requirement
 
-from bumpytiles import compile_packages
+from bumpytiles import compile_packages, native
 
 ROOT = Path(__file__).resolve().parents[1]
 CONDA = {"lazrs": "lazrs-python", "lazy-loader": "lazy_loader"}
@@ -60,10 +60,10 @@ def test_the_container_and_make_demo_compile_when_they_install(containerfile):
 
 def test_all_kernels_are_compiled(monkeypatch):
     compiled = []
-    monkeypatch.setattr("bumpytiles.native._children.compile", lambda *names: compiled.extend(names))
+    monkeypatch.setattr("bumpytiles.native._compile_beside", lambda: compiled.extend(native._kernels))
     compile_packages("bumpymap", "bumpytiles")
     sources = [*(ROOT / "bumpymap").rglob("*.py"), *(ROOT / "tiles" / "bumpytiles").rglob("*.py")]
-    assert sorted(name.rpartition(".")[2] for name in compiled) == sorted(
+    assert sorted(name.rpartition(".")[2] for name in compiled if name.startswith("bumpy")) == sorted(
         path.stem for path in sources if _decorated(path)
     )
     assert len(compiled) > 10

@@ -24,14 +24,14 @@ ROOMS = {
     "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
-        {"numpy", "pyproj", "sklearn"},
+        {"numpy", "pyproj"},
     ),
     "route": ({"core", "layers", "views"}, {"numpy", "scipy", "xarray"}),
     "change": ({"core", "layers", "views"}, {"geopandas", "numpy", "scipy"}),
     "check": ({"core", "readers", "layers", "views"}, {"numpy", "scipy"}),
     "lab": (
         {"core", "readers", "patches", "rating", "scan"},
-        {"dartpy", "matplotlib", "numpy", "onnx", "scipy", "torch"},
+        {"dartpy", "numpy", "onnx", "scipy", "torch"},
     ),
     "cli": (
         {"core", "readers", "rating", "layers", "views", "survey", "scan", "route", "change", "check", "lab"},

@@ -14,7 +14,6 @@ from bumpymap.core import (
     BadInputError,
     FeatureSettings,
     Georeference,
-    Ground,
     MapConfig,
     common_georeference,
     count_text,
@@ -36,46 +35,22 @@ from bumpymap.survey import (
     advise,
     compare_lines,
     describe_lines,
-    describe_pairs,
     enough_points,
     estimate,
-    models_for,
-    size_options,
 )
 from bumpytiles import Bounds, Grid, TileWindow
 
-__all__ = ["Report", "map_options", "report_lines", "report_record"]
+__all__ = ["FileReport", "Report"]
 
-_CLASS_NAMES = {
-    0: "never classified",
-    1: "unassigned",
-    2: "ground",
-    3: "low plants",
-    4: "medium plants",
-    5: "high plants",
-    6: "building",
-    8: "key point",
-    9: "water",
-    10: "rail",
-    11: "road",
-    12: "overlap",
-    13: "wire guard",
-    14: "wire",
-    15: "tower",
-    16: "wire connector",
-    17: "bridge deck",
-}
-_ON_THE_GROUND = "all points will be measured, so what stands on the ground is part of its relief"
 _FAR_APART = 100_000.0
 """Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """The report about one file: from its header and its points, or why it cannot be read."""
+class FileReport:
+    """One file: what is known from its header and its points, or why it cannot be read."""
 
     path: Path | str
-    grid: Grid
     info: SurveyInfo | None = None
     summary: PointSummary | None = None
     """None with ``--quick``, and if no point is left."""
@@ -84,10 +59,6 @@ class Report:
     classes: dict[int, int] = field(default_factory=dict)
     """Number of points of each LAS class; empty with ``--quick``."""
     error: str = ""
-    options: tuple[str, ...] = ()
-    """Options of the command line that ``map`` needs too, such as ``--crs EPSG:32614``."""
-    ground: Ground = "auto"
-    """The ``ground`` setting for ``map``."""
     lines: FlightLines = FlightLines()  # noqa: RUF009 (frozen)
     """Height steps between flight lines; without ``--quick``."""
 
@@ -96,82 +67,278 @@ class Report:
         """Bounds of the points if they were read, else of the header, m."""
         if self.summary is not None:
             return self.summary.bounds
-        return self.info.bounds if self.info else None
+        return self.info.bounds if self.info is not None else None
 
     @property
     def density(self) -> float | None:
         """Points per square metre: in the median tile, or the number in the header over its extent."""
         if self.summary is not None:
             return self.summary.density
-        bounds = self.bounds
-        area = (bounds.east - bounds.west) * (bounds.north - bounds.south) if bounds else 0.0
+        box = self.bounds
+        area = (box.east - box.west) * (box.north - box.south) if box else 0.0
         return self.info.point_count / area if self.info and area > 0 else None
 
     @property
-    def outcome(self) -> Outcome | None:
-        """Forecast of the tiles that ``bumpymap map`` will make; None if the points were not read."""
-        return _outcome_of(self.summary, self.ground) if self.summary is not None else None
+    def has_ground(self) -> bool:
+        """True if points of class 2 were read."""
+        return self.summary is not None and self.summary.ground_share > 0
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """The files that were looked at, and the settings of a run over them."""
+
+    files: Sequence[FileReport]
+    config: MapConfig
+    budget: Budget
+    memory: str
+    """The setting ``memory``, for the line about a run."""
+    whole: PointSummaryBuilder | None
+    """All files together, if their points were read."""
 
     @property
-    def sheets(self) -> float | None:
-        """Side of the sheets that ``map`` should write, km; None if one map can hold all tiles."""
-        return _sheets_for(self.grid, [self.bounds])
+    def grid(self) -> Grid:
+        """Grid of the tiles."""
+        return Grid(self.config.tile_size, self.config.pixels)
 
-    def needs(self) -> list[str]:
-        """Return what ``bumpymap map`` needs for this file, or the command to map it; one sentence each."""
-        if self.info is None:
-            return [self.error]
+    def lines(self) -> Iterator[str | Styled | Table]:
+        """Yield the report in lines."""
+        for file in self.files:
+            yield Styled(str(file.path), "bold")
+            yield Table(self._rows(file))
+            # Not in the table, which would wrap commands: they must stay on one line to be copied.
+            label = "error" if file.error else "to map it"
+            yield from (Styled(need, "yellow", f"  {label}: ") for need in self._needs(file))
+            yield ""
+        together = self._why_not_together() or self._one_map()
+        yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
+        forecast = self._estimate()
+        if forecast is not None:
+            threads = count_text(self.budget.threads, "thread")
+            yield Styled(f"a run with --memory {self.memory} on {threads}", "bold")
+            yield Table(_run_rows(forecast, self.grid))
+            if (side := self._sheets(self.files)) is not None:
+                text = f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {side:g} writes it in several"
+                yield Styled(f"{text} folders", "yellow", "  sheets: ")
+
+    def record(self) -> dict[str, Any]:
+        """Return everything about the files and a run over them, for ``--json``."""
+        forecast = self._estimate()
+        return {
+            "files": [self._record(file) for file in self.files],
+            "together": " ".join(self._why_not_together()),
+            "sheets_km": self._sheets(self.files),
+            "run": forecast
+            and {
+                "memory_option_bytes": self.budget.memory,
+                "threads": self.budget.threads,
+                "points": forecast.points,
+                "tiles_at_most": forecast.tiles,
+                "memory_bytes_at_most": forecast.memory,
+                "scratch_bytes_at_most": forecast.scratch,
+                "out_bytes_at_most": forecast.out,
+                "seconds_about": round(forecast.seconds, 1),
+            },
+        }
+
+    def _needs(self, file: FileReport) -> list[str]:
+        """Return what ``bumpymap map`` needs for a file, or the command to map it; one sentence each."""
+        if file.info is None:
+            return [file.error]
         lines: list[str] = []
-        if self.info.georeference.crs is None:
+        if file.info.georeference.crs is None:
             lines.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
-        if self.dropped is not None and self.summary is None:
+        if file.dropped is not None and file.summary is None:
             lines.append("no usable points (all are withheld, noise or without return): nothing to map")
-        lines += self._spread() + self._unknown()
-        if size_options(self.grid):
+        box = file.bounds
+        if box and (side := max(box.east - box.west, box.north - box.south)) > _FAR_APART:
+            spread = f"its points are spread over {side / 1000:,.0f} km"
+            lines.append(f"{spread}: there may be stray coordinates, or the CRS may be wrong")
+        lines += self._unknown(file)
+        grid = self.grid
+        if grid != Grid():
             lines.append(
-                f"tiles of {self.grid.tile_size:g} m with {self.grid.pixels} pixels need {models_for(self.grid)}"
+                f"tiles of {grid.tile_size:g} m with {grid.pixels} pixels need a calibration that drives patches of "
+                f"that size: bumpymap calibrate --vehicle NAME_OR_FILE --tile-size {grid.tile_size:g} --set "
+                f"pixels={grid.pixels} --out my.json; then bumpymap map --calibration my.json"
             )
-        summary = self.summary
-        if summary and summary.ground_tiles and self.ground == "auto" and _outcome_of(summary).measured == "points":
-            share = summary.ground_tiles / summary.tiles
-            lines.append(f"ground points (class 2) in only {share:.0%} of tiles: --ground auto will use all points")
-        return lines or [self._ready()]
+        if lines:
+            return lines
+        outcome = self._outcome(file.summary)
+        few = f", about {outcome.share:.0%} of the tiles will be unknown" if outcome else ""
+        return [f"ready{few}: {self._command([file.path], [file])}"]
 
-    def _ready(self) -> str:
-        words = ["bumpymap", "map", str(self.path), *self.options, *_sheet_options(self.sheets), "--out", "DIR"]
-        few = f", about {self.outcome.share:.0%} of the tiles will be unknown" if self.outcome else ""
-        return f"ready{few}: {shlex.join(words)}"
-
-    def _unknown(self) -> list[str]:
+    def _unknown(self, file: FileReport) -> list[str]:
         """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
-        settings = FeatureSettings()
-        if self.outcome is not None:
-            text = advise(self.outcome, self.grid, settings, before_run=True)
-            return [text] if text else []
-        if self.dropped is not None or self.density is None:
-            return []
-        per_tile, enough = self.density * self.grid.tile_size**2, enough_points(self.grid, settings, thin=True)
-        if per_tile >= enough:
+        settings, size = FeatureSettings(), self.grid.tile_size
+        if (outcome := self._outcome(file.summary)) is not None:
+            return list(filter(None, [advise(outcome, settings, before_run=True)]))
+        enough = enough_points(settings, thin=True)
+        if file.dropped is not None or file.density is None or file.density * size**2 >= enough:
             return []
         text = (
-            f"according to the header there are {per_tile:.0f} points per {self.grid.tile_size:g} m tile, and about "
-            f"{enough} are needed: most tiles will be unknown. Run without --quick to see how many, and what would help"
+            f"according to the header there are {file.density * size**2:.0f} points per {size:g} m tile, and {enough} "
+            "are needed: most tiles will be unknown. Run without --quick to see how many"
         )
         return [text]
 
-    def _spread(self) -> list[str]:
-        bounds = self.bounds
-        side = max(bounds.east - bounds.west, bounds.north - bounds.south) if bounds else 0.0
-        if side <= _FAR_APART:
+    def _outcome(self, summary: PointSummary | None) -> Outcome | None:
+        """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
+        if summary is None:
+            return None
+        # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
+        ground = self.config.ground
+        ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
+        return Outcome(
+            tiles=summary.tiles,
+            unknown=summary.ground_unknown if ground_only else summary.unknown,
+            measured="ground points (class 2)" if ground_only else "points",
+            points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
+            all_points_per_tile=summary.points / summary.tiles,
+            thin=True,
+        )
+
+    def _command(self, surveys: Sequence[Path | str], files: Sequence[FileReport]) -> str:
+        """Return the command that maps files; ``--crs`` only for surveys that have none."""
+        place = next((file.info.georeference for file in files if file.info), None)
+        side = self._sheets(files)
+        sheets = [] if side is None else ["--sheets", f"{side:g}"]
+        words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), *sheets, "--out", "DIR"]
+        return shlex.join(words)
+
+    def _sheets(self, files: Sequence[FileReport]) -> float | None:
+        """Return the side of sheets for files, km; None if one map can hold them, or no bounds are known."""
+        known, size = [file.bounds for file in files if file.bounds is not None], self.grid.tile_size
+        if not known:
+            return None
+        west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
+        east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
+        window = TileWindow(west, south, east - west + 1, north - south + 1)
+        return None if fits_one_map(self.grid, window) else suggested_sheets(self.grid)
+
+    def _why_not_together(self) -> list[str]:
+        """Return why the files cannot be mapped in one run, in lines; empty if they can."""
+        infos = [file.info for file in self.files if file.info is not None]
+        try:
+            if infos:
+                common_georeference(infos)
+        except BadInputError as error:
+            return [str(line) for line in error.args]
+        return []
+
+    def _one_map(self) -> list[str]:
+        """Return the command that maps several files together, and advice; empty for one, or if one is bad."""
+        if len(self.files) == 1 or any(file.error for file in self.files):
             return []
-        return [
-            f"its points are spread over {side / 1000:,.0f} km: there may be stray coordinates, or the CRS may be wrong"
+        points = sum(file.info.point_count for file in self.files if file.info)
+        command = self._command(self.config.surveys, self.files)
+        text = f"{count_text(len(self.files), 'file')}, {count_text(points, 'point')}, one map: {command}"
+        outcome = self._outcome(self.whole.summary()) if self.whole else None
+        if self.whole is None or outcome is None:
+            return [text]
+        advice = advise(outcome, FeatureSettings(), before_run=True)
+        steps = describe_lines(compare_lines(self.whole.lines), "report")
+        return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
+
+    def _estimate(self) -> Estimate | None:
+        """Estimate one run over all files that can be read; None if there are none, or no run can map them together."""
+        infos = [file.info for file in self.files if file.info is not None]
+        if not infos or self._why_not_together():
+            return None
+        counted = [file.summary.tiles for file in self.files if file.summary is not None]
+        return estimate(infos, self.grid, self.budget, sum(counted) if len(counted) == len(infos) else None)
+
+    def _record(self, file: FileReport) -> dict[str, Any]:
+        """Return everything about one file, for ``--json``."""
+        info, summary = file.info, file.summary
+        if info is None:
+            return {"path": str(file.path), "error": file.error}
+        place, box = info.georeference, file.bounds
+        horizontal, vertical = (of(place.crs) if place.crs else None for of in (horizontal_of, vertical_of))
+        sides = box and (box.west, box.south, box.east, box.north)
+        record: dict[str, Any] = {
+            "path": str(file.path),
+            "format": info.format,
+            "size_bytes": info.size_bytes,
+            "points_promised": info.point_count,
+            "header_date": info.header_date and info.header_date.isoformat(),
+            "crs": horizontal.name if horizontal else None,
+            "epsg": horizontal.to_epsg() if horizontal else None,
+            "vertical_crs": vertical.name if vertical else None,
+            "metres_per_unit": place.metres_per_unit,
+            "metres_per_unit_z": place.metres_per_unit_z,
+            "bounds_m": sides,
+            "bounds_crs_units": sides and tuple(side / place.metres_per_unit for side in sides),
+            "density_per_m2": file.density,
+            "has_classes": file.has_ground or info.has_classes,
+            "classes": {str(code): count for code, count in file.classes.items()},
+            "sheets_km": self._sheets([file]),
+            "notes": list(info.notes),
+            "needs": self._needs(file),
+        }
+        outcome = self._outcome(summary)
+        if summary is not None and outcome is not None:
+            unknown = {REASON_TEXT[reason]: count / outcome.tiles for reason, count in outcome.unknown.items() if count}
+            record |= {
+                "points": summary.points,
+                "z_m": [summary.z_min, summary.z_max],
+                "tile_size_m": self.grid.tile_size,
+                "tiles": summary.tiles,
+                "points_per_tile": summary.points_per_tile,
+                "ground_points": summary.ground_share,
+                "ground_tiles": summary.ground_tiles / summary.tiles,
+                "unknown_tiles_about": unknown,
+                "flight_lines": file.lines.to_record(),
+            }
+        return record if file.dropped is None else record | {"dropped": file.dropped}
+
+    def _rows(self, file: FileReport) -> list[tuple[str, str]]:
+        """Return the facts about one file as (name, text); empty if it cannot be read."""
+        info, summary, box = file.info, file.summary, file.bounds
+        if info is None:
+            return []
+        place = info.georeference
+        units = unit_name(place.metres_per_unit)
+        if place.metres_per_unit_z != place.metres_per_unit:
+            units += f", heights in {unit_name(place.metres_per_unit_z)}"
+        points = f"{info.point_count:,} according to the header"
+        if file.dropped is not None:
+            left_out = [f"{count:,} {reason.replace('_', ' ')}" for reason, count in file.dropped.items() if count]
+            excluded = f"; excluded: {', '.join(left_out)}" if left_out else ""
+            points = f"{summary.points if summary else 0:,}{excluded}"
+        rows = [
+            ("format", f"{info.format}; {decimal(info.size_bytes)}"),
+            ("points", points),
+            ("CRS", describe_crs(place.crs) if place.crs else "none"),
+            ("units", units),
         ]
+        if info.header_date is not None:
+            rows.append(("date in header", f"{info.header_date.isoformat()}: of the flight or of processing"))
+        if box is not None:
+            across = f"easting {box.west:,.2f} to {box.east:,.2f}, northing {box.south:,.2f} to {box.north:,.2f}"
+            sides = f"{box.east - box.west:,.1f} m x {box.north - box.south:,.1f} m"
+            heights = f", heights {summary.z_min:,.2f} to {summary.z_max:,.2f} m" if summary else ""
+            rows += [("extent, m", across), ("size", sides + heights)]
+        if file.density is not None:
+            rows.append(("density", self._density(file.density, summary)))
+        if file.dropped is not None or info.has_classes is False:
+            rows += _classified(file)
+        if text := describe_lines(file.lines, "report"):
+            rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
+        return rows + [("note", note) for note in info.notes]
+
+    def _density(self, density: float, summary: PointSummary | None) -> str:
+        short = f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"
+        size = self.grid.tile_size
+        if summary is None:
+            return f"{short} pts/m2 in the header's extent: {density * size**2:.0f} per {size:g} m tile"
+        tiles = count_text(summary.tiles, "tile")
+        return f"{short} pts/m2: {summary.points_per_tile:.0f} points per {size:g} m tile (median of {tiles})"
 
 
-def map_options(config: MapConfig, place: Georeference) -> Iterator[str]:
-    """Yield the options that ``map`` needs too: ``--crs`` only for a survey that has none."""
-    if config.crs is not None:
+def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]:
+    """Yield the options that ``map`` needs too."""
+    if config.crs is not None and place is not None:
         flat, own = horizontal_of(parse_crs(config.crs)), place.crs and horizontal_of(place.crs)
         if flat is not None and own is not None and same_crs(flat, own):
             yield from ("--crs", config.crs)
@@ -185,222 +352,20 @@ def map_options(config: MapConfig, place: Georeference) -> Iterator[str]:
         yield from ("--ground", config.ground)
 
 
-def report_record(reports: Sequence[Report], budget: Budget) -> dict[str, Any]:
-    """Return everything about files and a run over them, for ``--json``."""
-    together, forecast = _why_not_together(reports), _estimated(reports, budget)
-    return {
-        "files": [_as_record(report) for report in reports],
-        "together": " ".join(together),
-        "sheets_km": _sheets_for(reports[0].grid, [report.bounds for report in reports]),
-        "run": None if forecast is None else _run_record(forecast, budget),
-    }
-
-
-def report_lines(
-    reports: Sequence[Report],
-    budget: Budget,
-    surveys: Sequence[Path | str],
-    memory: str,
-    whole: PointSummaryBuilder | None,
-) -> Iterator[str | Styled | Table]:
-    """Yield the report in lines.
-
-    Parameters
-    ----------
-    reports : sequence of Report
-    budget : Budget
-    surveys : sequence of Path or str
-        Files and folders that the user named.
-    memory : str
-        The setting ``memory``, for the line about a run.
-    whole : PointSummaryBuilder or None
-        All files together, if their points were read.
-    """
-    grid = reports[0].grid
-    for report in reports:
-        yield Styled(str(report.path), "bold")
-        yield Table(_as_rows(report))
-        # Not in the table, which would wrap commands: they must stay on one line to be copied.
-        label = "error" if report.error else "to map it"
-        yield from (Styled(need, "yellow", f"  {label}: ") for need in report.needs())
-        yield ""
-    together = _why_not_together(reports) or _advise_one_map(surveys, reports, whole)
-    yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
-    forecast = _estimated(reports, budget)
-    if forecast is not None:
-        threads = count_text(budget.threads, "thread")
-        yield Styled(f"a run with --memory {memory} on {threads}", "bold")
-        yield Table(_run_rows(forecast, grid))
-        sheets = _sheets_for(grid, [report.bounds for report in reports])
-        if sheets is not None:
-            text = f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {sheets:g} writes it in several"
-            yield Styled(f"{text} folders", "yellow", "  sheets: ")
-
-
-def _why_not_together(reports: Sequence[Report]) -> list[str]:
-    """Return why the files cannot be mapped in one run, in lines; empty if they can."""
-    infos = [report.info for report in reports if report.info is not None]
-    try:
-        if infos:
-            common_georeference(infos)
-    except BadInputError as error:
-        return [str(line) for line in error.args]
-    return []
-
-
-def _advise_one_map(
-    surveys: Sequence[Path | str], reports: Sequence[Report], whole: PointSummaryBuilder | None
-) -> list[str]:
-    """Return the command that maps several files together, and advice; empty for one file, or if one is bad."""
-    infos = [report.info for report in reports if report.info is not None and not report.error]
-    if len(reports) == 1 or len(infos) < len(reports):
-        return []
-    points = sum(info.point_count for info in infos)
-    sheets = _sheet_options(_sheets_for(reports[0].grid, [report.bounds for report in reports]))
-    command = shlex.join(["bumpymap", "map", *map(str, surveys), *reports[0].options, *sheets, "--out", "DIR"])
-    text = f"{count_text(len(reports), 'file')}, {count_text(points, 'point')}, one map: {command}"
-    summary = None if whole is None else whole.summary()
-    if whole is None or summary is None:
-        return [text]
-    outcome = _outcome_of(summary, reports[0].ground)
-    advice = advise(outcome, reports[0].grid, FeatureSettings(), before_run=True)
-    steps = describe_lines(compare_lines(whole.lines), "report")
-    return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
-
-
-def _sheets_for(grid: Grid, boxes: Sequence[Bounds | None]) -> float | None:
-    """Return the side of sheets, km, for points in these boxes; None if one map can hold them, or no box is known."""
-    known = [box for box in boxes if box is not None]
-    if not known:
-        return None
-    size = grid.tile_size
-    west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
-    east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
-    window = TileWindow(west, south, east - west + 1, north - south + 1)
-    return None if fits_one_map(grid, window) else suggested_sheets(grid)
-
-
-def _sheet_options(sheets: float | None) -> tuple[str, ...]:
-    """Return the options of ``map`` for sheets of this side."""
-    return () if sheets is None else ("--sheets", f"{sheets:g}")
-
-
-def _outcome_of(summary: PointSummary, ground: Ground = "auto") -> Outcome:
-    """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
-    # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
-    ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
-    return Outcome(
-        tiles=summary.tiles,
-        unknown=summary.ground_unknown if ground_only else summary.unknown,
-        measured="ground points (class 2)" if ground_only else "points",
-        points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
-        all_points_per_tile=summary.points / summary.tiles,
-        thin=True,
-    )
-
-
-def _as_record(report: Report) -> dict[str, Any]:
-    """Return everything about one file, for ``--json``."""
-    info, summary = report.info, report.summary
-    if info is None:
-        return {"path": str(report.path), "error": report.error}
-    place = info.georeference
-    horizontal, vertical = (of(place.crs) if place.crs else None for of in (horizontal_of, vertical_of))
-    record: dict[str, Any] = {
-        "path": str(report.path),
-        "format": info.format,
-        "size_bytes": info.size_bytes,
-        "points_promised": info.point_count,
-        "header_date": info.header_date and info.header_date.isoformat(),
-        "crs": horizontal.name if horizontal else None,
-        "epsg": horizontal.to_epsg() if horizontal else None,
-        "vertical_crs": vertical.name if vertical else None,
-        "metres_per_unit": place.metres_per_unit,
-        "metres_per_unit_z": place.metres_per_unit_z,
-        "bounds_m": _sides(report.bounds, 1.0),
-        "bounds_crs_units": _sides(report.bounds, place.metres_per_unit),
-        "density_per_m2": report.density,
-        "has_classes": _has_classes(report),
-        "classes": {str(code): count for code, count in report.classes.items()},
-        "sheets_km": report.sheets,
-        "notes": list(info.notes),
-        "needs": report.needs(),
-    }
-    if summary is not None:
-        record |= {
-            "points": summary.points,
-            "z_m": [summary.z_min, summary.z_max],
-            "tile_size_m": report.grid.tile_size,
-            "tiles": summary.tiles,
-            "points_per_tile": summary.points_per_tile,
-            "ground_points": summary.ground_share,
-            "ground_tiles": summary.ground_tiles / summary.tiles,
-            "unknown_tiles_about": _shares(_outcome_of(summary, report.ground)),
-            "flight_lines": report.lines.to_record(),
-        }
-    return record if report.dropped is None else record | {"dropped": report.dropped}
-
-
-def _shares(outcome: Outcome) -> dict[str, float]:
-    """Return the shares of the tiles that will be unknown, by reason."""
-    return {REASON_TEXT[reason]: count / outcome.tiles for reason, count in outcome.unknown.items() if count}
-
-
-def _as_rows(report: Report) -> list[tuple[str, str]]:
-    """Return the facts about one file as (name, text); empty if it cannot be read."""
-    info, summary = report.info, report.summary
-    if info is None:
-        return []
-    place, bounds = info.georeference, report.bounds
-    units = unit_name(place.metres_per_unit)
-    if place.metres_per_unit_z != place.metres_per_unit:
-        units += f", heights in {unit_name(place.metres_per_unit_z)}"
-    rows = [
-        ("format", f"{info.format}; {decimal(info.size_bytes)}"),
-        ("points", _points(report)),
-        ("CRS", describe_crs(place.crs) if place.crs else "none"),
-        ("units", units),
-    ]
-    if info.header_date is not None:
-        rows.append(("date in header", f"{info.header_date.isoformat()}: of the flight or of processing"))
-    if bounds is not None:
-        if place.metres_per_unit != 1.0:
-            rows.append(("extent, CRS units", _extent(bounds, place.metres_per_unit)))
-        rows.append(("extent, m", _extent(bounds, 1.0)))
-        rows.append(("size", _size(bounds, summary)))
-    if report.density is not None:
-        rows.append(("density", _density(report, report.density)))
-    if report.dropped is not None or info.has_classes is False:
-        rows.append(("classified", _classified(report)))
-    if report.summary is not None and report.summary.ground_share > 0:
-        rows += _classes(report.classes, report.summary.points)
-    if text := describe_pairs(report.lines):
-        rows.append(("flight lines", as_options(text)))
-    return rows + [("note", note) for note in info.notes]
-
-
-def _estimated(reports: Sequence[Report], budget: Budget) -> Estimate | None:
-    """Estimate one run over all files that can be read; None if there are none, or they cannot be mapped together."""
-    readable = [report for report in reports if report.info is not None]
-    if not readable or _why_not_together(reports):
-        return None
-    counted = [report.summary.tiles for report in readable if report.summary is not None]
-    tiles = sum(counted) if len(counted) == len(readable) else None
-    return estimate([report.info for report in readable if report.info], readable[0].grid, budget, tiles)
-
-
-def _run_record(forecast: Estimate, budget: Budget) -> dict[str, Any]:
-    """Return everything about the run, for ``--json``."""
-    return {
-        "memory_option_bytes": budget.memory,
-        "threads": budget.threads,
-        "points": forecast.points,
-        "tiles_at_most": forecast.tiles,
-        "memory_bytes_at_most": forecast.memory,
-        "scratch_bytes_at_most": forecast.scratch,
-        "out_bytes_at_most": forecast.out,
-        "seconds_about": round(forecast.seconds, 1),
-    }
+def _classified(file: FileReport) -> list[tuple[str, str]]:
+    """Return whether points have classes, and those of a classified survey by what `map` takes their points for."""
+    if not file.has_ground or file.summary is None:
+        none = file.info is not None and file.info.has_classes is False
+        why = "the file has no classes" if none else "no point has class 2 (ground)"
+        return [("classified", f"no: {why}; all points will be measured, so what stands on the ground is relief")]
+    points, taken = file.summary.points, {2: "as ground", 6: "as obstacles"}
+    rows = {"classified": f"yes: {file.summary.ground_share:.0%} of the points are ground (class 2)"}
+    for code, count in file.classes.items():
+        name, text = taken.get(code, "by height"), f"class {code} {count / points:.1%}"
+        rows[name] = f"{rows[name]}, {text}" if name in rows else text
+    if "by height" in rows:
+        rows["by height"] += ": obstacle or canopy, and if no ground is seen beneath, obstacle"
+    return list(rows.items())
 
 
 def _run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
@@ -418,67 +383,3 @@ def _run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:
         ("space", out or unknown),
         ("time", about(forecast.seconds)),
     ]
-
-
-def _points(report: Report) -> str:
-    if report.info is None or report.dropped is None:
-        return f"{report.info.point_count if report.info else 0:,} according to the header"
-    left_out = [f"{count:,} {reason.replace('_', ' ')}" for reason, count in report.dropped.items() if count]
-    counted = report.summary.points if report.summary else 0
-    return f"{counted:,}" + (f"; excluded: {', '.join(left_out)}" if left_out else "")
-
-
-def _extent(bounds: Bounds, unit: float) -> str:
-    west, south, east, north = (side / unit for side in (bounds.west, bounds.south, bounds.east, bounds.north))
-    return f"easting {west:,.2f} to {east:,.2f}, northing {south:,.2f} to {north:,.2f}"
-
-
-def _size(bounds: Bounds, summary: PointSummary | None) -> str:
-    sides = f"{bounds.east - bounds.west:,.1f} m x {bounds.north - bounds.south:,.1f} m"
-    return sides + (f", heights {summary.z_min:,.2f} to {summary.z_max:,.2f} m" if summary else "")
-
-
-def _density(report: Report, density: float) -> str:
-    tile = f"{report.grid.tile_size:g} m tile"
-    if report.summary is None:
-        return f"{_short(density)} pts/m2 in the header's extent: {density * report.grid.tile_size**2:.0f} per {tile}"
-    summary = report.summary
-    tiles = count_text(summary.tiles, "tile")
-    return f"{_short(density)} pts/m2: {summary.points_per_tile:.0f} points per {tile} (median of {tiles})"
-
-
-def _has_classes(report: Report) -> bool | None:
-    if report.summary is not None and report.summary.ground_share > 0:
-        return True
-    return report.info.has_classes if report.info else None
-
-
-def _classes(classes: dict[int, int], points: int) -> list[tuple[str, str]]:
-    """Return the classes of a classified survey by what `map` takes their points for."""
-    taken = {2: "as ground", 6: "as obstacles"}
-    rows: dict[str, list[str]] = {}
-    for code, count in classes.items():
-        named = " ".join(filter(None, (str(code), _CLASS_NAMES.get(code))))
-        rows.setdefault(taken.get(code, "by height"), []).append(f"{named} {count / points:.1%}")
-    texts = {name: ", ".join(parts) for name, parts in rows.items()}
-    if "by height" in texts:
-        texts["by height"] += ": obstacle or canopy, and if no ground is seen beneath, obstacle"
-    return list(texts.items())
-
-
-def _classified(report: Report) -> str:
-    if report.info is not None and report.info.has_classes is False:
-        return f"no: the file has no classes; {_ON_THE_GROUND}"
-    if report.summary is None or report.summary.ground_share == 0:
-        return f"no: no point has class 2 (ground); {_ON_THE_GROUND}"
-    return f"yes: {report.summary.ground_share:.0%} of the points are ground (class 2)"
-
-
-def _sides(bounds: Bounds | None, unit: float) -> tuple[float, float, float, float] | None:
-    if bounds is None:
-        return None
-    return bounds.west / unit, bounds.south / unit, bounds.east / unit, bounds.north / unit
-
-
-def _short(density: float) -> str:
-    return f"{density:.1f}" if density >= 0.1 else f"{density:.1g}"

@@ -80,7 +80,7 @@ def _counts(result: "BatchResult") -> dict["SurveyStatus", int]:
     return {status: len(result.with_status(status)) for status in dict.fromkeys(row.status for row in result.rows)}
 
 
-def _record(result: "BatchResult", out: Path | str) -> dict[str, Any]:
+def _record(result: "BatchResult", out: Path) -> dict[str, Any]:
     return {
         "out": str(out),
         "surveys": len(result.rows),
@@ -90,7 +90,7 @@ def _record(result: "BatchResult", out: Path | str) -> dict[str, Any]:
     }
 
 
-def _lines(result: "BatchResult", out: Path | str) -> Iterator[str]:
+def _lines(result: "BatchResult", out: Path) -> Iterator[str]:
     """Say how many surveys are done, and which are not."""
     warned = sum(bool(row.warnings) for row in result.rows)
     listed = [f"{count} {status}" for status, count in _counts(result).items()] + [f"{warned} with warnings"] * bool(
@@ -102,4 +102,4 @@ def _lines(result: "BatchResult", out: Path | str) -> Iterator[str]:
     yield from lines[:_MOST_LISTED]
     if len(lines) > _MOST_LISTED:
         yield (f"  and {len(lines) - _MOST_LISTED} more")
-    yield (f"Look at {str(out).rstrip('/')}/index.html; the table is summary.csv, events are in log.jsonl")
+    yield (f"Look at {out}/index.html; the table is summary.csv, events are in log.jsonl")

@@ -63,18 +63,16 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
     forced = {} if given["force_crs"] is None else {"force_crs": given["force_crs"]}
     refuse_clashes(run.given | forced, OF_CRS, option_name)
     settings = EvaluateSettings(**_chosen(run, EvaluateSettings))
-    subject = _subject(given, settings)
+    subject = _subject(given)
     from bumpymap.lab import (
         TrialOptions,
         evaluate_survey,
         open_readers,
         require_dart,
-        require_matplotlib,
         write_report,
     )
     from bumpymap.readers import ReadOptions
 
-    require_matplotlib()
     require_dart()
     reading = run.given
     options = ReadOptions(reading.get("crs"), reading.get("z_unit"), force_crs=given["force_crs"])
@@ -103,8 +101,8 @@ def _record(out: Path, files: list[Path]) -> dict[str, Any]:
 
 
 def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
-    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, read_frames, write_scan_report
-    from bumpymap.readers import find_frames
+    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, write_scan_report
+    from bumpymap.readers import find_frames, read_scan
     from bumpymap.scan import ScanModel, load_stripes
 
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
@@ -114,7 +112,7 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
     labels = labels_of(frames, given["labels"])
     with locked(out), run.progress() as progress:
         _check_place(out, overwrite=given["overwrite"])
-        findings = evaluate_scans(read_frames(frames, labels), len(frames), settings, methods, progress, labels)
+        findings = evaluate_scans(map(read_scan, frames), len(frames), settings, methods, progress, labels)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
 
@@ -125,13 +123,13 @@ def _chosen(run: Run, owner: type) -> dict[str, Any]:
     return {name: value for name, value in run.changed().items() if name in names}
 
 
-def _subject(given: dict[str, Any], settings: EvaluateSettings) -> "Subject":
+def _subject(given: dict[str, Any]) -> "Subject":
     """Return the vehicle with the ratings that are held against its drives."""
     from bumpymap.lab import Subject
     from bumpymap.rating import TextureModel, find_calibration
 
     calibration = find_calibration(given["vehicle"], given["calibration"])
-    return Subject.of(calibration, TextureModel.shipped(), settings.rating)
+    return Subject.of(calibration, TextureModel.shipped())
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:

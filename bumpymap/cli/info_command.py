@@ -12,7 +12,7 @@ from bumpymap.cli._text import print_json, print_lines
 from bumpymap.core import OF_CRS, MapConfig
 
 if TYPE_CHECKING:
-    from bumpymap.cli._info_report import Report
+    from bumpymap.cli._info_report import FileReport
     from bumpymap.readers import PointSummaryBuilder, ReadOptions
     from bumpytiles import Grid
 
@@ -41,7 +41,7 @@ def command(run: Run, quick: bool) -> None:
     bumpymap info site.laz
     bumpymap info flights/ --quick
     """  # noqa: D301 (click wants the character)
-    from bumpymap.cli._info_report import report_lines, report_record
+    from bumpymap.cli._info_report import Report
     from bumpymap.core import FeatureSettings, memory_bytes
     from bumpymap.readers import PointSummaryBuilder, ReadOptions, find_surveys
     from bumpymap.survey import Budget, with_memory
@@ -58,41 +58,40 @@ def command(run: Run, quick: bool) -> None:
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:
         whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
-        reports = [_inspect(path, options, config, grid, progress, whole) for path in paths]
+        files = [_inspect(path, options, grid, progress, whole) for path in paths]
+    memory = config.memory if limited.memory == config.memory else f"{config.memory} ({limited.memory} now)"
+    report = Report(files, config, budget, memory, whole)
     if run.as_json:
-        print_json(report_record(reports, budget), indent=1)
+        print_json(report.record(), indent=1)
     else:
-        memory = config.memory if limited.memory == config.memory else f"{config.memory} ({limited.memory} now)"
-        print_lines(report_lines(reports, budget, config.surveys, memory, whole))
-    if any(report.error for report in reports):
+        print_lines(report.lines())
+    if any(file.error for file in files):
         run.ctx.exit(_BAD_INPUT)
 
 
 def _inspect(
     path: Path | str,
     options: "ReadOptions",
-    config: MapConfig,
     grid: "Grid",
     progress: CommandProgress,
     whole: "PointSummaryBuilder | None",
-) -> "Report":
+) -> "FileReport":
     """Open and read a file, add it to ``whole`` if given; an error becomes part of the report."""
-    from bumpymap.cli._info_report import Report, map_options
+    from bumpymap.cli._info_report import FileReport
     from bumpymap.core import BadInputError, FeatureSettings
     from bumpymap.readers import PointSummaryBuilder, open_survey
     from bumpymap.survey import compare_lines
 
     try:
         reader = open_survey(path, options)
-        given = tuple(map_options(config, reader.info.georeference))
         if whole is None:
-            return Report(path, grid, reader.info, options=given, ground=config.ground)
+            return FileReport(path, reader.info)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
         builder = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         lines = compare_lines(builder.lines)
-        return Report(path, grid, reader.info, summary, reader.dropped, reader.classes, "", given, config.ground, lines)
+        return FileReport(path, reader.info, summary, reader.dropped, reader.classes, lines=lines)
     except BadInputError as error:
-        return Report(path, grid, error=str(error))
+        return FileReport(path, error=str(error))

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
+from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
+from bumpymap.core import BadInputError, MapConfig, OutputError, atomic, settings_template
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
@@ -38,7 +38,7 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
+@job("demo")
 @click.option(
     "--out",
     default="demo_out",
@@ -78,7 +78,7 @@ def _copy_sample(survey: Path) -> Path:
 
 
 @job("report", quiet="Print nothing.")
-@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
     "--route",
@@ -87,25 +87,18 @@ def _copy_sample(survey: Path) -> Path:
     metavar="PATH",
     help="Draw ways: the folder of `bumpymap route`, or route.geojson.",
 )
-@grouped_option(
-    "--check", group="Input", type=PATH, metavar="DIR", help="Show the drives that `bumpymap check` wrote there."
-)
 @grouped_option("--overwrite", group="Output", is_flag=True, help="Replace FILE if it exists.")
-def report_command(run: Run, layers: tuple[Path, ...], **settings: Any) -> None:
-    """Make the page of a map again, or compare two maps in one page. LAYERS are folders of `bumpymap map`.
+def report_command(run: Run, layers: Path, **settings: Any) -> None:
+    """Make the page of a map again. LAYERS is a folder of `bumpymap map`.
 
-    For one folder of `bumpymap diff`, the page of what has changed is made again.
+    For a folder of `bumpymap diff`, the page of what has changed is made again.
 
     \b
     bumpymap report layers --route way
-    bumpymap report layers --check checked
-    bumpymap report may_layers june_layers --out may_and_june.html
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    if not layers:
-        raise UsageError("no layers given: name the folder that `bumpymap map` wrote")
-    from bumpymap.views import write_reports
+    from bumpymap.views import write_report
 
-    path = write_reports(layers, **settings)
+    path = write_report(layers, **settings)
     run.show({"report": str(path), "bytes": path.stat().st_size}, [f"Open {path} in a browser."])
 
 

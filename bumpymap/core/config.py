@@ -252,9 +252,6 @@ class PolarSettings:
     overhead_m: float = 2.0
     """A sector whose plane passes more than this above the sensor is seen from below: a ceiling or a canopy, not
     ground. The margin allows for frames whose origin is at the robot's base."""
-    ground_only: bool = True
-    """True: ground is found in each sector, and only ground points are measured; False: all points are, as in the
-    paper."""
     belly_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 0.25
     """Height above the ground from which a point is an obstacle: the clearance of the vehicle's belly."""
     height_m: Annotated[float, Setting(low=0.0, unit="m", exclusive=True)] = 1.38

@@ -24,7 +24,7 @@ __all__ = [
     "BagMessage",
     "ClassedSectors",
     "Dropped",
-    "FrameSource",
+    "Frame",
     "PolarCells",
     "PoseTrack",
     "Scan",
@@ -156,7 +156,7 @@ class BagMessage:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameSource:
+class Frame:
     """A scan that was found, before it is read."""
 
     path: Path
@@ -167,6 +167,14 @@ class FrameSource:
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
     motion: PoseTrack | None = None
     """Poses around the frame, at times relative to it; None if unknown."""
+    name: str = ""
+    """Stem of its output files, unique in a run; empty before the run has named its frames."""
+
+    @property
+    def origin(self) -> str:
+        """The file; or the bag, topic and number of the message."""
+        where = "" if self.message is None else f", message {self.message.number} of {self.message.topic}"
+        return f"{self.path}{where}"
 
 
 CLASSES = 3
@@ -235,8 +243,7 @@ class SectorStack:
     count: NDArray[np.int32]
     """(n,) points."""
     normal: NDArray[np.float32]
-    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground.
-    With ``ground_only=False`` this and the next measures are those of all points, of every sector."""
+    """(n, 3) PCA normal (axis of least variance) of the ground points, sensor frame, n_z >= 0; zeros without ground."""
     traversable: NDArray[np.bool_]
     """(n,) True if there is ground, its normal is close enough to vertical, and it is not seen from below."""
     heights: NDArray[np.float32]
@@ -274,7 +281,7 @@ class SectorStack:
     """(m,) height above the ground of its sector, m; NaN where no ground is known."""
     ground_end: NDArray[np.float32]
     """(directions,) distance at which the farthest ground in each direction ends, m; in equal steps from
-    ``azimuth_start_rad`` on. Infinite with ``ground_only=False``."""
+    ``azimuth_start_rad`` on."""
 
     def __post_init__(self) -> None:
         count = len(self.zone)

@@ -3,7 +3,6 @@ from .evaluate.report import (
     REPORT as REPORT,
     number as number,
     percent as percent,
-    require_matplotlib as require_matplotlib,
     write_report as write_report,
     write_scan_report as write_scan_report,
 )
@@ -12,13 +11,13 @@ from .evaluate.scans import (
     ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
-    read_frames as read_frames,
 )
 from .evaluate.survey_trial import (
     Findings as Findings,
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
 )
+from .label_sets import LABEL_SETS as LABEL_SETS, LabelSet as LabelSet, label_set as label_set
 from .settings import (
     CalibrationSettings as CalibrationSettings,
     EvaluateSettings as EvaluateSettings,
@@ -28,17 +27,14 @@ from .settings import (
     ScanTrainSettings as ScanTrainSettings,
     TrainSettings as TrainSettings,
 )
-from .simulate.calibrate import calibrate_vehicle as calibrate_vehicle, seconds_of_a_drive as seconds_of_a_drive
-from .simulate.jobs import Journal as Journal, all_checks as all_checks
-from .simulate.model import require_dart as require_dart
-from .simulate.motion_fit import (
-    MotionEffort as MotionEffort,
-    add_motion as add_motion,
-    motion_journal as motion_journal,
+from .simulate.calibrate import (
+    calibrate_vehicle as calibrate_vehicle,
+    calibration_jobs as calibration_jobs,
+    calibration_journal as calibration_journal,
+    seconds_of_a_drive as seconds_of_a_drive,
 )
+from .simulate.model import require_dart as require_dart
 from .simulate.plan import library_terrains as library_terrains
-from .simulate.refit import add_steps as add_steps, crossing_jobs as crossing_jobs
-from .simulate.ride_fit import fit_ride as fit_ride, fit_thin_surveys as fit_thin_surveys
 from .train.model_files import EpochReport as EpochReport, TrainedModel as TrainedModel
 from .train.scan_net import make_scan_model as make_scan_model
 from .train.textures import make_model as make_model

@@ -1,29 +1,25 @@
-"""Settings of calibrations, evaluations and trainings, declared once, and the drive jobs of a calibration."""
+"""Settings of calibrations, evaluations and trainings, declared once."""
 
 import platform
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bumpymap.core import FeatureSettings, Rating, Setting, UsageError, check_settings
+from bumpymap.core import FeatureSettings, Setting, UsageError, check_settings
 
 if TYPE_CHECKING:
     from bumpymap.lab.simulate.drive import DriveSettings, Effort
-    from bumpymap.lab.simulate.jobs import Key
     from bumpymap.rating import Vehicle
 
 __all__ = [
     "CalibrationSettings",
     "EvaluateSettings",
-    "LibraryJob",
     "LoopSettings",
     "NetworkSettings",
     "ScanEvaluateSettings",
     "ScanNetSettings",
     "ScanTrainSettings",
-    "TableJob",
     "TrainSettings",
 ]
 
@@ -85,22 +81,14 @@ class CalibrationSettings:
         return self.profile.wheel.radius_m / _LIBRARY_WHEEL_M
 
     @property
-    def total_drives(self) -> int:
-        """Number of drives of the whole calibration."""
-        return sum(job.starts for job in self.jobs())
+    def motion_terrains(self) -> int:
+        """Terrains of each kind that are driven at other speeds too: a quarter of the library."""
+        return max(2, self.terrains // 4)
 
-    def jobs(self) -> Iterator["TableJob | LibraryJob"]:
-        """Yield all jobs: the table cell by cell, then the library kind by kind."""
-        from bumpymap.core import TEXTURES
-        from bumpymap.lab.worlds.terrains import KINDS
-
-        for texture in range(len(TEXTURES)):
-            for z in range(len(self.z_range)):
-                for patch in range(self.patches):
-                    yield TableJob(texture, z, patch, self.starts)
-        for kind in KINDS:
-            for index in range(self.terrains):
-                yield LibraryJob(kind, index, self.terrain_starts)
+    @property
+    def motion_starts(self) -> int:
+        """Starts on each of them: a quarter of its drives."""
+        return max(1, self.terrain_starts // 4)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings that affect the numbers and the library versions, as plain JSON values."""
@@ -115,36 +103,6 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class TableJob:
-    """Drives over one patch of the table: indices of texture, z range and patch."""
-
-    texture: int
-    z: int
-    patch: int
-    starts: int
-
-    @property
-    def key(self) -> "Key":
-        """Name of the job in a journal."""
-        return ("table", self.texture, self.z, self.patch)
-
-
-@dataclass(frozen=True, slots=True)
-class LibraryJob:
-    """Drives over one terrain of the library, for the ``purpose`` that its key begins with."""
-
-    kind: str
-    index: int
-    starts: int
-    purpose: str = "library"
-
-    @property
-    def key(self) -> "Key":
-        """Name of the job in a journal."""
-        return (self.purpose, self.kind, self.index)
-
-
-@dataclass(frozen=True, slots=True)
 class EvaluateSettings:
     """All settings that affect the numbers, apart from survey and vehicles."""
 
@@ -153,8 +111,6 @@ class EvaluateSettings:
     max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N", rare=True)] = 48
     """They stop once the standard error of the mean C_r is below 5 % of it."""
     seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
-    rating: Annotated[Rating, Setting("table: evaluate without the ride model", rare=True)] = "ride"
-    """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
     drive: "DriveSettings" = field(default_factory=_drive_settings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
 

@@ -80,7 +80,6 @@ from .manifest import (
     write_manifest as write_manifest,
 )
 from .map_files import (
-    RemoteFolder as RemoteFolder,
     open_layer as open_layer,
     open_raster as open_raster,
     read_averaged as read_averaged,
@@ -118,7 +117,6 @@ from .reach import (
     reach_dataset as reach_dataset,
     write_isochrones as write_isochrones,
     write_reach as write_reach,
-    write_reach_back as write_reach_back,
 )
 from .regions import (
     label as label,
@@ -152,7 +150,6 @@ from .scan_folder import (
     SCAN_COLOURS as SCAN_COLOURS,
     SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
-    Frame as Frame,
     FramePart as FramePart,
     FrameReport as FrameReport,
     check_scan_folder as check_scan_folder,

@@ -18,7 +18,6 @@ import os
 import shutil
 import threading
 import zlib
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -46,7 +45,6 @@ __all__ = [
     "count_values",
     "require_disk_space",
     "require_intact",
-    "sum_counts",
     "write_array",
     "write_cog",
     "write_value_table",
@@ -88,8 +86,6 @@ _FIELDS = {
     "Alpha": (_INTEGER, 9),
 }
 """Column -> type and usage: value (smallest and largest), number of pixels, name, parts of its colour."""
-_VALUE, _COUNT = 0, 1
-"""Columns."""
 _TABLE = "GDALRasterAttributeTable"
 _LARGEST_INTEGER = 2**31 - 1
 """GDAL's integer columns have 32 bits; larger counts are real numbers, exact up to 2**53."""
@@ -132,33 +128,6 @@ def write_value_table(
     _add_rows(ET.SubElement(band, _TABLE, tableType="thematic"), rows)
     ET.indent(root)
     path.write_bytes(ET.tostring(root, encoding="utf-8") + b"\n")
-
-
-def sum_counts(table: ET.Element, rasters: Iterable[Path]) -> bool:
-    """Replace the counts of an attribute table, that of any of the rasters, by their sums over all rasters.
-
-    Returns
-    -------
-    bool
-        False if a raster has no such table beside it: the counts are then unchanged.
-    """
-    totals: Counter[str] = Counter()
-    for raster in rasters:
-        try:
-            side_file = ET.parse(raster.with_name(f"{raster.name}.aux.xml"))  # noqa: S314 (ours)
-            found = side_file.getroot().find(f"PAMRasterBand/{_TABLE}")
-            if found is None:
-                return False
-            for row in found.iter("Row"):
-                totals[row[_VALUE].text or ""] += int(row[_COUNT].text or "")
-        except (OSError, ET.ParseError, ValueError, IndexError):
-            return False
-    for row in table.iter("Row"):
-        row[_COUNT].text = str(totals[row[_VALUE].text or ""])
-    kind = table.findall("FieldDefn")[_COUNT].find("Type")
-    if kind is not None and max(totals.values(), default=0) > _LARGEST_INTEGER:
-        kind.text = str(_REAL)
-    return True
 
 
 def _add_rows(table: ET.Element, rows: Sequence[tuple[int | str, ...]]) -> None:
@@ -346,26 +315,10 @@ def gdal_threads() -> str:
 
     Blocks are written in order, so the bytes do not depend on it. GDAL waits forever for a thread that could not be
     started (seen in 3.10), so it gets one thread if address space is limited (with ``ulimit -v``, GDAL's own memory may
-    leave no space for a thread's stack), if one thread for each core cannot be started right now, or in a forked
-    process, in which those that it has started are not.
+    leave no space for a thread's stack), or in a forked process, in which those that it has started are not.
     """
     limited = resource is not None and resource.getrlimit(resource.RLIMIT_AS)[0] != resource.RLIM_INFINITY
-    if limited or _is_fork:
-        return "1"
-    end = threading.Event()
-    started: list[threading.Thread] = []
-    try:
-        for _ in range(os.cpu_count() or 1):
-            thread = threading.Thread(target=end.wait)
-            thread.start()
-            started.append(thread)
-    except RuntimeError:
-        return "1"
-    finally:
-        end.set()
-        for thread in started:
-            thread.join()
-    return "ALL_CPUS"
+    return "1" if limited or _is_fork else "ALL_CPUS"
 
 
 def _write_scratch(

@@ -21,7 +21,7 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.manifest import read_manifest
-from bumpymap.layers.map_files import RemoteFolder, open_raster
+from bumpymap.layers.map_files import open_raster
 from bumpymap.layers.products import CATALOG_NAME
 
 __all__ = [
@@ -79,7 +79,7 @@ class SurveyRow:
     checksum: str | None = _column("checksums of the input files, as in run.json, separated by spaces")
 
 
-def map_facts(folder: Path | RemoteFolder) -> dict[str, Any]:
+def map_facts(folder: Path) -> dict[str, Any]:
     """Return the columns of a `SurveyRow` that follow from the layers of a complete map.
 
     Raises
@@ -87,15 +87,13 @@ def map_facts(folder: Path | RemoteFolder) -> dict[str, Any]:
     BadInputError
         The folder holds no complete map, or one that cannot be read.
     """
-    manifest = _manifest_of(folder)
+    manifest = read_manifest(folder)
     try:
         with open_raster(folder, "class.tif") as raster:
             bounds = dict(zip(("min_x", "min_y", "max_x", "max_y"), map(float, raster.bounds), strict=True))
         return {**_counted(manifest), **_described(manifest), **bounds}
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise BadInputError(
-            f"the run.json in {getattr(folder, 'url', folder)} cannot be read as that of a map: {error!r}"
-        ) from error
+        raise BadInputError(f"the run.json in {folder} cannot be read as that of a map: {error!r}") from error
 
 
 def _counted(manifest: dict[str, Any]) -> dict[str, Any]:
@@ -126,15 +124,6 @@ def _described(manifest: dict[str, Any]) -> dict[str, Any]:
         "checksum": " ".join(sums) or None,
         "warnings": tuple(map(str, manifest.get("warnings", ()))),
     }
-
-
-def _manifest_of(folder: Path | RemoteFolder) -> dict[str, Any]:
-    if isinstance(folder, Path):
-        return read_manifest(folder)
-    found = folder.manifest()
-    if found is None:
-        raise BadInputError(f"{folder.url} holds no complete run: run.json is missing or not that of a map")
-    return found
 
 
 BATCH_LOG = "log.jsonl"

@@ -25,23 +25,12 @@ from bumpymap.core import (
     write_together,
 )
 from bumpymap.layers.colours import class_limits
-from bumpymap.layers.geotiff import (
-    write_barred,
-    write_classes,
-    write_cost,
-    write_heightmap,
-    write_obstacles,
-    write_passage,
-    write_reasons,
-    write_relief,
-    write_roughness,
-    write_speeds,
-)
+from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.sheet_paths import remove_speeds
+from bumpymap.layers.sheet_paths import SPEEDS_FILES, remove_files
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
@@ -226,7 +215,7 @@ def write_products(
     progress : Progress, optional
         Counts the layers as they are written.
     around : TileTable, optional
-        See `write_relief`.
+        See `write_raster`.
 
     Returns
     -------
@@ -263,7 +252,7 @@ def write_products(
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     if not table.speeds:
-        remove_speeds(folder)
+        remove_files(folder, SPEEDS_FILES)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
 
@@ -280,24 +269,22 @@ def _layers(
     Rasters take turns where GDAL writes them, see `_integrity`; two groups of them save time where it does not.
     """
     tags = as_tags(metadata)
-    speeds: dict[tuple[str, ...], Callable[[], None]] = (
-        {(SPEEDS_NAME,): partial(write_speeds, table, folder / SPEEDS_NAME, tags)} if table.speeds else {}
+    fine = ("heightmap.tif", "relief.tif", "obstacle.tif", "passage.tif")
+    coarse = (
+        "roughness.tif",
+        "class.tif",
+        "reason.tif",
+        "cost.tif",
+        "barred.tif",
+        *([SPEEDS_NAME] * bool(table.speeds)),
     )
+
+    def rasters(names: tuple[str, ...]) -> dict[tuple[str, ...], Callable[[], None]]:
+        return {(name,): partial(write_raster, name, table, folder / name, tags, around) for name in names}
+
     return [
-        {
-            ("heightmap.tif",): partial(write_heightmap, table, folder / "heightmap.tif", tags),
-            ("relief.tif",): partial(write_relief, table, folder / "relief.tif", tags, around),
-            ("obstacle.tif",): partial(write_obstacles, table, folder / "obstacle.tif", tags),
-            ("passage.tif",): partial(write_passage, table, folder / "passage.tif", tags),
-        },
-        {
-            ("roughness.tif",): partial(write_roughness, table, folder / "roughness.tif", tags),
-            ("class.tif",): partial(write_classes, table, folder / "class.tif", tags),
-            ("reason.tif",): partial(write_reasons, table, folder / "reason.tif", tags),
-            ("cost.tif",): partial(write_cost, table, folder / "cost.tif", tags),
-            ("barred.tif",): partial(write_barred, table, folder / "barred.tif", tags),
-            **speeds,
-        },
+        rasters(fine),
+        rasters(coarse),
         {
             ("cost.geojson", "cost.fgb"): partial(_write_regions, table, coordinates, folder, metadata),
             ("tiles.parquet",): partial(write_tiles, table, folder / "tiles.parquet", tags),

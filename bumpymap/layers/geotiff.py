@@ -3,9 +3,10 @@
 relief.tif holds the heights of the ground without holes, for looking at.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,6 @@ from bumpymap.core import (
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
-    Barred,
     CostTable,
     Reason,
     speed_bands,
@@ -31,24 +31,7 @@ from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOUR
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, RasterWindow
 from bumpytiles import BLOCK_TILES, TileTable, TileWindow
 
-__all__ = [
-    "HEIGHT_BLOCK",
-    "box_sum",
-    "layer_tags",
-    "write_bands",
-    "write_barred",
-    "write_classes",
-    "write_codes",
-    "write_cost",
-    "write_heightmap",
-    "write_obstacles",
-    "write_passage",
-    "write_pixels",
-    "write_reasons",
-    "write_relief",
-    "write_roughness",
-    "write_speeds",
-]
+__all__ = ["box_sum", "write_raster"]
 
 _Number = TypeVar("_Number", np.int64, np.float64)
 
@@ -73,39 +56,6 @@ _MARGIN = -(-_GAPS[-1] // _PIXELS)
 _READ_TILES = 4096
 """Most tiles to read at a time."""
 _CENTIMETRE = 0.01
-
-
-def write_relief(
-    table: CostTable, path: Path, about: dict[str, str] | None = None, around: TileTable | None = None
-) -> None:
-    """Write relief.tif: a float32 COG, 3 x 3 pixels per tile, the mean height in each, with holes filled.
-
-    A pixel without heights has the mean of those pixels with heights that are at most 1 pixel away along both axes,
-    else at most 2, 4 or 8; NaN if there are none, and in tiles without points. Heights are rounded to 1 cm.
-
-    Parameters
-    ----------
-    table, path, about
-        See `write_roughness`.
-    around : TileTable, optional
-        The tiles of the whole map if ``table`` is a part of it: pixels at the edge are filled from both sides.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
-    """
-    spec = RasterSpec(
-        bands=[BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
-        pixels=_PIXELS,
-        crs=Placement.of(table).height_crs,
-        block=HEIGHT_BLOCK,
-        tags=layer_tags(table, "relief for looking at: holes are filled; measure on heightmap.tif", about),
-    )
-    source = around or table.tiles
-    write_pixels(table, path, spec, (), lambda found, window: _filled(source, window.tiles, found["row"], found["col"]))
 
 
 def _filled(
@@ -160,98 +110,175 @@ def _means(tiles: TileTable, window: TileWindow) -> tuple[NDArray[np.int64], NDA
 
 
 HEIGHT_BLOCK = 512
-"""Side of a block of these rasters, pixels."""
+"""Side of a block of rasters with several pixels a tile, pixels."""
 _WINDOW_PIXELS = 1024
 """Side of a window of such a raster, pixels; rounded down to whole blocks of tiles, at least one."""
 _SPARSE = 0.1
 """Below this share of tiles with points in its extent a survey is sparse: then these rasters have smaller blocks, and
 those without values are not made."""
+_Found: TypeAlias = dict[str, NDArray[Any]]
 
 
-def write_pixels(
-    table: CostTable,
-    path: Path,
-    spec: RasterSpec,
-    names: tuple[str, ...],
-    values: Callable[[dict[str, NDArray[Any]], RasterWindow], NDArray[Any]],
-) -> None:
-    """Write a raster with ``spec.pixels`` pixels along each side of a tile; nodata where there is no tile.
+@dataclass(frozen=True, slots=True)
+class _Layer:
+    """A raster of a map."""
 
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    path : Path
-        The file to write.
-    spec : RasterSpec
-        Everything but the pixels.
-    names : tuple of str
-        The columns that ``values`` needs.
-    values : callable
-        Returns the pixels, (n, pixels, pixels), of n tiles, given their columns and the window that they are all of.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    """
-    place, pixels = Placement.of(table), spec.pixels
-
-    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[Any]]:
-        found = table.tiles.read(names, window.tiles)
-        return *window.pixel_indices(found), values(found, window)
-
-    def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not table.tiles.holds(window.tiles):
-            return None
-        line, column, stack = pieces(window)
-        lines, columns = window.tiles.rows, window.tiles.cols
-        canvas = np.full((lines, pixels, columns, pixels), spec.nodata, dtype=spec.dtype)
-        canvas[line, :, column, :] = stack
-        return canvas.reshape(1, lines * pixels, columns * pixels)
-
-    sparse = table.tiles.tiles < _SPARSE * place.window.cols * place.window.rows
-    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
-    write_cog(path, place, spec, paint, side, pieces if sparse else None)
+    title: str
+    bands: Sequence[BandSpec]
+    columns: tuple[str, ...]
+    """Columns of the tiles that ``values`` needs."""
+    values: Callable[[_Found, RasterWindow], Sequence[NDArray[Any]] | NDArray[Any]]
+    """Returns the values of n tiles, given their columns and the window that they are all of: an array (n,) for each
+    band, or the pixels of the only one, (n, pixels, pixels)."""
+    is_fine: bool = False
+    """True if ``values`` returns pixels."""
+    has_heights: bool = False
+    """True if its CRS has the vertical part."""
+    tags: Mapping[str, str] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Fields of its `RasterSpec`."""
 
 
-def layer_tags(table: CostTable, title: str, about: dict[str, str] | None) -> dict[str, str]:
-    """Return the metadata of a raster: its title, the tile size, the weight of the ride, and what is given."""
-    grid = table.tiles.grid
-    own = {
-        "title": title,
-        "tile_size_m": f"{grid.tile_size:g}",
-        "ride_weight_m_per_rad": f"{table.rule.ride_weight:g}",
+def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
+    """Return the rasters of a map, by file name."""
+    rule, names, source = table.rule, tuple(band.name for band in BANDS), around or table.tiles
+    pixels: dict[str, Any] = {"pixels": table.tiles.grid.pixels, "block": HEIGHT_BLOCK}
+    # On 56 million pixels of heightmap.tif, level 6 took twice the time of level 1 and saved 4 % of the bytes.
+    pixels["level"] = 1
+    codes: dict[str, Any] = {"dtype": "uint8", "nodata": NO_CLASS, "overviews": "MODE"}
+
+    def of_codes(title: str, column: str, band: BandSpec, colours: Mapping[int, tuple[int, int, int, int]]) -> _Layer:
+        options = codes | {"colours": dict(colours), "counts_nodata": True}
+        return _Layer(title, [band], (column,), lambda found, _: [found[column]], options=options)
+
+    def costs(found: _Found, _: RasterWindow) -> list[NDArray[np.float64]]:
+        cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
+        return [np.where(found["barred"] == 0, cost, np.nan)]
+
+    def objects(found: _Found, _: RasterWindow) -> NDArray[np.uint8]:
+        state = found["objects"]
+        hidden = (state == UNSEEN) | ((state == FREE) & np.isnan(found["obstacle"])[:, None, None])
+        return np.where(hidden, np.uint8(UNKNOWN_OBJECT), state)
+
+    reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
+    reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
+    return {
+        "roughness.tif": _Layer(
+            "ride cost and roughness of each tile",
+            [BandSpec(band.name, band.unit, band.description) for band in BANDS],
+            names,
+            lambda found, _: [found[name] for name in names],
+        ),
+        "class.tif": of_codes(
+            "roughness class of each tile",
+            "class_id",
+            BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES),
+            CLASS_COLOURS,
+        ),
+        "reason.tif": of_codes(
+            "why tiles have no class",
+            "reason",
+            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT.values())),
+            reasons,
+        ),
+        "cost.tif": _Layer(
+            "cost of driving over each tile",
+            [BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")],
+            ("c_r", "p_fail", "barred"),
+            costs,
+            tags={
+                "fail_weight_m": f"{rule.fail_weight:g}",
+                "drive_m": f"{rule.drive_m:g}",
+                "slope_limit_deg": f"{rule.slope_limit_deg:g}",
+            },
+        ),
+        "barred.tif": of_codes(
+            "why tiles are not passable",
+            "barred",
+            BandSpec("barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT.values())),
+            BARRED_COLOURS,
+        ),
+        "speeds.tif": _Layer(
+            "pitch, roll and vertical acceleration at several speeds",
+            [BandSpec(band.name, band.unit, band.description) for band in speed_bands(table.speeds)],
+            ("motion",),
+            lambda found, _: found["motion"].T,
+            tags={"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)},
+        ),
+        "heightmap.tif": _Layer(
+            "height map",
+            [BandSpec("height", "m", "mean height of the points in the pixel")],
+            ("heights",),
+            lambda found, _: found["heights"],
+            is_fine=True,
+            has_heights=True,
+            options=pixels,
+        ),
+        "relief.tif": _Layer(
+            "relief for looking at: holes are filled; measure on heightmap.tif",
+            [BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
+            (),
+            lambda found, window: _filled(source, window.tiles, found["row"], found["col"]),
+            is_fine=True,
+            has_heights=True,
+            options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
+        ),
+        "obstacle.tif": _Layer(
+            "obstacles",
+            [BandSpec("obstacle", text="what stands on the ground", categories=OBJECT_NAMES)],
+            ("objects", "obstacle"),
+            objects,
+            is_fine=True,
+            options=codes | pixels | {"colours": OBJECT_COLOURS, "worst": (OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE)},
+        ),
+        "passage.tif": _Layer(
+            "where the vehicle fits",
+            [
+                BandSpec(
+                    "passage", text="areas of a tile in which the middle of the vehicle can move; 0 where it cannot be"
+                )
+            ],
+            ("passage",),
+            lambda found, _: found["passage"],
+            is_fine=True,
+            options=codes | pixels | {"worst": tuple(range(NO_CLASS))},
+        ),
     }
-    return own | (about or {})
 
 
-_Values = Callable[[dict[str, NDArray[Any]]], Iterable[NDArray[Any]]]
-
-
-def write_bands(
-    table: CostTable,
-    path: Path,
-    bands: Sequence[BandSpec],
-    tags: dict[str, str],
-    names: tuple[str, ...],
-    values: _Values,
+def write_raster(
+    name: str, table: CostTable, path: Path, about: Mapping[str, str] | None = None, around: TileTable | None = None
 ) -> None:
-    """Write a float32 raster, NaN without a tile.
+    """Write a raster of a map as a COG.
 
     Parameters
     ----------
+    name : str
+        - ``roughness.tif``: float32, one pixel per tile, a band for each of ``BANDS``, NaN if unknown.
+        - ``class.tif``, ``reason.tif``, ``barred.tif``: uint8, one pixel per tile: its class (``NO_CLASS``, nodata, if
+          unknown), why it has none, a `Reason`, and why it is not passable, a `Barred`; nodata without points. The
+          colour table is in the TIFF; names, colours and pixel counts are in ``class.tif.aux.xml`` and so on.
+        - ``cost.tif``: float32, one pixel per tile: the factor on distance, NaN if the tile is not passable. Overviews
+          average the passable tiles.
+        - ``speeds.tif``: float32, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
+        - ``heightmap.tif``: float32, the heightmaps of all tiles side by side, NaN in pixels without points.
+        - ``relief.tif``: float32, 3 x 3 pixels per tile, the mean height in each. A pixel without heights has the mean
+          of those pixels with heights that are at most 1 pixel away along both axes, else at most 2, 4 or 8; NaN if
+          there are none, and in tiles without points. Heights are rounded to 1 cm.
+        - ``obstacle.tif``: uint8 with the pixels of heightmap.tif: free, obstacle, canopy or unknown, which they are
+          where no ground is known, and where objects are part of the relief because all points were measured as ground.
+        - ``passage.tif``: uint8, the same pixels: where the middle of the vehicle can be. 0: closed, because an
+          obstacle, unseen ground or a tile that the ground bars is nearer than half the vehicle's width and its margin.
+          From 1: the areas of a tile whose pixels hang together, the largest first. Areas of two tiles are joined where
+          their pixels touch across the border.
     table : CostTable
         The tiles.
     path : Path
         The file to write.
-    bands : sequence of BandSpec
-    tags : dict
-        Metadata of the file.
-    names : tuple of str
-        The columns that ``values`` needs.
-    values : callable
-        Returns an array (n,) for each band, given the columns of n tiles.
+    about : mapping, optional
+        Metadata of the file, such as vehicle and calibration.
+    around : TileTable, optional
+        The tiles of the whole map if ``table`` is a part of it: the relief at the edge is filled from both sides.
 
     Raises
     ------
@@ -260,229 +287,34 @@ def write_bands(
     BadInputError
         The extent is too large for a raster.
     """
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=list(bands),
-        crs=place.horizontal_crs,
-        tags=tags,
-    )
-    write_cog(path, place, spec, _painter(table, spec, names, values), TILE_WINDOW)
+    place, tiles, layer = Placement.of(table), table.tiles, _layers(table, around)[name]
+    tags = {"title": layer.title, "tile_size_m": f"{tiles.grid.tile_size:g}"}
+    tags |= {"ride_weight_m_per_rad": f"{table.rule.ride_weight:g}", **layer.tags, **(about or {})}
+    crs = place.height_crs if layer.has_heights else place.horizontal_crs
+    spec = RasterSpec(bands=layer.bands, crs=crs, tags=tags, **layer.options)
+    pixels = spec.pixels
 
-
-def write_codes(
-    table: CostTable,
-    path: Path,
-    column: str,
-    band: BandSpec,
-    colours: Mapping[int, tuple[int, int, int, int]],
-    tags: dict[str, str],
-) -> None:
-    """Write a uint8 raster of a column of codes, ``NO_CLASS`` without a tile; otherwise as `write_bands`."""
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=[band],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        colours=dict(colours),
-        tags=tags,
-        counts_nodata=True,
-    )
-    write_cog(path, place, spec, _painter(table, spec, (column,), lambda found: (found[column],)), TILE_WINDOW)
-
-
-def _painter(
-    table: CostTable, spec: RasterSpec, names: tuple[str, ...], values: _Values
-) -> Callable[[RasterWindow], NDArray[np.generic] | None]:
-    """Return a function that paints one value per tile and band; nodata in pixels without a tile."""
+    def pieces(window: RasterWindow) -> tuple[NDArray[np.int64], NDArray[np.int64], Any]:
+        found = tiles.read(layer.columns, window.tiles)
+        return *window.pixel_indices(found), layer.values(found, window)
 
     def paint(window: RasterWindow) -> NDArray[np.generic] | None:
-        if not table.tiles.holds(window.tiles):
+        if not tiles.holds(window.tiles):
             return None
-        found = table.tiles.read(names, window.tiles)
-        canvas = np.full((len(spec.bands), window.tiles.rows, window.tiles.cols), spec.nodata, dtype=spec.dtype)
-        place = window.pixel_indices(found)
-        for band, value in zip(canvas, values(found), strict=True):
-            band[place] = value
+        line, column, values = pieces(window)
+        lines, columns = window.tiles.rows, window.tiles.cols
+        if layer.is_fine:
+            canvas = np.full((lines, pixels, columns, pixels), spec.nodata, spec.dtype)
+            canvas[line, :, column, :] = values
+            return canvas.reshape(1, lines * pixels, columns * pixels)
+        canvas = np.full((len(spec.bands), lines, columns), spec.nodata, spec.dtype)
+        for band, value in zip(canvas, values, strict=True):
+            band[line, column] = value
         return canvas
 
-    return paint
-
-
-def write_roughness(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write roughness.tif: a float32 COG, one pixel per tile, one band for each of ``BANDS``, NaN if unknown.
-
-    Parameters
-    ----------
-    table : CostTable
-        The tiles.
-    path : Path
-        The file to write.
-    about : dict, optional
-        Metadata of the file, such as vehicle and calibration.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
-    """
-    bands = [BandSpec(band.name, band.unit, band.description) for band in BANDS]
-    names = tuple(band.name for band in BANDS)
-    tags = layer_tags(table, "ride cost and roughness of each tile", about)
-    write_bands(table, path, bands, tags, names, lambda found: [found[name] for name in names])
-
-
-def write_classes(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write class.tif: a uint8 COG, the class of each tile; ``NO_CLASS`` (nodata) if unknown.
-
-    The colour table is in the TIFF itself; names, colours and pixel counts of the classes are in ``class.tif.aux.xml``.
-    For parameters and errors see `write_roughness`.
-    """
-    band = BandSpec("class", text="0 (flattest) to 3 (roughest)", categories=CLASS_NAMES)
-    write_codes(table, path, "class_id", band, CLASS_COLOURS, layer_tags(table, "roughness class of each tile", about))
-
-
-def write_reasons(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write reason.tif: a uint8 COG, why a tile has no class, a `Reason`; ``NO_CLASS`` (nodata) without points.
-
-    Names, colours and pixel counts are in ``reason.tif.aux.xml``. For parameters and errors see `write_roughness`.
-    """
-    band = BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT[code] for code in Reason))
-    colours = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
-    colours[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
-    write_codes(table, path, "reason", band, colours, layer_tags(table, "why tiles have no class", about))
-
-
-def write_cost(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write cost.tif: a float32 COG, one pixel per tile: the factor on distance, NaN if the tile is not passable.
-
-    Overviews average the passable tiles. For parameters and errors see `write_roughness`.
-    """
-    rule = table.rule
-    own = {
-        "fail_weight_m": f"{rule.fail_weight:g}",
-        "drive_m": f"{rule.drive_m:g}",
-        "slope_limit_deg": f"{rule.slope_limit_deg:g}",
-    }
-    band = BandSpec("cost", text="factor on distance: 1 + ride_weight c_r + fail_weight hazard")
-    tags = layer_tags(table, "cost of driving over each tile", own | (about or {}))
-
-    def costs(found: dict[str, NDArray[Any]]) -> tuple[NDArray[np.float64]]:
-        cost = rule.cost(found["c_r"].astype(np.float64), rule.hazard(found["p_fail"]))
-        return (np.where(found["barred"] == 0, cost, np.nan),)
-
-    write_bands(table, path, [band], tags, ("c_r", "p_fail", "barred"), costs)
-
-
-def write_barred(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write barred.tif: a uint8 COG, why a tile is not passable, a `Barred`; ``NO_CLASS`` (nodata) without points.
-
-    Names, colours and pixel counts are in ``barred.tif.aux.xml``. For parameters and errors see `write_roughness`.
-    """
-    names = tuple(BARRED_TEXT[code] for code in Barred)
-    band = BandSpec("barred", text="why the tile is not passable", categories=names)
-    write_codes(table, path, "barred", band, BARRED_COLOURS, layer_tags(table, "why tiles are not passable", about))
-
-
-def write_heightmap(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write heightmap.tif: a float32 COG, the heightmaps of all tiles side by side, NaN in pixels without points.
-
-    For parameters and errors see `write_roughness`.
-    """
-    place = Placement.of(table)
-    pixels = place.grid.pixels
-    spec = RasterSpec(
-        bands=[BandSpec("height", "m", "mean height of the points in the pixel")],
-        pixels=pixels,
-        crs=place.height_crs,
-        block=HEIGHT_BLOCK,
-        tags=layer_tags(table, "height map", about),
-        # On 56 million pixels, level 6 took twice the time of level 1 and saved 4 % of the bytes.
-        level=1,
-    )
-    write_pixels(table, path, spec, ("heights",), lambda found, _: found["heights"])
-
-
-def write_obstacles(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write obstacle.tif: a uint8 COG with the pixels of heightmap.tif: free, obstacle, canopy or unknown.
-
-    Pixels are unknown where no ground is known, and where objects are part of the relief because all points were
-    measured as ground. For parameters and errors see `write_roughness`.
-    """
-    place = Placement.of(table)
-    pixels = place.grid.pixels
-    spec = RasterSpec(
-        bands=[BandSpec("obstacle", text="what stands on the ground", categories=OBJECT_NAMES)],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        pixels=pixels,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        block=HEIGHT_BLOCK,
-        colours=OBJECT_COLOURS,
-        tags=layer_tags(table, "obstacles", about),
-        level=1,
-        worst=(OBSTACLE, UNKNOWN_OBJECT, CANOPY, FREE),
-    )
-
-    def states(found: dict[str, NDArray[Any]], _: RasterWindow) -> NDArray[np.uint8]:
-        objects = found["objects"]
-        hidden = (objects == UNSEEN) | ((objects == FREE) & np.isnan(found["obstacle"])[:, None, None])
-        return np.where(hidden, np.uint8(UNKNOWN_OBJECT), objects)
-
-    write_pixels(table, path, spec, ("objects", "obstacle"), states)
-
-
-def write_passage(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write passage.tif: a uint8 COG with the pixels of heightmap.tif: where the middle of the vehicle can be.
-
-    0: closed, because an obstacle, unseen ground or a tile that the ground bars is nearer than half the vehicle's width
-    and its margin. From 1: the areas of a tile whose pixels hang together, the largest first. Areas of two tiles are
-    joined where their pixels touch across the border. For parameters and errors see `write_roughness`.
-    """
-    place = Placement.of(table)
-    spec = RasterSpec(
-        bands=[
-            BandSpec(
-                "passage", text="areas of a tile in which the middle of the vehicle can move; 0 where it cannot be"
-            )
-        ],
-        dtype="uint8",
-        nodata=NO_CLASS,
-        pixels=place.grid.pixels,
-        crs=place.horizontal_crs,
-        overviews="MODE",
-        block=HEIGHT_BLOCK,
-        tags=layer_tags(table, "where the vehicle fits", about),
-        level=1,
-        worst=tuple(range(NO_CLASS)),
-    )
-    write_pixels(table, path, spec, ("passage",), lambda found, _: found["passage"])
-
-
-def write_speeds(table: CostTable, path: Path, about: dict[str, str] | None = None) -> None:
-    """Write speeds.tif: a float32 COG, one pixel per tile, the bands of `speed_bands`, NaN if unknown.
-
-    Parameters
-    ----------
-    table : CostTable
-        The tiles, with ``speeds``.
-    path : Path
-        The file to write.
-    about : dict, optional
-        Metadata of the file, such as vehicle and calibration.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        The extent is too large for a raster.
-    """
-    bands = [BandSpec(band.name, band.unit, band.description) for band in speed_bands(table.speeds)]
-    own = {"speeds_m_per_s": " ".join(f"{speed:g}" for speed in table.speeds)}
-    tags = layer_tags(table, "pitch, roll and vertical acceleration at several speeds", own | (about or {}))
-    write_bands(table, path, bands, tags, ("motion",), lambda found: found["motion"].T)
+    if not layer.is_fine:
+        write_cog(path, place, spec, paint, TILE_WINDOW)
+        return
+    side = max(1, _WINDOW_PIXELS // (BLOCK_TILES * pixels)) * BLOCK_TILES
+    is_sparse = tiles.tiles < _SPARSE * place.window.cols * place.window.rows
+    write_cog(path, place, spec, paint, side, pieces if is_sparse else None)

@@ -22,16 +22,11 @@ from xml.etree import ElementTree as ET
 
 from bumpymap.core import (
     BadInputError,
-    BumpymapError,
     Child,
     DecoderError,
     Guard,
-    OutputError,
-    UsageError,
     module_folder,
     open_regular,
-    parse_json,
-    remote_files,
     utf8_path,
 )
 from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
@@ -48,7 +43,6 @@ _AGAIN = "Map the survey again"
 __all__ = [
     "FeatureTable",
     "KeptRasters",
-    "RemoteFolder",
     "closed_gdal",
     "gdal_text",
     "open_layer",
@@ -61,96 +55,9 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class RemoteFolder:
-    """A folder by its URL. Nothing is downloaded but what is read."""
-
-    url: str
-
-    def below(self, name: str) -> "RemoteFolder":
-        """Return a folder in this one; raise UsageError if the name would end the path of the URL, as ``::`` does."""
-        if "::" in name:
-            raise UsageError(
-                f"the folder {name} cannot be on a server: in the URL of a file, :: ends its path. Rename the survey, "
-                "or name it in the column name of a CSV"
-            )
-        return RemoteFolder(f"{self.url.rstrip('/')}/{name}")
-
-    def sizes(self) -> dict[str, int]:
-        """Return the sizes of the files in the folder by name, bytes; empty if there is no such folder.
-
-        Raises
-        ------
-        OutputError
-            The server cannot be used.
-        """
-        with self._using("read") as (files, path):
-            files.invalidate_cache()
-            try:
-                found = files.ls(path, detail=True)
-            except FileNotFoundError:
-                return {}
-            return {entry["name"].rsplit("/", 1)[-1]: entry["size"] for entry in found if entry["type"] == "file"}
-
-    def read(self, name: str) -> bytes | None:
-        """Return the bytes of a file; None if there is none. Raises OutputError if the server cannot be used."""
-        with self._using("read", name) as (files, path):
-            try:
-                data: bytes = files.cat_file(path)
-            except FileNotFoundError:
-                return None
-            return data
-
-    def manifest(self) -> dict[str, Any] | None:
-        """Return what run.json says; None if there is none, or none that can be read."""
-        data = self.read(MANIFEST_NAME)
-        try:
-            record = parse_json((data or b"").decode())
-        except ValueError:
-            return None
-        return record if isinstance(record, dict) else None
-
-    def upload(self, folder: Path, last: str) -> None:
-        """Upload all files of a folder but hidden ones; ``last`` at the end, so that its presence means all are there.
-
-        One of that name that is there already is removed first. Links are left out.
-
-        Raises
-        ------
-        OutputError
-            The server cannot be used, or refuses a file.
-        """
-        names = sorted(
-            path.name
-            for path in folder.iterdir()
-            if path.is_file() and not path.is_symlink() and not path.name.startswith(".") and path.name != last
-        )
-        present = self.sizes()
-        with self._using("write") as (files, path):
-            if last in present:
-                files.rm_file(f"{path}/{last}")
-            _make_folder(files, path)
-        for name in (*names, last):
-            with self._using("write", name) as (files, path):
-                files.put_file(str(folder / name), path)
-
-    @contextmanager
-    def _using(self, what: str, name: str = "") -> Iterator[tuple[Any, str]]:
-        """Yield the file system and the path of a file in the folder; turn its exceptions, which differ, into one."""
-        url = f"{self.url.rstrip('/')}/{name}" if name else self.url
-        try:
-            files, path = remote_files(url)
-            yield files, path.rstrip("/")
-        except (BumpymapError, MemoryError):
-            raise
-        except Exception as error:
-            said = str(error).strip() or type(error).__name__
-            raise OutputError(f"cannot {what} {url}: {said}. Check the address and the access rights") from error
-
-
 @contextmanager
-def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
-    """Open a raster of a map, the virtual one if it is in sheets; on a server, only the parts that are used are read.
+def open_raster(folder: Path, name: str) -> Iterator[Any]:
+    """Open a raster of a map, the virtual one if it is in sheets.
 
     Raises
     ------
@@ -158,17 +65,10 @@ def open_raster(folder: Path | RemoteFolder, name: str) -> Iterator[Any]:
         It is missing or damaged.
     """
     try:
-        if isinstance(folder, RemoteFolder):
-            url = folder.below(name).url
-            files, _ = remote_files(url)
-            with open_layer(url, files) as raster:
-                yield raster
-        else:
-            with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:
-                yield raster
+        with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:
+            yield raster
     except OSError as error:
-        place = folder.url if isinstance(folder, RemoteFolder) else folder
-        raise BadInputError(f"{place}/{name} cannot be read: {gdal_text(error)}") from error
+        raise BadInputError(f"{folder}/{name} cannot be read: {gdal_text(error)}") from error
 
 
 def read_averaged(
@@ -226,17 +126,12 @@ def closed_gdal(**options: Any) -> "rasterio.Env":
 
 
 @contextmanager
-def open_layer(
-    path: Path | str, opener: Any = None, *, remedy: str = _AGAIN, **options: Any
-) -> "Iterator[DatasetReader]":
+def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator[DatasetReader]":
     """Open a raster of a map, a GeoTIFF or the virtual raster over those of its sheets; nothing else is read.
 
     Parameters
     ----------
-    path : Path or str
-        A URL is for ``opener``.
-    opener : object, optional
-        File system that opens it.
+    path : Path
     remedy : str
         Sentence that ends the message of an error.
     **options
@@ -248,12 +143,12 @@ def open_layer(
         It is missing, damaged or of another format; it leads to other files, or the names in it are no text. So is
         each error of GDAL in the body of the ``with``.
     """
-    with _reading(path, options, remedy), _opened(path, opener, remedy) as file:
+    with _reading(path, options, remedy), _opened(path, remedy) as file:
         yield file
 
 
 @contextmanager
-def _reading(path: Path | str, options: Mapping[str, Any], remedy: str = _AGAIN) -> Iterator[None]:
+def _reading(path: Path, options: Mapping[str, Any], remedy: str = _AGAIN) -> Iterator[None]:
     """Read a raster inside `closed_gdal`; errors of GDAL and names that are no text become BadInputErrors."""
     from rasterio.errors import RasterioError
 
@@ -264,14 +159,14 @@ def _reading(path: Path | str, options: Mapping[str, Any], remedy: str = _AGAIN)
         raise BadInputError(f"cannot read {path}: {gdal_text(error)}. {remedy}") from error
 
 
-def _opened(path: Path | str, opener: Any = None, remedy: str = _AGAIN) -> "DatasetReader":
+def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
     """Open a raster inside `_reading`; for errors see `open_layer`."""
     import rasterio
 
-    virtual = Path(path).suffix == ".vrt"
+    virtual = path.suffix == ".vrt"
     if virtual:
-        _require_virtual(Path(path))
-    file = rasterio.open(path, driver="VRT" if virtual else "GTiff", opener=opener)
+        _require_virtual(path)
+    file = rasterio.open(path, driver="VRT" if virtual else "GTiff")
     if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
         file.close()
         raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")

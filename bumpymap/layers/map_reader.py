@@ -1,7 +1,7 @@
 """The layers of one run, or of several that are sheets of one map, read by window."""
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,21 +37,6 @@ from bumpymap.layers.sheet_reader import (
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["MapReader", "map_differences", "open_map"]
-
-
-def _shares(
-    sheets: Sequence[SheetReader], window: TileWindow, shape: tuple[int, ...]
-) -> Iterator[tuple[SheetReader, TileWindow, tuple[slice, slice]]]:
-    """Yield each sheet in a window that spans ``shape`` pixels, the tiles of it, and their pixels, where it has any."""
-    for sheet in sheets:
-        part = common_window(window, sheet.window)
-        if part is None:
-            continue
-        above, west = window.row + window.rows - part.row - part.rows, part.col - window.col
-        rows = np.rint(np.array([above, above + part.rows]) * (shape[0] / window.rows)).astype(int).tolist()
-        cols = np.rint(np.array([west, west + part.cols]) * (shape[1] / window.cols)).astype(int).tolist()
-        if rows[1] > rows[0] and cols[1] > cols[0]:
-            yield sheet, part, (slice(*rows), slice(*cols))
 
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
@@ -168,7 +153,8 @@ class MapReader:
                 if not overlapping:
                     sheet.read_into(own, raster, part, names)
                     continue
-                found = sheet.read(raster, part, names)
+                found = [np.empty_like(array) for array in own]
+                sheet.read_into(found, raster, part, names)
                 choice = choice or sheet_choice(own[0], found[0])  # what bars tiles is read first
                 for old, new in zip(own, found, strict=True):
                     old[...] = choice(old, new)
@@ -185,18 +171,7 @@ class MapReader:
 
         Of two sheets the higher value counts.
         """
-        return self._merged("heightmap.tif", window, np.float32(np.nan), np.fmax)
-
-    def _merged(self, raster: str, window: TileWindow, nothing: np.generic, merge: _Merge) -> NDArray[Any]:
-        """Read pixels of a window, (rows * pixels, cols * pixels); ``merge`` says which of two sheets counts."""
-        pixels = self.grid.pixels
-        out = np.full((window.rows * pixels, window.cols * pixels), nothing)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is not None:
-                place = window_slices(window, part, pixels)
-                out[place] = merge(out[place], sheet.read(raster, part)[0])
-        return out
+        return self.relief(window, self._shape(window))
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
         """Read mean heights of the ground from the overviews of heightmap.tif.
@@ -219,14 +194,7 @@ class MapReader:
         BadInputError
             A file is missing or damaged.
         """
-        return self._shown("heightmap.tif", window, np.full(shape, np.nan, np.float32), np.fmax)
-
-    def _shown(self, raster: str, window: TileWindow, out: NDArray[Any], merge: _Merge) -> NDArray[Any]:
-        """Fill pixels that span a window; ``merge`` says which of two sheets counts."""
-        for sheet, part, place in _shares(self.sheets, window, out.shape):
-            shape = place[0].stop - place[0].start, place[1].stop - place[1].start
-            out[place] = merge(out[place], sheet.read_shrunk(raster, part, shape))
-        return out
+        return self._pixels("heightmap.tif", window, np.full(shape, np.nan, np.float32), np.fmax)
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
@@ -234,21 +202,39 @@ class MapReader:
         0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points. Of two sheets, an obstacle counts
         first, then canopy, free, unknown.
         """
-        return self._merged("obstacle.tif", window, np.uint8(NO_TILE), worse_objects)
+        return self._pixels("obstacle.tif", window, np.full(self._shape(window), NO_TILE, np.uint8), worse_objects)
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
         """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
 
         Where sheets overlap, what is closed in one of those that know the pixel is closed.
         """
-        # NO_TILE is the largest code, so the smaller of two is the known one, or the closed one of two that are known.
-        out = self._merged("passage.tif", window, np.uint8(NO_TILE), np.minimum)
-        return np.asarray((out > 0) & (out != NO_TILE))
+        return self.passage_shown(window, self._shape(window))
 
     def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        out = self._shown("passage.tif", window, np.full(shape, NO_TILE, np.uint8), np.minimum)
+        # NO_TILE is the largest code, so the smaller of two is the known one, or the closed one of two that are known.
+        out = self._pixels("passage.tif", window, np.full(shape, NO_TILE, np.uint8), np.minimum)
         return np.asarray((out > 0) & (out != NO_TILE))
+
+    def _shape(self, window: TileWindow) -> tuple[int, int]:
+        return window.rows * self.grid.pixels, window.cols * self.grid.pixels
+
+    def _pixels(self, raster: str, window: TileWindow, out: NDArray[Any], merge: _Merge) -> NDArray[Any]:
+        """Fill pixels that span a window; ``merge`` says which of two sheets counts."""
+        rows, cols = out.shape[0] / window.rows, out.shape[1] / window.cols
+        for sheet in self.sheets:
+            part = common_window(window, sheet.window)
+            if part is None:
+                continue
+            place = tuple(
+                slice(*np.rint(np.array([tiles.start, tiles.stop]) * scale).astype(int).tolist())
+                for tiles, scale in zip(window_slices(window, part), (rows, cols), strict=True)
+            )
+            shape = place[0].stop - place[0].start, place[1].stop - place[1].start
+            if min(shape) > 0:
+                out[place] = merge(out[place], sheet.read_pixels(raster, part, shape))
+        return out
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert coordinates of the CRS to easting and northing on the grid, m."""

@@ -1,6 +1,5 @@
-"""Write what can be reached: reach.tif, reach_back.tif with the last move of each way, isochrones.geojson."""
+"""Write what can be reached: reach.tif and isochrones.geojson."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,24 +15,18 @@ from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import label, trace_labels
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
     import xarray
 
 __all__ = [
-    "NO_MOVE",
     "ReachField",
     "reach_dataset",
     "write_isochrones",
     "write_reach",
-    "write_reach_back",
 ]
-
-BETWEEN_OBSTACLES, TO_START, NO_MOVE = 253, 254, 255
-"""Values of ``ReachField.back``: the way leads between obstacles, without moves; straight to the start, from tiles that
-see it; where no way leads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,20 +40,13 @@ class ReachField:
     """Cost of the cheapest way to the middle of the tile, m; NaN where none leads (so are the minutes)."""
     minutes: NDArray[np.float32] | None = None
     """Time along that way at the profile's speed, min."""
-    back: NDArray[np.uint8] | None = None
-    """Index into ``moves`` of the step back along that way; ``TO_START`` if it goes straight to the start,
-    ``BETWEEN_OBSTACLES`` if it leads between obstacles, without moves, ``NO_MOVE`` if no way leads there."""
-    moves: NDArray[np.int64] | None = None
-    """(m, 2) rows (to the south) and columns (to the east) of each move, tiles; with ``back``."""
 
     def __post_init__(self) -> None:
         shape = (self.window.rows, self.window.cols)
-        found = {name: getattr(self, name) for name in ("cost", "minutes", "back")}
+        found = {name: getattr(self, name) for name in ("cost", "minutes")}
         wrong = {name: array.shape for name, array in found.items() if array is not None and array.shape != shape}
         if wrong:
             raise ValueError(f"the window has (rows, cols) {shape}; these arrays do not: {wrong}")
-        if (self.back is None) != (self.moves is None):
-            raise ValueError("back and moves belong together: give both or neither")
 
     @property
     def placement(self) -> Placement:
@@ -98,35 +84,6 @@ def write_reach(reach: ReachField, path: Path, about: Mapping[str, str] | None =
         tags={"title": "cost of the cheapest way to each tile"} | dict(about or {}),
     )
     write_array(path, reach.placement, spec, np.stack(layers).astype(np.float32, copy=False))
-
-
-def write_reach_back(reach: ReachField, path: Path, about: Mapping[str, str] | None = None) -> None:
-    """Write reach_back.tif: a uint8 COG, the move that leads back from each tile along its cheapest way.
-
-    The metadata entry ``moves`` holds the moves as JSON: rows to the south and columns to the east of move 0, 1, ...;
-    ``straight_to_start`` is the value of tiles from whose middle the way goes straight to the start, and
-    ``between_obstacles`` that of tiles to which the way leads between obstacles, where there are no moves.
-    For parameters and errors see `write_reach`; ``reach`` has ``back`` and ``moves``.
-    """
-    if reach.back is None or reach.moves is None:
-        raise ValueError("this reach has no back-links")
-    own = {
-        "title": "move that leads back to the start",
-        "moves": json.dumps(reach.moves.tolist()),
-        "straight_to_start": str(TO_START),
-        "between_obstacles": str(BETWEEN_OBSTACLES),
-    }
-    spec = RasterSpec(
-        bands=[
-            BandSpec("back", text="number of the move towards the start, rows south and columns east: see the metadata")
-        ],
-        dtype="uint8",
-        nodata=NO_MOVE,
-        crs=reach.placement.horizontal_crs,
-        overviews="NEAREST",
-        tags=own | dict(about or {}),
-    )
-    write_array(path, reach.placement, spec, reach.back[None])
 
 
 _UNITS = {"cost": "m", "minutes": "min"}
@@ -167,7 +124,6 @@ def write_isochrones(
     if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):
         raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of {_UNITS[by]}, at least one")
     place = GeoJsonCoordinates.of(reach.placement, local=True)
-    box = BoundingBox()
     features = []
     for level in wanted:
         inside = values <= level  # NaN is never inside
@@ -177,11 +133,10 @@ def write_isochrones(
             labels, first, _ = label(inside.astype(np.uint8))
             numbers = range(1, len(first) + 1)
             polygons = place.polygons(trace_labels(labels, reach.window, slice(0, reach.window.rows), numbers))
-            box.add(polygons)
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.grid.tile_size**2
         features.append(feature({"within": level, "of": by, "unit": _UNITS[by], "area_m2": area}, geometry))
-    write_features(path, "isochrones", place, features, box, about)
+    write_features(path, "isochrones", place, features, about)
 
 
 def reach_dataset(reach: ReachField) -> "xarray.Dataset":

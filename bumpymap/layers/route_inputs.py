@@ -8,6 +8,7 @@ import csv
 import io
 import json
 import logging
+import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -310,43 +311,32 @@ def _lonlat(
 
 def _read_csv(path: Path) -> list[FilePoint]:
     try:
-        with io.StringIO(read_regular(path).decode("utf-8-sig"), newline="") as file:
-            head = file.readline()
-            separator = max(",;\t", key=head.count)
-            names = [name.strip().lower() for name in next(csv.reader([head], delimiter=separator), [])]
-            lines = list(csv.reader(file, delimiter=separator))
+        text = read_regular(path).decode("utf-8-sig")
+        separator = max(",;\t", key=text.partition("\n")[0].count)
+        head, *lines = list(csv.reader(io.StringIO(text, newline=""), delimiter=separator)) or [[]]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise BadInputError(f"cannot read {path}: {error}. It must be a text file of columns {_ALLOWED}") from error
-    for system, pairs in _COLUMNS.items():
-        for pair in pairs:
-            if set(pair) <= set(names):
-                columns = [names.index(name) for name in pair]
-                name_column = names.index("name") if "name" in names else None
-                filled = [(number, line) for number, line in enumerate(lines, start=2) if any(map(str.strip, line))]
-                where = [f"{path}, line {number}: {short_repr(separator.join(line))}" for number, line in filled]
-                return [
-                    _point(at, number, line, columns, name_column, system)
-                    for at, (number, line) in zip(where, filled, strict=True)
-                ]
-    raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
-
-
-def _point(
-    where: str,
-    number: int,
-    line: Sequence[Any],
-    columns: Sequence[int],
-    name_column: int | None,
-    system: Literal["lonlat", "crs"],
-) -> FilePoint:
-    try:
-        x, y = (float(line[column]) for column in columns)
-    except (ValueError, IndexError) as error:
-        raise BadInputError(f"{where} has no two numbers where they belong; write decimals with a point") from error
-    if not np.isfinite([x, y]).all():
-        raise BadInputError(f"{where} is not a place")
-    named = line[name_column].strip() if name_column is not None and name_column < len(line) else ""
-    return FilePoint(named or str(number - 1), x, y, system)
+    names = [name.strip().lower() for name in head]
+    known = [(system, pair) for system, pairs in _COLUMNS.items() for pair in pairs if set(pair) <= set(names)]
+    if not known:
+        raise BadInputError(f"{path} has the columns {short_names(names) or '(none)'}; it needs {_ALLOWED}")
+    system, pair = known[0]
+    found = []
+    for number, line in enumerate(lines, start=2):
+        if not any(map(str.strip, line)):
+            continue
+        try:
+            x, y = (float(line[names.index(name)]) for name in pair)
+        except (ValueError, IndexError):
+            x = y = math.nan
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise BadInputError(
+                f"{path}, line {number}: {short_repr(separator.join(line))} has no two numbers where they belong; "
+                "write decimals with a point"
+            )
+        named = dict(zip(names, line, strict=False)).get("name", "").strip()
+        found.append(FilePoint(named or str(number - 1), x, y, system))
+    return found
 
 
 _GEOJSON = (".geojson", ".json")
@@ -358,10 +348,6 @@ _STEPS = 4096
 """Parts that an edge as long as the map is cut into before it is converted: a straight line of another CRS is bent."""
 _BEYOND = 0.25
 """How far around the map areas are kept, in lengths of its sides."""
-_NEAR_M = 5000.0
-"""How far from the map areas may lie whose numbers are thought to be swapped or degrees, m."""
-_MOST_NAMED = 5
-"""Areas that a message names at most."""
 
 
 def read_areas(
@@ -404,13 +390,17 @@ def read_areas(
         raise BadInputError(f"{path} holds {kind.lower()}; areas must be polygons. Draw polygons and save them alone")
     areas, is_on = _on_map(path, layer.geometry, layer.crs, route_map)
     if not is_on.all():
-        said = f"{_beside(path, layer, is_on, route_map)}. {_hint(layer.geometry[~is_on], layer.crs, route_map)}"
+        numbers = short_names([str(number) for number in np.flatnonzero(~is_on) + 1])
+        said = (
+            f"{(~is_on).sum()} of the {len(is_on)} areas of {path}, read in {_system(layer.crs, route_map)}, do not "
+            f"lie on the map: number {numbers}"
+        )
         if not allow_outside:
             raise BadInputError(
-                f"{said}Give areas on the map, or pass `allow_outside=True` if they need not be there, as when one "
+                f"{said}. Give areas on the map, or pass `allow_outside=True` if they need not be there, as when one "
                 "file serves several maps"
             )
-        _log.warning("%s", said.strip())
+        _log.warning("%s", said)
     return areas
 
 
@@ -423,39 +413,6 @@ def _on_map(
     is_on = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
     is_on &= shapely.intersects(parts, _outline(route_map))
     return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
-
-
-def _beside(path: Path, layer: VectorLayer, is_on: NDArray[np.bool_], route_map: MapReader) -> str:
-    """Say which areas do not lie on the map; there is at least one."""
-    of_file = f"of {path}, read in {_system(layer.crs, route_map)},"
-    if not is_on.any():
-        return f"no area {of_file} lies on the map"
-    off = np.flatnonzero(~is_on)
-    shown = [f"{index + 1} ({name})" if (name := layer.names[index]) else f"{index + 1}" for index in off[:_MOST_NAMED]]
-    more = f" and {len(off) - _MOST_NAMED} more" if len(off) > _MOST_NAMED else ""
-    verb = "does" if len(off) == 1 else "do"
-    return f"{len(off)} of the {len(is_on)} areas {of_file} {verb} not lie on the map: number {', '.join(shown)}{more}"
-
-
-def _hint(geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> str:
-    """Say as what areas would lie near the map, if anything is known."""
-    x, y = shapely.get_coordinates(geometry).T
-    if crs is None and _is_near(x, y, route_map, degrees=True):
-        return "As longitude and latitude they would: degrees and coordinates in the survey's CRS need a file each. "
-    if _is_near(y, x, route_map, degrees=False) or _is_near(y, x, route_map, degrees=True):
-        return "They would if x (east) and y (north), or longitude and latitude, changed places. "
-    return ""
-
-
-def _is_near(x: NDArray[np.float64], y: NDArray[np.float64], route_map: MapReader, *, degrees: bool) -> bool:
-    """Return whether a corner lies near the map, as degrees or in the map's CRS."""
-    near = shapely.buffer(_outline(route_map), _NEAR_M)
-    if not degrees:
-        return bool(shapely.intersects_xy(near, *route_map.to_grid(x, y)).any())
-    can_be = (np.abs(x) <= 180.0) & (np.abs(y) <= 90.0)
-    if not (route_map.has_crs and can_be.any()):
-        return False
-    return bool(shapely.intersects_xy(near, *route_map.from_lonlat(x[can_be], y[can_be])).any())
 
 
 def _system(crs: CRS | None, route_map: MapReader) -> str:

@@ -22,19 +22,18 @@ from bumpymap.layers.products import (
 )
 
 __all__ = [
+    "MAP_FILES",
+    "SPEEDS_FILES",
     "make_sheet_folder",
     "raster_in",
-    "remove_manifest",
-    "remove_map_files",
+    "remove_files",
     "remove_sheets",
-    "remove_speeds",
     "sheet_folders",
     "sheets_of",
     "virtual_name",
 ]
 
 _SIDECAR = ".aux.xml"
-_OWN = (*EVERY_NAME, *EVERY_VIEW_NAME)
 _FLAGS = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_NOFOLLOW", 0)
 
 
@@ -117,28 +116,22 @@ def make_sheet_folder(folder: Path, name: str) -> Path:
     return sheet
 
 
-def remove_manifest(folder: Path) -> None:
-    """Remove the manifest of an earlier map: from now on the folder holds no complete one."""
-    with _removing(folder):
-        _remove_files(folder.resolve(), (MANIFEST_NAME,))
+MAP_FILES = (*EVERY_NAME, *EVERY_VIEW_NAME)
+"""Files of a map that is not in sheets."""
+SPEEDS_FILES = (SPEEDS_NAME, SPEEDS_VIRTUAL_NAME, SPEEDS_STYLE_NAME)
+"""The layer of other speeds and its style, which an earlier run left where the last one wrote none."""
 
 
-def remove_map_files(folder: Path) -> None:
-    """Remove the files of an earlier map that is not in sheets. Other files stay."""
-    with _removing(folder):
-        _remove_files(folder.resolve(), _OWN)
-
-
-def remove_speeds(folder: Path) -> None:
-    """Remove the layer of other speeds and its style, which an earlier run left where the last one wrote none.
+def remove_files(folder: Path, names: Iterable[str]) -> None:
+    """Remove files or links of an earlier run, and the sidecar files of rasters; others stay.
 
     Raises
     ------
     OutputError
-        It cannot be removed.
+        One cannot be removed.
     """
     with _removing(folder):
-        _remove_files(folder.resolve(), (SPEEDS_NAME, SPEEDS_VIRTUAL_NAME, SPEEDS_STYLE_NAME))
+        _remove(folder.resolve(), names)
 
 
 def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
@@ -156,17 +149,17 @@ def remove_sheets(folder: Path, keep: Collection[str] = ()) -> None:
         for name in sheets_in(folder):
             if name not in keep:
                 sheet = folder / SHEET_FOLDER / name
-                _remove_files(sheet, (MANIFEST_NAME, *_OWN, *(left.name for left in sheet.glob(f"{STAGED}*"))))
+                _remove(sheet, (MANIFEST_NAME, *MAP_FILES, *(left.name for left in sheet.glob(f"{STAGED}*"))))
                 with suppress(OSError):  # not empty
                     sheet.rmdir()
         if not keep:
             own = (CATALOG_NAME,) if (folder / SHEET_TABLE_NAME).is_file() else ()  # else that of a batch
-            _remove_files(folder.resolve(), (*own, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME))
+            _remove(folder.resolve(), (*own, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME))
             with suppress(OSError):  # not empty, or not there
                 (folder / SHEET_FOLDER).rmdir()
 
 
-def _remove_files(folder: Path, names: Iterable[str]) -> None:
+def _remove(folder: Path, names: Iterable[str]) -> None:
     """Remove files or links, and the sidecar files of rasters, from a folder that is not a link."""
     descriptor = os.open(folder, _FLAGS)
     try:

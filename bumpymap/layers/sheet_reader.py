@@ -136,64 +136,58 @@ class SheetReader:
         """Id of the calibration; empty if the manifest has none."""
         return str(self.manifest.get("calibration", {}).get("id", ""))
 
-    def read(self, name: str, window: TileWindow, bands: Sequence[str] = ()) -> list[NDArray[Any]]:
-        """Read a window that lies inside the sheet.
+    def read_into(self, out: Sequence[NDArray[Any]], name: str, window: TileWindow, bands: Sequence[str] = ()) -> None:
+        """Read a window that lies inside the sheet into arrays, which may be parts of larger ones.
 
         Parameters
         ----------
+        out : sequence of arrays
+            One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
+            of pixels, else 1.
         name : str
             Name of the raster.
         window : TileWindow
         bands : sequence of str
             Names of the bands; none: the first.
 
-        Returns
-        -------
-        list of arrays (rows * p, cols * p)
-            One for each band, north row first; p is the number of pixels along a tile in rasters of pixels, else 1.
-
         Raises
         ------
         BadInputError
             The file is missing or damaged.
         """
-        scale = self.grid.pixels if name in _PER_PIXEL else 1
-        shape = (window.rows * scale, window.cols * scale)
-        out: list[NDArray[Any]] = [np.empty(shape, _DTYPES[name]) for _ in bands or (0,)]
-        self.read_into(out, name, window, bands)
-        return out
-
-    def read_into(self, out: Sequence[NDArray[Any]], name: str, window: TileWindow, bands: Sequence[str] = ()) -> None:
-        """Read a window that lies inside the sheet into arrays, one for each band; they may be parts of larger ones.
-
-        For parameters and errors see `read`.
-        """
-        own = self.window
-        scale = self.grid.pixels if name in _PER_PIXEL else 1
-        top = (own.row + own.rows - window.row - window.rows) * scale
-        left = (window.col - own.col) * scale
+        top, left, rows, cols = self._place(name, window)
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
             numbers = _numbers(self.folder / name, file, bands)
             # Cut at multiples of a piece, so that no block of the file is decoded twice.
-            rows, cols = _cut(top, top + window.rows * scale), _cut(left, left + window.cols * scale)
-            for lines, columns in product(rows, cols):
+            for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
                 part = ((lines.start, lines.stop), (columns.start, columns.stop))
                 for array, values in zip(out, file.read(numbers, window=part), strict=True):
                     array[_moved(lines, top), _moved(columns, left)] = values
 
-    def read_shrunk(self, name: str, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
-        """Read a window that lies inside the sheet in ``shape`` pixels, from the overviews: numbers as means."""
-        own, scale = self.window, self.grid.pixels
-        top = (own.row + own.rows - window.row - window.rows) * scale
-        left = (window.col - own.col) * scale
-        part = ((top, top + window.rows * scale), (left, left + window.cols * scale))
+    def read_pixels(self, name: str, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
+        """Read a window that lies inside the sheet of a raster with several pixels a tile, in ``shape`` pixels.
+
+        With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `read_into`.
+        """
+        top, left, rows, cols = self._place(name, window)
+        if shape == (rows, cols):
+            whole = np.empty(shape, _DTYPES[name])
+            self.read_into([whole], name, window)
+            return whole
+        part = ((top, top + rows), (left, left + cols))
         self._require_whole(name)
         with self.rasters.opened(self.folder / name) as file:
             if _DTYPES[name] == "float32":
                 return read_averaged(file, shape, part)
             found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
             return found
+
+    def _place(self, name: str, window: TileWindow) -> tuple[int, int, int, int]:
+        """Return top, left, rows and columns of a window in a raster, pixels."""
+        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
+        top = own.row + own.rows - window.row - window.rows
+        return top * scale, (window.col - own.col) * scale, window.rows * scale, window.cols * scale
 
     def _require_whole(self, name: str) -> None:
         """Raise BadInputError if a raster whose checksum was not compared when the sheet was opened is damaged."""

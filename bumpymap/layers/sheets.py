@@ -28,7 +28,6 @@ from bumpymap.core import (
     write_csv,
     write_together,
 )
-from bumpymap.layers._cog import sum_counts
 from bumpymap.layers.colours import class_limits
 from bumpymap.layers.folder import ViewWriter, verified_record, write_products
 from bumpymap.layers.manifest import (
@@ -51,11 +50,11 @@ from bumpymap.layers.products import (
     VIRTUAL_NAMES,
 )
 from bumpymap.layers.sheet_paths import (
+    MAP_FILES,
+    SPEEDS_FILES,
     make_sheet_folder,
-    remove_manifest,
-    remove_map_files,
+    remove_files,
     remove_sheets,
-    remove_speeds,
     sheet_folders,
 )
 from bumpymap.layers.stac import write_catalog
@@ -222,9 +221,6 @@ def write_virtual(path: Path, root: Path, placement: Placement, sheets: Mapping[
         tree.remove(domain)
     for band in tree.iter("VRTRasterBand"):
         _fill_band(band, sources)
-        table = band.find("GDALRasterAttributeTable")
-        if table is not None and not sum_counts(table, [root / source.path for source in sources]):
-            band.remove(table)  # better none than the counts of one sheet
     ET.indent(tree)
     with atomic(path) as temporary:
         temporary.write_bytes(ET.tostring(tree, encoding="utf-8") + b"\n")
@@ -252,6 +248,8 @@ def _fill_band(band: ET.Element, sources: Sequence[_Source]) -> None:
     """Replace the sources of a band, and remove what is true of one sheet only."""
     for one in band.findall("SimpleSource") + band.findall("ComplexSource"):
         band.remove(one)
+    for table in band.findall("GDALRasterAttributeTable"):
+        band.remove(table)  # its counts are those of one sheet
     for metadata in band.findall("Metadata"):
         for entry in [entry for entry in metadata if entry.get("key", "").startswith(_OF_ONE_SHEET)]:
             metadata.remove(entry)
@@ -397,7 +395,7 @@ def write_sheets(
     whole = Placement(table.georeference, table.tiles.grid, table.tiles.window)
     GeoJsonCoordinates.of(whole, local=local)  # fails early, as in `write_products`
     places = dict(sorted((run.layout.name(place), place) for place in run.layout.places(table.tiles)))
-    remove_manifest(folder)
+    remove_files(folder, (MANIFEST_NAME,))  # from now on the folder holds no complete map
     progress.start("writing sheets", len(places))
     windows: dict[str, TileWindow] = {}
     for name, place in places.items():
@@ -406,10 +404,9 @@ def write_sheets(
         _write_sheet(part, make_sheet_folder(folder, name), place, run, views, around=table.tiles, local=local)
         progress.advance(1)
     summary = summarise(table, class_limits(manifest))
-    remove_map_files(folder)
+    remove_files(folder, (*MAP_FILES, *SPEEDS_FILES))
     remove_sheets(folder, keep=places)
     virtual = virtual_names(manifest)
-    remove_speeds(folder)
     with write_together(folder, MANIFEST_NAME) as staged, utf8_path(folder) as root:
         for name in virtual:
             write_virtual(staged / name, root, whole, windows)

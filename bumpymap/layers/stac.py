@@ -2,12 +2,9 @@
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from datetime import date
-from itertools import pairwise
 from os.path import lexists
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -16,19 +13,7 @@ from urllib.parse import quote
 import shapely
 from pyproj import CRS
 
-from bumpymap.core import (
-    BARRED_TEXT,
-    CLASS_NAMES,
-    NO_CLASS,
-    OBJECT_NAMES,
-    REASON_TEXT,
-    BadInputError,
-    Georeference,
-    OutputError,
-    atomic,
-    stated_crs,
-)
-from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
+from bumpymap.core import BadInputError, Georeference, OutputError, atomic, stated_crs
 from bumpymap.layers.manifest import MANIFEST_NAME
 from bumpymap.layers.map_files import open_layer
 from bumpymap.layers.placement import Placement
@@ -37,43 +22,6 @@ from bumpymap.layers.vector import BoundingBox, polygons_in_wgs84, wgs84_transfo
 from bumpytiles import Grid, TileWindow
 
 __all__ = ["write_catalog", "write_item"]
-
-_Colours = Mapping[int, tuple[int, int, int, int]]
-_TABLES: dict[str, tuple[dict[int, str], _Colours]] = {
-    "class": (dict(enumerate(CLASS_NAMES)), CLASS_COLOURS),
-    "reason": ({int(code): text for code, text in REASON_TEXT.items()}, REASON_COLOURS),
-    "barred": ({int(code): text for code, text in BARRED_TEXT.items()}, BARRED_COLOURS),
-    "obstacle": (dict(enumerate(OBJECT_NAMES)), OBJECT_COLOURS),
-}
-
-
-def classes_of_band(band: str, limits: Sequence[float] = ()) -> list[dict[str, Any]] | None:
-    """Return the entries of ``classification:classes`` of a band of codes; None: the band holds none.
-
-    ``limits`` are the ride costs between the classes, rad/m, if the classes of the map were made by them.
-    """
-    if band not in _TABLES:
-        return None
-    names, colours = _TABLES[band]
-    meanings = _intervals(limits) if band == "class" and len(limits) == len(names) - 1 else []
-    found = []
-    for value, name in names.items():
-        entry: dict[str, Any] = {"value": value, "name": name.replace(" ", "_"), "title": name}
-        if meanings:
-            entry["description"] = meanings[value]
-        red, green, blue, alpha = colours[value]
-        if alpha:
-            entry["color_hint"] = f"{red:02X}{green:02X}{blue:02X}"
-        found.append(entry)
-    return [*found, {"value": NO_CLASS, "name": "nodata", "title": "no data", "nodata": True}]
-
-
-def _intervals(limits: Sequence[float]) -> list[str]:
-    """Return the ride costs of each class in words."""
-    edges = [f"{limit:g}" for limit in limits]
-    middle = [f"{low} to {high}" for low, high in pairwise(edges)]
-    return [f"c_r {span} rad/m" for span in (f"below {edges[0]}", *middle, f"from {edges[-1]}")]
-
 
 _SHA256 = "1220"
 """First bytes of a multihash: the code of SHA-256 and the length of its digest, 32 bytes."""
@@ -102,17 +50,10 @@ _TITLES = {
 _OVERVIEWS = (".html", ".qgs")
 _WITH_HEIGHTS = ("heightmap.tif", "relief.tif", "tiles.parquet")
 """Files in the survey's CRS with its vertical part."""
-_STATISTICS = {
-    "STATISTICS_MINIMUM": "minimum",
-    "STATISTICS_MAXIMUM": "maximum",
-    "STATISTICS_MEAN": "mean",
-    "STATISTICS_STDDEV": "stddev",
-    "STATISTICS_VALID_PERCENT": "valid_percent",
-}
 
 
 def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the assets of an item: every file of a map by its name, with what its header says.
+    """Return the assets of an item: every file of a map by its name; rasters with their grid.
 
     Files to look at the others with are assets if they are there; they have no size and no checksum, since GIS programs
     rewrite them. ``record`` is the content of run.json.
@@ -126,8 +67,6 @@ def describe_assets(folder: Path, record: Mapping[str, Any]) -> dict[str, dict[s
         asset = {"href": f"./{name}", "type": _TYPES[Path(name).suffix], "roles": [role]}
         if name.endswith(".tif"):
             asset |= _raster(folder / name, record)
-        elif name.endswith(".parquet"):
-            asset |= _table(folder / name)
         title = _TITLES.get(name) or _TITLES.get(Path(name).suffix)
         asset |= {"title": title} if title else {}
         asset |= vertical if name in _WITH_HEIGHTS else {}
@@ -163,76 +102,10 @@ def _names(folder: Path, known: Mapping[str, Any]) -> list[str]:
 
 
 def _raster(path: Path, record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a raster: its bands and its pixels."""
-    limits = _class_limits(record)
+    """Return the fields of a raster: its title, the size of its pixels and their grid."""
     with open_layer(path) as raster:
-        bands = [_band(raster, number, limits) for number in raster.indexes]
         title, pixel = raster.tags().get("title"), raster.transform.a * record["metres_per_unit"]["horizontal"]
-    found: dict[str, Any] = {"title": title} if title else {}
-    found |= {"gsd": round(pixel, 9), **describe_grid(path), "bands": bands}
-    if len(bands) == 1 and "classification:classes" in bands[0]:  # where programs that know no bands look for them
-        found["classification:classes"] = bands[0].pop("classification:classes")
-    return found
-
-
-def _band(raster: Any, number: int, limits: Sequence[float]) -> dict[str, Any]:
-    """Return the fields of a band that are known."""
-    tags, name, kind = raster.tags(number), raster.descriptions[number - 1] or "", raster.dtypes[number - 1]
-    codes = kind == "uint8"  # a share of pixels may have the name of a band of codes
-    fields = {
-        "name": name,
-        "description": tags.get("long_name"),
-        "unit": raster.units[number - 1],
-        "data_type": kind,
-        "nodata": _nodata(raster.nodatavals[number - 1]),
-        "statistics": _statistics(tags),
-        "classification:classes": classes_of_band(name, limits) if codes else None,
-    }
-    return {key: value for key, value in fields.items() if value not in (None, "", {})}
-
-
-def _nodata(value: float | None) -> float | str | None:
-    """Return a value as JSON can hold it."""
-    if value is None or math.isnan(value):
-        return None if value is None else "nan"
-    return int(value) if value.is_integer() else value
-
-
-def _statistics(tags: Mapping[str, str]) -> dict[str, float]:
-    """Return the statistics that GDAL wrote to a band."""
-    found = {}
-    for key, name in _STATISTICS.items():
-        with suppress(KeyError, ValueError):
-            value = float(tags[key])
-            if math.isfinite(value):
-                found[name] = value
-    return found
-
-
-def _class_limits(record: Mapping[str, Any]) -> Sequence[float]:
-    """Return the ride costs between classes, rad/m; none if the classes were made by a table of textures."""
-    calibration = record.get("calibration")
-    if record.get("settings", {}).get("rating") != "ride" or not isinstance(calibration, Mapping):
-        return ()
-    limits: Sequence[float] = calibration.get("class_limits") or ()
-    return limits
-
-
-def _table(path: Path) -> dict[str, Any]:
-    """Return the fields of tiles.parquet: its columns and the number of its rows."""
-    import pyarrow.parquet as pq
-
-    with pq.ParquetFile(path) as file:
-        schema, rows = file.schema_arrow, file.metadata.num_rows
-    columns = [
-        {"name": field.name, "type": str(field.type), "description": (field.metadata or {}).get(b"description", b"")}
-        for field in schema
-    ]
-    for column in columns:
-        column["description"] = column["description"].decode()
-        if not column["description"]:
-            del column["description"]
-    return {"table:columns": columns, "table:primary_geometry": "geometry", "table:row_count": rows}
+    return ({"title": title} if title else {}) | {"gsd": round(pixel, 9), **describe_grid(path)}
 
 
 STAC_VERSION = "1.1.0"
@@ -332,7 +205,7 @@ def _link(rel: str, href: str, title: str) -> dict[str, Any]:
     return {"rel": rel, "href": href, "type": "application/geo+json", "title": valid_text(title)}
 
 
-_EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "classification/v2.0.0", "processing/v1.1.0", "table/v1.2.0")
+_EXTENSIONS = ("projection/v2.0.0", "file/v2.1.0", "processing/v1.1.0")
 _SCHEMA = "https://stac-extensions.github.io/{}/schema.json"
 _TILES = "class.tif"
 """A raster with one pixel for each tile."""

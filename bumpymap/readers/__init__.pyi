@@ -21,15 +21,7 @@ from .frames.deskew_kernels import (
     deskew as deskew,
 )
 from .frames.kitti import (
-    BIN_COLUMNS as BIN_COLUMNS,
     label_file as label_file,
-)
-from .frames.label_sets import (
-    LABEL_SETS as LABEL_SETS,
-    LabelSet as LabelSet,
-    label_set as label_set,
-    require_label_set as require_label_set,
-    tell_label_set as tell_label_set,
 )
 from .frames.poses import (
     FramePoses as FramePoses,

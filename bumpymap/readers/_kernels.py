@@ -22,7 +22,6 @@ __all__ = [
     "SUMS",
     "CellTable",
     "Corrections",
-    "CountedRecords",
     "LinedPoints",
     "RecordCounts",
     "RecordRules",
@@ -54,11 +53,21 @@ class RecordRules(NamedTuple):
     """(256,) kind of the points of each class."""
 
 
-class CountedRecords(NamedTuple):
-    """Where records that count go, (n,) each."""
+class LinedPoints(NamedTuple):
+    """Points with their flight line, (n,) each."""
+
+    x: Floats
+    """m, as the two that follow."""
+    y: Floats
+    z: Floats
+    kind: Bytes
+    line: Lines
+
+
+class ScaledLinedPoints(NamedTuple):
+    """The same, with coordinates as integers of the file's own grid, see `bumpytiles.ScaledPoints`."""
 
     x: Words
-    """Integers of the file's grid, as the two that follow."""
     y: Words
     z: Words
     kind: Bytes
@@ -88,7 +97,7 @@ def _word(records: Records, record: int, at: int) -> Any:
 
 
 @kernel
-def filter_records(records: Records, rules: RecordRules, out: CountedRecords, seen: RecordCounts) -> None:
+def filter_records(records: Records, rules: RecordRules, out: ScaledLinedPoints, seen: RecordCounts) -> None:
     """Watch LAS records, uint8 (n, size), and append those that count."""
     layout, box, extremes, counts = rules.layout, rules.box, seen.extremes, seen.counts
     to, outside = counts[3], 0
@@ -141,27 +150,6 @@ Rows = Annotated[NDArray[np.int64], 2]
 
 Places = Annotated[NDArray[np.int32], 1]
 Numbers = Annotated[NDArray[np.float64], 2]
-
-
-class LinedPoints(NamedTuple):
-    """Points with their flight line, (n,) each."""
-
-    x: Floats
-    """m, as the two that follow."""
-    y: Floats
-    z: Floats
-    kind: Bytes
-    line: Lines
-
-
-class ScaledLinedPoints(NamedTuple):
-    """The same, with coordinates as integers of the file's own grid, see `bumpytiles.ScaledPoints`."""
-
-    x: Words
-    y: Words
-    z: Words
-    kind: Bytes
-    line: Lines
 
 
 class StripPlaces(NamedTuple):

@@ -205,14 +205,17 @@ _MOST_PAGES = 100_000
 _REBUILD = "Rebuild the file, for example with: pdal translate IN.laz OUT.copc.laz"
 
 
-def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_unit: float | None) -> ChunkTable:
-    """Read all pages of the hierarchy; ``metres_per_unit`` is None if the bounds of the nodes are to be ignored.
+def read_octree(
+    stream: BinaryIO, path: Location, header: RawHeader, chunks: ChunkTable, metres_per_unit: float | None
+) -> ChunkTable:
+    """Return the LAZ chunks depth first by the hierarchy: each node must be a chunk, and each chunk a node.
+
+    ``metres_per_unit`` is None if the bounds of the nodes are to be ignored.
 
     Raises
     ------
     BadInputError
-        Pages or nodes lie outside of the file, overlap or occur twice, or the number of points differs from that of
-        the header.
+        Pages lie outside of the file or lead in a circle, or the nodes are not those of an octree or not the chunks.
     """
     info = header.records[b"copc", 1]
     if len(info) < 56:
@@ -223,22 +226,25 @@ def read_octree(stream: BinaryIO, path: Location, header: RawHeader, metres_per_
             f"the octree of {path} has its centre at {x:g}, {y:g} and a half-width of {half:g}. {_REBUILD}"
         )
     nodes = _read_nodes(stream, path, header, page_at, page_size)
-    counted = int(nodes["points"].sum(dtype=np.int64))
-    if counted != header.point_count:
+    level = nodes["level"].astype(np.int64)
+    sound = (level >= 0) & (level <= _DEEPEST)
+    for axis in "xyz":
+        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, _DEEPEST))
+    held = np.column_stack([chunks.starts, chunks.sizes, chunks.counts])
+    told = np.column_stack([nodes[name].astype(np.int64) for name in ("offset", "size", "points")])
+    if not (sound.all() and np.array_equal(told[np.argsort(told[:, 0])], held)):
         raise BadInputError(
-            f"{path} declares {header.point_count:,} points in its header but {counted:,} in its octree: damaged. "
-            f"{_REBUILD}"
+            f"the octree of {path} has {nodes.size:,} nodes with {told[:, 2].sum():,} points, which are not its "
+            f"{len(held):,} LAZ chunks with {held[:, 2].sum():,} points: damaged. {_REBUILD}"
         )
     nodes = nodes[_depth_first_order(nodes)]
-    counts, starts, sizes = (nodes[name].astype(np.int64) for name in ("points", "offset", "size"))
-    table = ChunkTable(counts, starts, sizes)
-    _refuse_sizes(path, header, table)
+    chosen = np.searchsorted(chunks.starts, nodes["offset"].astype(np.int64))
     if metres_per_unit is None:
-        return table
+        return chunks.rows(chosen)
     side = 2 * half / np.exp2(nodes["level"])
     west, south = x - half + nodes["x"] * side, y - half + nodes["y"] * side
     boxes = np.column_stack([west, south, west + side, south + side]) * metres_per_unit
-    return replace(table, boxes=boxes)
+    return replace(chunks.rows(chosen), boxes=boxes)
 
 
 def _read_nodes(
@@ -257,9 +263,7 @@ def _read_nodes(
         seen |= offsets
         waiting += pages
         found.append(page[page["points"] > 0])
-    nodes = np.concatenate(found)
-    _refuse_nodes(path, header, nodes)
-    return nodes
+    return np.concatenate(found)
 
 
 def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, size: int) -> NDArray[np.void]:
@@ -273,25 +277,6 @@ def _read_page(stream: BinaryIO, path: Location, header: RawHeader, at: int, siz
     if len(data) < size:
         raise BadInputError(f"{path} ends inside its octree: truncated? Copy or download it again")
     return np.frombuffer(data, _ENTRY)
-
-
-def _refuse_nodes(path: Location, header: RawHeader, nodes: NDArray[np.void]) -> None:
-    level = nodes["level"].astype(np.int64)
-    sound = (level >= 0) & (level <= _DEEPEST)
-    for axis in "xyz":
-        sound &= (nodes[axis] >= 0) & (nodes[axis] < 1 << np.clip(level, 0, _DEEPEST))
-    room = header.size - nodes["size"].astype(np.int64)
-    sound &= (nodes["size"] > 0) & (nodes["offset"] >= header.offset_to_points)
-    sound &= nodes["offset"] <= np.maximum(room, 0).astype(np.uint64)
-    if not sound.all():
-        raise BadInputError(
-            f"{int((~sound).sum()):,} of {nodes.size:,} nodes in the octree of {path} have no valid position in the "
-            f"octree or in the file: damaged or truncated? Copy or download it again"
-        )
-    order = np.argsort(nodes["offset"])
-    starts = nodes["offset"][order].astype(np.int64)
-    if (starts[:-1] + nodes["size"][order][:-1] > starts[1:]).any():
-        raise BadInputError(f"nodes in the octree of {path} share bytes of the file: damaged. {_REBUILD}")
 
 
 def _depth_first_order(nodes: NDArray[np.void]) -> NDArray[np.int64]:

@@ -35,21 +35,12 @@ _HEAD = 1024
 _FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the data itself. Fetch the data with: git lfs pull"),
     (b"ASTM-E57", "an E57 file. Convert it with: pdal translate --reader readers.e57 IN OUT.laz"),
-    (b"\x89PNG", "a PNG picture"),
-    (b"\xff\xd8\xff", "a JPEG picture"),
-    (b"II*\0", "a TIFF picture; a raster holds no points"),
-    (b"MM\0*", "a TIFF picture; a raster holds no points"),
     (b"PK\x03\x04", "a ZIP archive (or .npz). Unpack it, or convert it"),
     (b"\x89MCAP", "a bag of ROS 2, which bumpymap scan reads"),
     (b"SQLite format 3", "an SQLite database. If it is a bag of ROS 2, name it .db3 for bumpymap scan"),
     (b"#ROSBAG", "a bag of ROS 1. Convert it to one of ROS 2 with rosbags-convert, for bumpymap scan"),
     (b"\x1f\x8b", "a gzip archive. Unpack it first"),
-    (b"7z\xbc\xaf", "a 7z archive. Unpack it first"),
-    (b"%PDF", "a PDF document"),
-    (b"\x89HDF", "an HDF5 file"),
-    (b"\x93NUMPY", "a NumPy array"),
     (b"<", "an XML or HTML page; did a download give an error page?"),
-    (b"{", "a JSON text"),
 )
 """First bytes of other formats that users may pass by mistake."""
 

@@ -4,14 +4,12 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Georeference, Place, PointCloud, georeference
 from bumpymap.readers._kernels import (
-    CountedRecords,
     LinedPoints,
     RecordCounts,
     RecordRules,
@@ -70,102 +68,28 @@ def _buffer(size: int) -> NDArray[np.uint8]:
     return held
 
 
-class PlainRecords:
-    """Uncompressed records of a chunk, read piece by piece into one buffer while they are iterated over.
+def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Records]:
+    """Yield the uncompressed records of a chunk, piece by piece in one buffer; each is valid until the next is taken.
 
-    A piece is still in the processor's cache when it is used, and memory for the whole chunk is not needed.
+    A piece is still in the processor's cache when it is used, and memory for the whole chunk is not needed. Reads end
+    where multiples of ``_PIECE_BYTES`` do, as the pieces of the checksum of the file.
     """
-
-    def __init__(self, path: Location, header: RawHeader, chunk: Chunk) -> None:
-        self._path, self._header, self._chunk = path, header, chunk
-
-    def __iter__(self) -> Iterator[Records]:
-        """Yield pieces, (n, bytes of a point) each; a piece is only valid until the next is taken.
-
-        Reads end where multiples of ``_PIECE_BYTES`` do, as the pieces of the checksum of the file.
-        """
-        header, size = self._header, self._header.point_size
-        at = header.offset_to_points + self._chunk.first * size
-        end = at + self._chunk.points * size
-        buffer = _buffer(_PIECE_BYTES + size)
-        held = 0  # bytes of a record that the last read cut
-        while at < end:
-            wanted = min(_PIECE_BYTES - at % _PIECE_BYTES, end - at)
-            got = read_into(self._path, at, buffer[held : held + wanted])
-            at += got
-            if got < wanted:
-                refuse_count(self._path, header.point_count, (at - header.offset_to_points) // size)
-            whole, rest = divmod(held + got, size)
-            if whole:
-                yield buffer[: whole * size].reshape(whole, size)
-            buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
-            held = rest
-
-
-class PlainPoints:
-    """Uncompressed points."""
-
-    def __init__(self, path: Location, header: RawHeader) -> None:
-        self._path, self._header = path, header
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Split between any two points."""
-        return split_rows(self._header.point_count, points, self._header.point_size)
-
-    def nodes(self, chunk: Chunk) -> None:
-        """Return None: there is no octree."""
-
-    def fetch(self, chunk: Chunk) -> Records | PlainRecords:
-        """Return the records of a chunk: to be read when they are used, or from a server at once."""
-        header = self._header
-        if not isinstance(self._path, str):
-            return PlainRecords(self._path, header, chunk)
-        start = header.offset_to_points + chunk.first * header.point_size
-        data = read_range(self._path, start, chunk.points * header.point_size)
-        held = data.size // header.point_size
-        if held < chunk.points:
-            refuse_count(self._path, header.point_count, chunk.first + held)
-        return data.reshape(held, header.point_size)
-
-
-class LazChunks:
-    """LAZ chunks (octree nodes are such too), which are decoded independently, on all cores."""
-
-    def __init__(self, path: Location, header: RawHeader, record: bytes, table: ChunkTable) -> None:
-        self._path, self._header = path, header
-        self._record, self._table, self._ends = record, table, np.cumsum(table.counts)
-
-    def chunks(self, points: int) -> Sequence[Chunk]:
-        """Split between LAZ chunks; if these are octree nodes, chunks have bounds."""
-        return group_laz_chunks(self._ends, points, self._header.point_size, self._table.boxes)
-
-    def fetch(self, chunk: Chunk) -> Records:
-        """Read the bytes of the LAZ chunks, adjacent ones with one request, and decode them."""
-        part = self._part(chunk)
-        compressed = decoder().allocate(int(part.sizes.sum()))
-        held = 0
-        gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
-        for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
-            held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
-        refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
-        table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
-        at = 0
-        for points, size in table:
-            check_layers(self._path, self._header, compressed.data[at : at + size], points)
-            at += size
-        with decoding(self._path, "LAZ chunks"):
-            records = decoder().chunks(self._record, table, compressed, chunk.points * self._header.point_size)
-        return records.reshape(chunk.points, self._header.point_size)
-
-    def nodes(self, chunk: Chunk) -> ChunkTable | None:
-        """Return the octree nodes that hold the chunk's points, in the order of `fetch`; None if there is no octree."""
-        return None if self._table.boxes is None else self._part(chunk)
-
-    def _part(self, chunk: Chunk) -> ChunkTable:
-        """Return the LAZ chunks of a chunk, by their offsets in the file."""
-        last = chunk.first + chunk.points - 1
-        first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
-        return self._table.rows(first + np.argsort(self._table.starts[first : end + 1], kind="stable"))
+    size = header.point_size
+    at = header.offset_to_points + chunk.first * size
+    end = at + chunk.points * size
+    buffer = _buffer(_PIECE_BYTES + size)
+    held = 0  # bytes of a record that the last read cut
+    while at < end:
+        wanted = min(_PIECE_BYTES - at % _PIECE_BYTES, end - at)
+        got = read_into(path, at, buffer[held : held + wanted])
+        at += got
+        if got < wanted:
+            refuse_count(path, header.point_count, (at - header.offset_to_points) // size)
+        whole, rest = divmod(held + got, size)
+        if whole:
+            yield buffer[: whole * size].reshape(whole, size)
+        buffer[:rest] = buffer[whole * size : whole * size + rest].copy()
+        held = rest
 
 
 def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds | None) -> RecordRules:
@@ -216,15 +140,16 @@ def convert_records(
     Parameters
     ----------
     pieces : iterable of uint8 (n, bytes of a point)
-        The records; may be iterated again. Each piece is only valid until the next is taken.
+        The records. Each piece is only valid until the next is taken.
     chunk : Chunk
         The chunk that they are of.
     rules : RecordRules
     scaling : Scaling
+        Makes finite coordinates of all integers.
     lines : LineRules
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
-    out = CountedRecords(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
+    out = ScaledLinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
     seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64), np.zeros(256, np.int64))
     number = 0
     for records in pieces:
@@ -239,8 +164,6 @@ def convert_records(
         )
         highest = max(abs(low), abs(high))
         stats = PointStats(number, withheld, noise, 0, outside, 0, 0, -1, west, south, east, north, highest)
-    if not math.isfinite(max(abs(side) for side in (stats.west, stats.south, stats.east, stats.north, stats.highest))):
-        stats = replace(stats, **_not_finite(pieces, scaling, chunk.first))
     kept = 0 if stats.bad else kept
     x, y, z, kind, line = out.x[:kept], out.y[:kept], out.z[:kept], out.kind[:kept], out.line[:kept]
     if lines.corrects:
@@ -255,20 +178,6 @@ def convert_records(
     return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums, seen.classes)
 
 
-def _not_finite(pieces: Iterable[Records], scaling: Scaling, first: int) -> dict[str, int]:
-    """Count the points with infinite coordinates, and find the first; ``first`` is the number of the first point."""
-    bad, first_bad = 0, -1
-    for records in pieces:
-        words = np.ascontiguousarray(records[:, :12]).view("<i4")
-        places = np.stack([scaling.coordinates(axis, words[:, axis]) for axis in range(3)])
-        found = np.flatnonzero(~np.isfinite(places).all(axis=0))
-        if len(found) and first_bad < 0:
-            first_bad = first + int(found[0])
-        bad += len(found)
-        first += len(records)
-    return {"not_finite": bad, "first_not_finite": first_bad}
-
-
 class LasSurvey(SurveyReader):
     """A LAS, LAZ or COPC file.
 
@@ -281,15 +190,22 @@ class LasSurvey(SurveyReader):
     def _open(self, options: ReadOptions) -> SurveyInfo:
         path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
-            raw = read_raw_header(stream, path)
-            _refuse_scales(path, raw)
+            self._raw = raw = read_raw_header(stream, path)
+            _refuse_numbers(path, raw)
             place, notes = georeference(
                 Place(path, _middle(raw)), statement_of_las(raw), options.given_crs, options.z_unit
             )
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
-            self._source = _source(stream, path, raw, None if bounds is None else place.metres_per_unit)
+            self._table: ChunkTable | None = None
+            if raw.compressed:
+                self._laszip = laz_record(path, raw)
+                self._table = read_table(stream, path, raw, self._laszip)
+                if raw.is_copc:
+                    unit = None if bounds is None else place.metres_per_unit
+                    self._table = read_octree(stream, path, raw, self._table, unit)
+                self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
         layered = raw.point_format >= LAYERED
@@ -302,43 +218,71 @@ class LasSurvey(SurveyReader):
         return replace(info, parallel=raw.compressed, header_date=raw.created)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
-        """Split the file between points, LAZ chunks, or nodes of the octree."""
-        return self._source.chunks(points)
+        """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""
+        raw, table = self._raw, self._table
+        if table is None:
+            return split_rows(raw.point_count, points, raw.point_size)
+        return group_laz_chunks(self._ends, points, raw.point_size, table.boxes)
 
-    def _fetch(self, chunk: Chunk) -> Records | PlainRecords:
-        """Read and decode the point records of a chunk; uncompressed ones are read when they are converted."""
-        return self._source.fetch(chunk)
+    def _fetch(self, chunk: Chunk) -> Records | Iterator[Records]:
+        """Return the records of a chunk; uncompressed ones of a local file are read when they are converted."""
+        path, raw = self._path, self._raw
+        if self._table is not None:
+            return self._decoded(chunk, self._part(chunk, self._table))
+        if not isinstance(path, str):
+            return _read_pieces(path, raw, chunk)
+        data = read_range(path, raw.offset_to_points + chunk.first * raw.point_size, chunk.points * raw.point_size)
+        held = data.size // raw.point_size
+        if held < chunk.points:
+            refuse_count(path, raw.point_count, chunk.first + held)
+        return data.reshape(held, raw.point_size)
 
-    def _convert(self, chunk: Chunk, fetched: Records | PlainRecords) -> ChunkPoints:
-        pieces = fetched if isinstance(fetched, PlainRecords) else (fetched,)
+    def _decoded(self, chunk: Chunk, part: ChunkTable) -> Records:
+        """Read the bytes of the LAZ chunks of a chunk, adjacent ones with one request, and decode them on all cores."""
+        compressed = decoder().allocate(int(part.sizes.sum()))
+        held = 0
+        gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
+        for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
+            held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
+        refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
+        table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
+        at = 0
+        for points, size in table:
+            check_layers(self._path, self._raw, compressed.data[at : at + size], points)
+            at += size
+        with decoding(self._path, "LAZ chunks"):
+            records = decoder().chunks(self._laszip, table, compressed, chunk.points * self._raw.point_size)
+        return records.reshape(chunk.points, self._raw.point_size)
+
+    def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
+        """Return the LAZ chunks of a chunk, by their offsets in the file."""
+        last = chunk.first + chunk.points - 1
+        first, end = np.searchsorted(self._ends, (chunk.first, last), side="right").tolist()
+        return table.rows(first + np.argsort(table.starts[first : end + 1], kind="stable"))
+
+    def _convert(self, chunk: Chunk, fetched: Records | Iterator[Records]) -> ChunkPoints:
+        pieces = (fetched,) if isinstance(fetched, np.ndarray) else fetched
         converted = convert_records(pieces, chunk, self._rules, self._scaling, self._lines)
-        nodes, bounds = self._source.nodes(chunk), self.info.bounds
-        if isinstance(fetched, PlainRecords) or nodes is None or bounds is None:
+        bounds, table = self.info.bounds, self._table
+        if table is None or table.boxes is None or bounds is None or not isinstance(fetched, np.ndarray):
             return converted
-        outside = count_points_outside_node(fetched, self._scaling, bounds, nodes)
+        outside = count_points_outside_node(fetched, self._scaling, bounds, self._part(chunk, table))
         if not outside:
             return converted
         empty = PointCloud(np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint8))
         return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
 
 
-def _source(stream: BinaryIO, path: Location, raw: RawHeader, metres_per_unit: float | None) -> PlainPoints | LazChunks:
-    """Choose how to read the points; ``metres_per_unit`` is None if the bounds of octree nodes are to be ignored."""
-    if not raw.compressed:
-        return PlainPoints(path, raw)
-    record = laz_record(path, raw)
-    table = read_octree(stream, path, raw, metres_per_unit) if raw.is_copc else read_table(stream, path, raw, record)
-    return LazChunks(path, raw, record, table)
-
-
-def _refuse_scales(path: Location, raw: RawHeader) -> None:
-    for name, values in (("scale", raw.scales), ("offset", raw.offsets)):
-        if not np.isfinite(values).all() or (name == "scale" and 0 in values):
-            shown = ", ".join(f"{value:g}" for value in values)
-            raise BadInputError(
-                f"the header of {path} gives the {name} of x, y and z as {shown}; it must be a finite number"
-                f"{' other than 0' if name == 'scale' else ''}. The file is damaged; export it again"
-            )
+def _refuse_numbers(path: Location, raw: RawHeader) -> None:
+    """Refuse scales and offsets that do not make finite coordinates of all integers."""
+    scaling = Scaling(raw.scales, raw.offsets, (1.0, 1.0, 1.0))
+    ends = [scaling.coordinates(axis, np.array([_LOWEST, _HIGHEST])) for axis in range(3)]
+    if not np.isfinite(ends).all() or 0 in raw.scales:
+        shown = ["; ".join(f"{value:g}" for value in values) for values in (raw.scales, raw.offsets)]
+        raise BadInputError(
+            f"the header of {path} gives the scale of x, y and z as {shown[0]} and the offset as {shown[1]}; scales "
+            "must be other than 0, and coordinates finite. The file is damaged; export it again"
+        )
 
 
 def _middle(raw: RawHeader) -> tuple[float, float, float] | None:

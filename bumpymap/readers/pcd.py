@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PcdTable"]
@@ -59,12 +59,8 @@ class PcdTable(PointTable):
         pose_note = ("its header gives the pose of the sensor (VIEWPOINT), which is not applied",)
         notes = pose_note if head.viewpoint != _NO_POSE else ()
         kind = f"PCD {head.version}, {head.data.value}"
-        info, text = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes), None
-        if is_text:
-            names, places = list(info.find(wanted).values()), list(info.types)
-            dtype = np.dtype([(name, text_type or row[name]) for name in names])
-            text = TextRows(path, data_at, 0, dtype, [places.index(name) for name in names])
-        super().__init__(path, info, data_at, text)
+        info = TableInfo(kind, size, head.points, row, row.itemsize, is_text, notes)
+        super().__init__(path, info, data_at, wanted, text_type=text_type)
 
     @property
     def sequential(self) -> bool:

@@ -3,17 +3,18 @@
 import io
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
 from bumpymap.core import PLY_TYPES, BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, TextRows, Wanted
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PlyTable"]
 
 _LINE_LIMIT, _HEADER_LIMIT = 4096, 4096
+_AXES = "xyz"
 _BYTE_ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 
 
@@ -34,60 +35,6 @@ class PlyElement:
     def dtype(self, byte_order: str) -> np.dtype[np.void]:
         """Return the dtype of its rows, without lists."""
         return np.dtype([(name, byte_order + code) for name, code in self.properties.items() if code is not None])
-
-    def least_bytes(self, byte_order: str) -> int:
-        """Return the minimum size of a row in bytes."""
-        return max(2 * len(self.properties) - 1 if byte_order == "=" else self.dtype(byte_order).itemsize, 1)
-
-
-class PlyHeader(NamedTuple):
-    """The contents of a PLY header that are needed to read its vertices."""
-
-    byte_order: str
-    """``<`` or ``>``; ``=`` for text."""
-    data_at: int
-    """Offset of the data, bytes."""
-    vertex: PlyElement
-    before: tuple[PlyElement, ...]
-    """Elements whose data precedes the vertices."""
-    columns: tuple[str, str, str]
-    """Names of the x, y and z properties."""
-
-
-def read_ply_header(stream: BinaryIO, path: Location) -> PlyHeader:
-    """Read the header of a PLY file from the start of ``stream``.
-
-    Raises
-    ------
-    BadInputError
-        Not a PLY header, or without vertex element or x, y and z.
-    """
-    lines, data_at = _lines(stream, path)
-    with decoding(path, "the header"):
-        byte_order, elements = _parse([line.decode("ascii") for line in lines])
-    place = next((i for i, head in enumerate(elements) if head.name.lower() in {"vertex", "vertices"}), None)
-    if place is None:
-        held = ", ".join(head.name for head in elements) or "nothing"
-        raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
-    vertex = elements[place]
-    names = {name.lower(): name for name in reversed(vertex.properties)}
-    missing = [axis for axis in "xyz" if axis not in names or vertex.properties[names[axis]] is None]
-    if missing:
-        held = ", ".join(vertex.properties) or "no properties"
-        raise BadInputError(
-            f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
-            "x, y and z"
-        )
-    if vertex.count == 0:
-        raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
-    listed = [head for head in elements[:place] if head.lists and byte_order != "="] + [vertex] * bool(vertex.lists)
-    if listed:
-        where = "" if listed[0] is vertex else f" of its element '{listed[0].name}', before its vertices,"
-        raise BadInputError(
-            f"{path} has lists ({', '.join(listed[0].lists)}){where} and is not read: rows of vertices must be of one "
-            "size and come before lists. Export it again with vertices first, and without lists in them"
-        )
-    return PlyHeader(byte_order, data_at, vertex, tuple(elements[:place]), (names["x"], names["y"], names["z"]))
 
 
 def _lines(stream: BinaryIO, path: Location) -> tuple[list[bytes], int]:
@@ -155,35 +102,66 @@ class PlyTable(PointTable):
     path : Path or str
     wanted : dict of str to tuple of str
         See `Wanted`.
+
+    Raises
+    ------
+    BadInputError
+        Not a PLY header, without vertex element or x, y and z, or with more than the file can hold.
     """
 
     nan_is_no_return, searched = False, 1
 
     def __init__(self, path: Location, wanted: Wanted) -> None:
         with open_source(path) as stream, decoding(path, "the header"):
-            header = read_ply_header(stream, path)
+            lines, data_at = _lines(stream, path)
+            order, elements = _parse([line.decode("ascii") for line in lines])
             size = stream.seek(0, io.SEEK_END)
-        _refuse_size(header, path, size)
-        is_text, row = header.byte_order == "=", header.vertex.dtype(header.byte_order)
-        type_names = " ".join(dict.fromkeys(row[name].name for name in header.columns))
-        kind = f"PLY, {_ENDIAN[header.byte_order]}, {type_names}"
-        row_bytes = 8 * len(header.columns) if is_text else row.itemsize
-        info, text, data_at = TableInfo(kind, size, header.vertex.count, row, row_bytes, is_text), None, header.data_at
-        if is_text:
-            names, before = list(info.find(wanted).values()), sum(element.count for element in header.before)
-            dtype, places = np.dtype([(name, np.float64) for name in names]), list(info.types)
-            text = TextRows(path, data_at, before, dtype, [places.index(name) for name in names])
-        else:
-            data_at += sum(element.count * element.dtype(header.byte_order).itemsize for element in header.before)
-        super().__init__(path, info, data_at, text)
+        vertex = _vertices(path, elements)
+        before, is_text = elements[: elements.index(vertex)], order == "="
+        _refuse_lists(path, vertex, [] if is_text else before)
+        room = size - data_at
+        for element in (*before, vertex):
+            row = element.dtype(order)
+            least = max(2 * len(element.properties) - 1 if is_text else row.itemsize, 1)
+            if room // least < element.count:
+                what = "points" if element is vertex else f"'{element.name}'"
+                refuse_count(path, element.count, max(room // least, 0), what)
+            room -= element.count * least
+        types = " ".join(dict.fromkeys(row[name].name for name in row.names or () if name.lower() in _AXES))
+        info = TableInfo(
+            f"PLY, {_ENDIAN[order]}, {types}", size, vertex.count, row, 24 if is_text else row.itemsize, is_text
+        )
+        if not is_text:
+            data_at += sum(element.count * element.dtype(order).itemsize for element in before)
+        skipped = sum(element.count for element in before)
+        super().__init__(path, info, data_at, wanted, skipped=skipped, text_type=np.float64)
 
 
-def _refuse_size(header: PlyHeader, path: Location, size: int) -> None:
-    """Check the declared counts against the size of the file, before memory is allocated for them."""
-    room = size - header.data_at
-    for head in (*header.before, header.vertex):
-        least = head.least_bytes(header.byte_order)
-        held = room // least
-        if held < head.count:
-            refuse_count(path, head.count, max(held, 0), "points" if head is header.vertex else f"'{head.name}'")
-        room -= head.count * least
+def _vertices(path: Location, elements: list[PlyElement]) -> PlyElement:
+    """Return the element of the vertices; refuse one without points or without x, y and z."""
+    vertex = next((head for head in elements if head.name.lower() in {"vertex", "vertices"}), None)
+    if vertex is None:
+        held = ", ".join(head.name for head in elements) or "nothing"
+        raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
+    numbers = {name.lower() for name, code in vertex.properties.items() if code is not None}
+    missing = [axis for axis in _AXES if axis not in numbers]
+    if missing:
+        held = ", ".join(vertex.properties) or "no properties"
+        raise BadInputError(
+            f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
+            "x, y and z"
+        )
+    if vertex.count == 0:
+        raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
+    return vertex
+
+
+def _refuse_lists(path: Location, vertex: PlyElement, before: list[PlyElement]) -> None:
+    """Refuse lists in the vertices, or before them, where rows must be of one size."""
+    listed = [head for head in (*before, vertex) if head.lists]
+    if listed:
+        where = "" if listed[0] is vertex else f" of its element '{listed[0].name}', before its vertices,"
+        raise BadInputError(
+            f"{path} has lists ({', '.join(listed[0].lists)}){where} and is not read: rows of vertices must be of one "
+            "size and come before lists. Export it again with vertices first, and without lists in them"
+        )

@@ -30,7 +30,6 @@ __all__ = [
     "PointTable",
     "TableInfo",
     "TableSurvey",
-    "TextRows",
     "Wanted",
     "convert_points",
     "precision_note",
@@ -39,60 +38,6 @@ __all__ = [
 _BLOCK = 100_000
 
 Floats = NDArray[np.float64]
-
-
-class TextRows:
-    """Lines of numbers separated by whitespace, read one after the other; empty lines are skipped.
-
-    Parameters
-    ----------
-    path : Path or str
-    data_at : int
-        Offset of the first line, bytes.
-    skipped : int
-        Lines before the first row.
-    dtype : dtype
-        Type of a row; only these columns are read.
-    columns : list of int
-        Place of each of its fields in a line.
-    """
-
-    def __init__(
-        self, path: Location, data_at: int, skipped: int, dtype: np.dtype[np.void], columns: list[int]
-    ) -> None:  # fmt: skip
-        self._path, self._data_at, self._skipped, self._dtype, self._columns = path, data_at, skipped, dtype, columns
-        self._stream: Any = None
-        self._next = 0
-
-    def read(self, first: int, count: int) -> NDArray[np.void]:
-        """Return ``count`` rows from row ``first``; fewer at the end of the file."""
-        with decoding(self._path, f"the points from {first:,} on"):
-            if self._stream is None or first < self._next:
-                self.close()
-                binary: Any = open_source(self._path)
-                binary.seek(self._data_at)
-                self._stream, self._next = io.TextIOWrapper(binary, "ascii", errors="replace"), 0
-                deque(islice(self._stream, self._skipped), maxlen=0)
-            while self._next < first and self._load(min(_BLOCK, first - self._next)).size:
-                pass
-            return self._load(count)
-
-    def close(self) -> None:
-        """Close the file until the next ``read``."""
-        if self._stream is not None:
-            self._stream.close()
-            self._stream = None
-
-    def _load(self, count: int) -> NDArray[np.void]:
-        """Read the next rows; fewer at the end of the file."""
-        with warnings.catch_warnings():
-            # "no data": the point count is checked at the end.
-            warnings.simplefilter("ignore", UserWarning)
-            rows: NDArray[np.void] = np.loadtxt(
-                self._stream, dtype=self._dtype, comments=None, usecols=self._columns, max_rows=count, ndmin=1
-            )
-        self._next += len(rows)
-        return rows
 
 
 CLASS_COLUMNS = ("classification", "scalar_classification", "class")
@@ -225,14 +170,20 @@ class TableInfo:
 class PointTable:
     """An open table; subclasses for the formats read its header.
 
+    A text has lines of numbers separated by whitespace, which are read one after the other; empty lines are skipped.
+
     Parameters
     ----------
     path : Path or str
     info : TableInfo
     data_at : int
-        Offset of the first row of a binary table, bytes.
-    text : TextRows or None
-        The rows of a table of text.
+        Offset of the first row, or of the first line of a text, bytes.
+    wanted : dict of str to tuple of str
+        Columns of a text that are read beside x, y and z, see `Wanted`.
+    skipped : int
+        Lines of a text before the first row.
+    text_type : numpy type, optional
+        Type of the numbers of a text; None: as declared in the header.
     """
 
     nan_is_no_return: ClassVar[bool]
@@ -240,32 +191,70 @@ class PointTable:
     searched: ClassVar[int]
     """Rows that are searched for the first valid point."""
 
-    def __init__(self, path: Location, info: TableInfo, data_at: int, text: TextRows | None) -> None:
-        self.path, self.info, self._data_at, self._text = path, info, data_at, text
+    def __init__(
+        self,
+        path: Location,
+        info: TableInfo,
+        data_at: int,
+        wanted: Wanted,
+        *,
+        skipped: int = 0,
+        text_type: type[np.float64] | None = None,
+    ) -> None:
+        self.path, self.info, self._data_at, self._skipped = path, info, data_at, skipped
+        names, places = list(info.find(wanted).values()), list(info.types)
+        self._columns = [places.index(name) for name in names]
+        self._text_row = np.dtype([(name, text_type or info.row[name]) for name in names])
+        self._lines: Any = None
+        self._next = 0
 
     @property
     def sequential(self) -> bool:
         """True if rows can only be read sequentially from the start of the file."""
-        return self._text is not None
+        return self.info.is_text
 
     def rows(self, first: int, count: int) -> Any:
         """Return a structured array of ``count`` rows from row ``first``; fewer at the end of the file."""
-        if self._text is not None:
-            return self._text.read(first, count)
+        if self.info.is_text:
+            return self._text_rows(first, count)
         size = self.info.row.itemsize
         data = read_range(self.path, self._data_at + first * size, count * size)
         return data[: data.size // size * size].view(self.info.row)
 
     def close(self) -> None:
         """Close the file until rows are read again."""
-        if self._text is not None:
-            self._text.close()
+        if self._lines is not None:
+            self._lines.close()
+            self._lines = None
 
     def whole(self) -> Any:
         """Return all rows. Raises BadInputError if there are fewer than the header declares."""
         rows = self.rows(0, self.info.count)
         self.close()
         refuse_count(self.path, self.info.count, len(rows))
+        return rows
+
+    def _text_rows(self, first: int, count: int) -> NDArray[np.void]:
+        with decoding(self.path, f"the points from {first:,} on"):
+            if self._lines is None or first < self._next:
+                self.close()
+                binary: Any = open_source(self.path)
+                binary.seek(self._data_at)
+                self._lines, self._next = io.TextIOWrapper(binary, "ascii", errors="replace"), 0
+                deque(islice(self._lines, self._skipped), maxlen=0)
+            while self._next < first and self._load(min(_BLOCK, first - self._next)).size:
+                pass
+            return self._load(count)
+
+    def _load(self, count: int) -> NDArray[np.void]:
+        """Read the next rows of a text; fewer at the end of the file."""
+        with warnings.catch_warnings():
+            # "no data": the point count is checked at the end.
+            warnings.simplefilter("ignore", UserWarning)
+            rows: NDArray[np.void] = np.loadtxt(
+                self._lines, dtype=self._text_row, comments=None, usecols=self._columns, max_rows=count, ndmin=1
+            )
+        self._next += len(rows)
         return rows
 
 

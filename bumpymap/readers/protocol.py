@@ -1,7 +1,7 @@
 """The readers of surveys: options, header information, chunks of points, the version and the checksum of the file."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -202,26 +202,19 @@ class SurveyReader(ABC):
     def fetch(self, chunk: Chunk) -> Any:
         """Read and decode a chunk, in any order; reading order is fastest.
 
-        Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set. ``convert`` hashes what was read.
+        Call it from one thread at a time, unless ``SurveyInfo.parallel`` is set.
 
         Raises
         ------
         BadInputError
             The chunk is damaged.
         """
-        unhashed = None if self._hash is None else _Unhashed(self._hash)
-        with self._reading(None if unhashed is None else unhashed.add):
-            fetched = self._fetch(chunk)
-        return fetched if unhashed is None else (fetched, unhashed)
+        with self._reading():
+            return self._fetch(chunk)
 
     def convert(self, chunk: Chunk, fetched: Any) -> ChunkPoints:
         """Convert the result of ``fetch`` to points in metres and drop some. Thread-safe; overwrites ``fetched``."""
-        add = None
-        if self._hash is not None:
-            fetched, unhashed = fetched
-            unhashed.finish()
-            add = self._hash.add
-        with self._reading(add):
+        with self._reading():
             return self._convert(chunk, fetched)
 
     def verify(self, stats: PointStats) -> None:
@@ -273,13 +266,13 @@ class SurveyReader(ABC):
         self.verify(stats)
 
     @contextmanager
-    def _reading(self, hashed: Callable[[int, Any], None] | None) -> Iterator[None]:
-        """Read from the file in the body; a change of it is noticed.
+    def _reading(self) -> Iterator[None]:
+        """Read from the file in the body, and hash what is read; a change of it is noticed.
 
         A URL is checked with every response; to ask for its version would cost one more request for each chunk.
         """
         try:
-            with pinned_version(self._path, self._version, hashed):
+            with pinned_version(self._path, self._version, None if self._hash is None else self._hash.add):
                 yield
         except BadInputError:
             if self._hash is not None:
@@ -289,31 +282,8 @@ class SurveyReader(ABC):
             require_unchanged(self._path, self._version)
 
 
-class _Unhashed:
-    """Bytes that were read for a chunk and are hashed later, by another thread, up to a limit."""
-
-    def __init__(self, file_hash: FileHash) -> None:
-        self._hash, self._size = file_hash, 0
-        self._held: list[tuple[int, Any]] = []
-
-    def add(self, start: int, data: Any) -> None:
-        """Keep bytes, or hash them now if too many are kept."""
-        self._size += len(data)
-        if self._size > _MOST_HELD:
-            self._hash.add(start, data)
-        else:
-            self._held.append((start, data))
-
-    def finish(self) -> None:
-        """Hash what is kept."""
-        for start, data in self._held:
-            self._hash.add(start, data)
-
-
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
-_MOST_HELD = 1 << 25
-"""Bytes of a chunk that are kept until they are hashed."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:

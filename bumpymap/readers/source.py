@@ -113,8 +113,6 @@ _HEAD_BYTES = 65_536
 """Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
 """Bytes of each request while a header is read from a server."""
-_LARGEST_PAGE = 1 << 24
-"""Largest page that is read as a list of files, bytes."""
 
 
 def is_url(location: object) -> bool:
@@ -285,15 +283,10 @@ def identity(location: Location) -> dict[str, Any]:
 
 
 def is_folder(url: str) -> bool:
-    """Return whether a URL is a folder."""
+    """Return whether a URL is a folder; a web server has files alone."""
     with _reading(url):
         files, name = remote_files(url)
-        if is_web(url):
-            # fsspec would parse any file as a list of links.
-            _, page = _ask_web(files, name, 0, None)
-            if "html" not in page.get("content-type", "") or not 0 < (page["size"] or 1) <= _LARGEST_PAGE:
-                return False
-        return bool(files.isdir(name))
+        return not is_web(url) and bool(files.isdir(name))
 
 
 def list_folder(url: str) -> list[str]:

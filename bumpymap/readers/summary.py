@@ -4,7 +4,7 @@ All points are read once. Points are counted in every tile. Which pixels hold a 
 the tiles, chosen by a hash of their indices; the sample is halved whenever it grows too large.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Self
 
@@ -18,63 +18,105 @@ from bumpytiles import Bounds, Grid
 
 __all__ = ["PointSummary", "PointSummaryBuilder", "thin_rule"]
 
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
 Rule = Callable[[NDArray[np.bool_]], NDArray[np.bool_]]
 """Pixels that hold a point, (n, pixels, pixels), in; whether a tile can be rated, (n,), out."""
 MOST_PIXELS = 500_000
 """Pixels of the sample at most: more than 2,000 tiles of 15 x 15."""
 GROUP_PIXELS = 4_000_000
+MERGE_AT = 4_000_000
+"""Keys that wait to be merged, at most."""
 _INDEX_MASK = (1 << 23) - 1
 """Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
 _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
-class PixelSample:
-    """The pixels that hold a point, in one of ``step`` tiles; ``step`` is a power of two that grows with the survey."""
+class KeyCounts:
+    """Numbers of points by key, merged from time to time, so that memory grows with the number of keys only.
+
+    Parameters
+    ----------
+    most : int, optional
+        Keys at most: only the keys of one tile in ``step`` are kept, and ``step``, a power of two, grows as necessary.
+    shift : int
+        Bits of a key below the code of its tile.
+    """
+
+    def __init__(self, most: int | None = None, shift: int = 0) -> None:
+        self._most, self._shift, self.step = most, shift, 1
+        self._parts: list[tuple[Ints, Ints]] = []
+        self._waiting = 0
+
+    def add(self, keys: Ints) -> None:
+        """Count points by their keys."""
+        self._append(*np.unique(keys, return_counts=True))
+
+    def merge(self, other: "KeyCounts") -> None:
+        """Add the counts of another file."""
+        self.step = max(self.step, other.step)
+        self._append(*other.total())
+
+    def sampled(self, codes: Ints) -> NDArray[np.bool_]:
+        """Return which tiles are in the sample, by a hash of their codes."""
+        mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
+        return np.asarray((mixed & np.uint64(self.step - 1)) == 0)
+
+    def total(self) -> tuple[Ints, Ints]:
+        """Return the sorted keys, reduced to the size of the sample, and their counts."""
+        keys, counts = (np.concatenate([np.zeros(0, np.int64), *column]) for column in self._columns())
+        order = np.argsort(keys, kind="stable")
+        keys, counts = keys[order], counts[order]
+        first = np.flatnonzero(np.diff(keys, prepend=-1))
+        keys, counts = keys[first], np.add.reduceat(counts, first) if first.size else counts
+        while True:
+            kept = self.sampled(keys >> self._shift)
+            keys, counts = keys[kept], counts[kept]
+            few = self._most is None or keys.size <= self._most
+            if few or keys[0] >> self._shift == keys[-1] >> self._shift:
+                self._parts, self._waiting = [(keys, counts)], 0
+                return keys, counts
+            self.step *= 2
+
+    def _columns(self) -> Iterable[tuple[Ints, ...]]:
+        return zip(*self._parts, strict=True) if self._parts else ((), ())
+
+    def _append(self, keys: Ints, counts: Ints) -> None:
+        self._parts.append((keys, counts))
+        self._waiting += keys.size
+        if self._waiting > (MERGE_AT if self._most is None else 3 * self._most):
+            self.total()
+
+
+class TileCounts:
+    """Points of every tile, and in a sample of the tiles the pixels that hold one."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
-        self._parts: list[NDArray[np.int64]] = []
-        """Codes of pixels: column and row of the tile in 23 bits each, then the pixel index in 16 bits."""
-        self._waiting = 0
-        self.step = 1
+        self.tiles, self.pixels = KeyCounts(), KeyCounts(MOST_PIXELS, shift=16)
 
-    def add_points(self, keys: NDArray[np.int64], easting: NDArray[np.float64], northing: NDArray[np.float64]) -> None:
-        """Add points by the keys of their tiles and their coordinates [m]."""
-        codes = _codes(keys)
-        chosen = _sampled(codes, self.step)
+    def add(self, codes: Ints, easting: Floats, northing: Floats) -> None:
+        """Add points by the codes of their tiles and their coordinates [m]."""
+        self.tiles.add(codes)
+        chosen = self.pixels.sampled(codes)
         pixel = self._pixel(easting[chosen]) * self._grid.pixels + self._pixel(northing[chosen])
-        self._add(_distinct((codes[chosen] << 16) | pixel))
+        self.pixels.add((codes[chosen] << 16) | pixel)
 
-    def merge(self, other: "PixelSample") -> None:
-        """Add the pixels of another sample, on the same grid."""
-        self.step = max(self.step, other.step)
-        self._add(other.merged())
+    def merge(self, other: "TileCounts") -> None:
+        """Add the points of another file, on the same grid."""
+        self.tiles.merge(other.tiles)
+        self.pixels.merge(other.pixels)
 
-    def _add(self, places: NDArray[np.int64]) -> None:
-        self._parts.append(places)
-        self._waiting += places.size
-        if self._waiting > 3 * MOST_PIXELS:
-            self._parts, self._waiting = [self.merged()], 0
-
-    def merged(self) -> NDArray[np.int64]:
-        """Merge the parts, and reduce the sample until it has few enough pixels."""
-        places = _distinct(np.concatenate([np.zeros(0, np.int64), *self._parts]))
-        places = places[_sampled(places >> 16, self.step)]
-        while places.size > MOST_PIXELS and places[0] >> 16 != places[-1] >> 16:
-            self.step *= 2
-            places = places[_sampled(places >> 16, self.step)]
-        return places
-
-    def _pixel(self, axis: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _pixel(self, axis: Floats) -> Ints:
         """Return the column or row of the pixel within its tile."""
         offset = (axis / self._grid.tile_size - self._grid.index(axis)) * self._grid.pixels
         return np.clip(offset.astype(np.int64), 0, self._grid.pixels - 1)
 
-    def share_unknown(self, keys: NDArray[np.int64], *rules: Rule) -> float:
+    def share_unknown(self, codes: Ints, *rules: Rule) -> float:
         """Return the share of these tiles, of those in the sample, that fulfil none of the rules."""
         px, size = self._grid.pixels, self._grid.pixels**2
-        places = self.merged()
-        tiles = np.intersect1d(_distinct(places >> 16), _codes(keys), assume_unique=True)
+        places, _ = self.pixels.total()
+        tiles = np.intersect1d(np.unique(places >> 16), codes, assume_unique=True)
         bad, group = 0, max(1, GROUP_PIXELS // size)
         for first in range(0, tiles.size, group):
             part = tiles[first : first + group]
@@ -125,29 +167,6 @@ def _filled(known: NDArray[np.bool_], depth: int) -> NDArray[np.bool_]:
     return np.asarray(known.all(axis=(1, 2)))
 
 
-def _codes(keys: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return 46-bit codes of tile keys: column and row in 23 bits each."""
-    rows = ((keys + (1 << 31)) & 0xFFFFFFFF) - (1 << 31)
-    codes: NDArray[np.int64] = (((keys - rows) >> 32 & _INDEX_MASK) << 23) | (rows & _INDEX_MASK)
-    return codes
-
-
-def _distinct(values: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the sorted unique values; ``np.unique`` hashes, which is ten times slower if most values differ."""
-    ordered = np.sort(values)
-    return ordered[np.diff(ordered, prepend=-1) > 0]
-
-
-def _sampled(codes: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
-    """Return which tiles are in a sample of one in ``step``, by a hash of their codes."""
-    mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
-    chosen: NDArray[np.bool_] = (mixed & np.uint64(step - 1)) == 0
-    return chosen
-
-
-MERGE_AT = 4_000_000
-
-
 @dataclass(frozen=True, slots=True)
 class PointSummary:
     """Statistics of the points (without dropped ones) and of the tiles that hold them."""
@@ -190,8 +209,7 @@ class PointSummaryBuilder:
 
     def __init__(self, grid: Grid, settings: FeatureSettings, *, thin: bool = True) -> None:
         self._grid, self._settings, self._thin = grid, settings, thin
-        self.all_points, self.ground = _Counts(), _Counts()
-        self.all_pixels, self.ground_pixels = PixelSample(grid), PixelSample(grid)
+        self.all_points, self.ground = TileCounts(grid), TileCounts(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self.lines = LineSums()
         """Sums to compare flight lines, if the readers make them."""
@@ -208,31 +226,27 @@ class PointSummaryBuilder:
             axes = (cloud.easting, cloud.northing, cloud.upward)
             self.low = np.minimum(self.low, [axis.min() for axis in axes])
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
-            keys, ground = _keys(cloud, self._grid), cloud.is_ground
-            self.all_points.add(keys)
-            self.ground.add(keys[ground])
-            self.all_pixels.add_points(keys, cloud.easting, cloud.northing)
+            codes, ground = _tile_codes(cloud, self._grid), cloud.is_ground
+            self.all_points.add(codes, cloud.easting, cloud.northing)
             if ground.any():
-                self.ground_pixels.add_points(keys[ground], cloud.easting[ground], cloud.northing[ground])
+                self.ground.add(codes[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
         self.lines = self.lines.merge(reader.lines)
         return self
 
     def merge(self, other: "PointSummaryBuilder") -> None:
         """Add the points of another file, on the same grid."""
-        for mine, theirs in ((self.all_points, other.all_points), (self.ground, other.ground)):
-            mine.merge(theirs)
-        for sample, its in ((self.all_pixels, other.all_pixels), (self.ground_pixels, other.ground_pixels)):
-            sample.merge(its)
+        self.all_points.merge(other.all_points)
+        self.ground.merge(other.ground)
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         self.lines = self.lines.merge(other.lines)
 
     def summary(self) -> PointSummary | None:
         """Return the summary; None if there are no points."""
-        keys, counts = self.all_points.total()
+        _, counts = self.all_points.tiles.total()
         if counts.size == 0:
             return None
-        ground_keys, ground_counts = self.ground.total()
+        _, ground_counts = self.ground.tiles.total()
         median, points, low, high = float(np.median(counts)), int(counts.sum()), self.low, self.high
         without = counts.size - ground_counts.size
         return PointSummary(
@@ -246,56 +260,26 @@ class PointSummaryBuilder:
             ground_points_per_tile=float(np.median(np.pad(ground_counts, (0, without)))),
             ground_share=int(ground_counts.sum()) / points,
             ground_tiles=ground_counts.size,
-            unknown=self._unknown(keys, counts, self.all_pixels),
-            ground_unknown={Reason.NO_GROUND: float(without)}
-            | self._unknown(ground_keys, ground_counts, self.ground_pixels),
+            unknown=self._unknown(self.all_points),
+            ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
         )
 
-    def _unknown(self, keys: NDArray[np.int64], counts: NDArray[np.int64], pixels: PixelSample) -> dict[Reason, float]:
+    def _unknown(self, held: TileCounts) -> dict[Reason, float]:
         """Count tiles with too few points; estimate from the sample how many others have holes."""
+        codes, counts = held.tiles.total()
         dense_enough = counts >= self._settings.min_points
         thin_enough = (counts >= THIN_POINTS) & self._thin
         dense = dense_rule(self._settings, self._grid.pixel_size)
 
         def estimate(tiles: NDArray[np.bool_], *rules: Rule) -> float:
-            return pixels.share_unknown(keys[tiles], *rules) * float(tiles.sum()) if tiles.any() else 0.0
+            return held.share_unknown(codes[tiles], *rules) * float(tiles.sum()) if tiles.any() else 0.0
 
         few = float((~dense_enough & ~thin_enough).sum()) + estimate(~dense_enough & thin_enough, thin_rule)
         holes = estimate(dense_enough & ~thin_enough, dense) + estimate(dense_enough & thin_enough, dense, thin_rule)
         return {Reason.TOO_FEW_POINTS: few, Reason.TOO_MANY_HOLES: holes}
 
 
-class _Counts:
-    """Counts by key, merged from time to time so that memory grows with the number of keys only."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[NDArray[np.int64], NDArray[np.int64]]] = []
-        self._waiting = 0
-
-    def add(self, keys: NDArray[np.int64]) -> None:
-        self._append(*np.unique(keys, return_counts=True))
-
-    def merge(self, other: "_Counts") -> None:
-        self._append(*other.total())
-
-    def total(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return the sorted keys and their counts."""
-        if not self._parts:
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
-        values = np.concatenate([part[0] for part in self._parts])
-        counts = np.concatenate([part[1] for part in self._parts])
-        keys, place = np.unique(values, return_inverse=True)
-        return keys, np.bincount(place, weights=counts, minlength=keys.size).astype(np.int64)
-
-    def _append(self, values: NDArray[np.int64], counts: NDArray[np.int64]) -> None:
-        self._parts.append((values, counts))
-        self._waiting += values.size
-        if self._waiting > MERGE_AT:
-            self._parts = [self.total()]
-            self._waiting = 0
-
-
-def _keys(cloud: PointCloud, grid: Grid) -> NDArray[np.int64]:
-    """Return tile keys: column and row in 32 bits each, enough for all allowed coordinates and tiles from 1.5 m."""
-    keys: NDArray[np.int64] = (grid.index(cloud.easting) << 32) + grid.index(cloud.northing)
-    return keys
+def _tile_codes(cloud: PointCloud, grid: Grid) -> Ints:
+    """Return 46-bit codes of tiles: column and row in 23 bits each."""
+    col, row = (grid.index(axis) & _INDEX_MASK for axis in (cloud.easting, cloud.northing))
+    return (col << 23) | row

@@ -62,8 +62,9 @@ class Pieces(NamedTuple):
 @helper
 def _cost_of(cost: Costs, row: int, col: int) -> float:
     """Cost of a tile; infinite outside the window."""
-    inside = 0 <= row < cost.shape[0] and 0 <= col < cost.shape[1]
-    return float(cost[row, col]) if inside else math.inf
+    if row < 0 or col < 0 or row >= cost.shape[0] or col >= cost.shape[1]:
+        return math.inf
+    return float(cost[row, col])
 
 
 @helper
@@ -96,6 +97,12 @@ def _dearer_shift(cost: Costs, r: float, c: float, row: int, col: int) -> tuple[
 
 
 @helper
+def _dearer_beside(cost: Costs, r0: float, c0: float, dr: float, dc: float, row: int, col: int) -> float:
+    up, left = _dearer_shift(cost, r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan, row, col)
+    return _cost_of(cost, row - up, col - left)
+
+
+@helper
 def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit: float) -> float:
     """Exact integral of the cost along a segment; infinite as soon as it passes ``limit``.
 
@@ -103,27 +110,36 @@ def segment_cost(cost: Costs, r0: float, c0: float, r1: float, c1: float, limit:
     """
     dr, dc = r1 - r0, c1 - c0
     length = math.sqrt(dr * dr + dc * dc)
-    row, col = _first_tile(r0, dr), _first_tile(c0, dc)
-    down, right = 1 if dr > 0.0 else -1, 1 if dc > 0.0 else -1
-    along_r, along_c = r0 if dr == 0.0 else math.nan, c0 if dc == 0.0 else math.nan
-    next_r, next_c = _crossing(r0, dr, row), _crossing(c0, dc, col)
+    # Whole numbers as floats: to convert each to an integer and back takes longer than a tile.
+    north, west = np.floor(r0), np.floor(c0)
+    north -= 1.0 if dr < 0.0 and north == r0 else 0.0
+    west -= 1.0 if dc < 0.0 and west == c0 else 0.0
+    row, col = int(north), int(west)
+    keeps = dr == 0.0 or dc == 0.0
+    if north <= r1 <= north + 1.0 and west <= c1 <= west + 1.0 and not keeps:  # in one tile: nothing to divide
+        total = length * _cost_of(cost, row, col) if length > _SLIVER else 0.0
+        return total if total <= limit else math.inf
+    down, right = 1.0 if dr > 0.0 else -1.0, 1.0 if dc > 0.0 else -1.0
+    r_edge, c_edge = north + max(down, 0.0), west + max(right, 0.0)
+    next_r, next_c = (r_edge - r0) / dr if dr != 0.0 else 2.0, (c_edge - c0) / dc if dc != 0.0 else 2.0
     total, t = 0.0, 0.0
     while True:
         end = min(next_r, next_c, 1.0)
         piece = (end - t) * length
         if piece > _SLIVER:
-            up, left = _dearer_shift(cost, along_r, along_c, row, col)
-            total += piece * _cost_of(cost, row - up, col - left)
+            total += piece * (_dearer_beside(cost, r0, c0, dr, dc, row, col) if keeps else _cost_of(cost, row, col))
             if not total <= limit:
                 return math.inf
         if end >= 1.0:
             return total
         if next_r <= end:
-            row += down
-            next_r = _crossing(r0, dr, row)
+            row += 1 if dr > 0.0 else -1
+            r_edge += down
+            next_r = (r_edge - r0) / dr
         if next_c <= end:
-            col += right
-            next_c = _crossing(c0, dc, col)
+            col += 1 if dc > 0.0 else -1
+            c_edge += right
+            next_c = (c_edge - c0) / dc
         t = max(t, end)
 
 

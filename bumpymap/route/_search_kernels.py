@@ -2,9 +2,9 @@
 
 A* with a heap of four children a node, in which a tile stands once and moves up when a cheaper way to it is found. The
 window is flattened row by row and has a ring of closed tiles as wide as the longest move, so that no move has to look
-where the window ends. Moves are many and most lead to tiles that are settled or have been reached for less than the
-move costs at least: both are asked before the integral over all its tiles. What lies beside a move is looked at last,
-and only where any tile in reach is closed.
+where the window ends. Moves are many and most come too near to a closed tile, or lead to tiles that are settled or have
+been reached for less than the move costs at least: all that is asked before the integral over its tiles. Closed tiles
+around the start of a move are the bits of two numbers, as are the tiles that must be open for it.
 """
 
 import math
@@ -16,18 +16,16 @@ from numpy.typing import NDArray
 from bumpytiles import helper, kernel
 
 __all__ = [
-    "BETWEEN_OBSTACLES",
     "FROM_START",
     "NEW",
     "NOT_REACHED",
+    "REACH",
     "SETTLED",
     "Ground",
     "MoveTables",
     "Reached",
     "Seeds",
-    "mark_crowded",
     "search",
-    "walk_back",
 ]
 
 Floats = NDArray[np.float64]
@@ -35,13 +33,13 @@ Integers = NDArray[np.int64]
 Tiles = NDArray[np.int32]
 Bytes = NDArray[np.uint8]
 
-BETWEEN_OBSTACLES = 253
-"""In place of a move: the way leads over areas of tiles, where there are no moves."""
 FROM_START = 254
 """In place of a move: straight from the start."""
 NOT_REACHED = 255
 NEW, SETTLED = -1, -2
 """Values of ``Reached.place``: not met so far; its cost is final."""
+REACH = 4
+"""Tiles that a move goes at most, along each axis."""
 _CHILDREN = 4
 
 
@@ -60,10 +58,10 @@ class MoveTables(NamedTuple):
     """From the tile where the move starts to one that it crosses."""
     piece_length: Annotated[Floats, 1]
     """Length in that tile, tiles."""
-    first_near: Annotated[Integers, 1]
-    """(k + 1,) where a move's near tiles start in the next one."""
-    near: Annotated[Integers, 1]
-    """To the tiles that must be open, those that it crosses included."""
+    near_north: Annotated[Integers, 1]
+    """(k,) tiles that must be open, those that it crosses included, as bits of the north half around the start."""
+    near_south: Annotated[Integers, 1]
+    """(k,) the same of the south half."""
 
 
 class Ground(NamedTuple):
@@ -71,8 +69,8 @@ class Ground(NamedTuple):
 
     cost: Annotated[NDArray[np.float32], 1]
     """(n,) per tile of length; infinite where closed."""
-    crowded: Annotated[Bytes, 1]
-    """(n,) whether a closed tile lies within the reach of a move."""
+    closed: Annotated[Bytes, 1]
+    """A bit for each tile, from the least of a byte on: whether it is closed; one byte more than these take."""
     width: int
     """Columns."""
     goal_row: float
@@ -182,13 +180,14 @@ def _offer(ground: Ground, reached: Reached, tile: int, g: float, move: int, siz
 
 
 @helper
-def _is_near(ground: Ground, moves: MoveTables, k: int, tile: int) -> bool:
-    """Return whether a move comes too near to a closed tile."""
-    if ground.crowded[tile]:
-        for i in range(moves.first_near[k], moves.first_near[k + 1]):
-            if not ground.cost[tile + moves.near[i]] < math.inf:
-                return True
-    return False
+def _closed_around(ground: Ground, tile: int, first: int, last: int) -> int:
+    """Return which tiles are closed in some rows around a tile: nine bits a row, the first row's the highest."""
+    found = np.int64(0)
+    for row in range(first, last):
+        at = tile + row * ground.width - REACH
+        two = np.int64(ground.closed[at >> 3]) | np.int64(ground.closed[(at >> 3) + 1]) << 8
+        found = found << (2 * REACH + 1) | (two >> (at & 7)) & ((1 << (2 * REACH + 1)) - 1)
+    return int(found)
 
 
 @helper
@@ -230,54 +229,11 @@ def search(ground: Ground, moves: MoveTables, seeds: Seeds, reached: Reached) ->
             _sink(reached, size, int(np.int64(reached.heap[size])), reached.key[size])
         _try_exit(ground, seeds, reached, tile)
         g = reached.g[tile]
+        north, south = _closed_around(ground, tile, -REACH, 1), _closed_around(ground, tile, 1, REACH + 1)
         for k in range(moves.step.shape[0]):
             to = tile + moves.step[k]
-            if reached.place[to] == SETTLED:
+            if north & moves.near_north[k] or south & moves.near_south[k] or reached.place[to] == SETTLED:
                 continue
             total = g + _move_cost(ground, moves, k, tile, reached.g[to] - g)
-            if total < reached.g[to] and not _is_near(ground, moves, k, tile):
+            if total < reached.g[to]:
                 size = _offer(ground, reached, to, total, k, size)
-
-
-@kernel
-def mark_crowded(
-    cost: Annotated[NDArray[np.float32], 2], reach: int, lately: Annotated[Integers, 1], out: Annotated[Bytes, 2]
-) -> None:
-    """Fill, within a ring as wide as ``reach``, whether a closed tile lies in the square of that reach.
-
-    ``lately`` (cols,) of zeros is scratch: a bit for each of the last rows that has a closed tile within reach.
-    """
-    rows, cols = cost.shape
-    bits = (1 << (2 * reach + 1)) - 1
-    for r in range(rows):
-        last = -1
-        for c in range(cols):
-            last = c if not cost[r, c] < math.inf else last
-            if c >= 2 * reach:
-                middle = c - reach
-                lately[middle] = (lately[middle] << 1 | (last >= c - 2 * reach)) & bits
-                if r >= 2 * reach:
-                    out[r - reach, middle] = lately[middle] != 0
-
-
-@kernel
-def walk_back(
-    back: Annotated[Bytes, 2],
-    moves: Annotated[Integers, 2],
-    row: int,
-    col: int,
-    path: Annotated[Integers, 2],
-    count: Annotated[Integers, 1],
-) -> None:
-    """Fill (n, 2) the tiles of a way from a tile back to the start, as many as there is room for; count all of them."""
-    n = 0
-    while True:
-        if n < path.shape[0]:
-            path[n, 0], path[n, 1] = row, col
-        n += 1
-        k = back[row, col]
-        if k >= moves.shape[0]:
-            break
-        row -= moves[k, 0]
-        col -= moves[k, 1]
-    count[0] = n

@@ -14,11 +14,11 @@ from operator import itemgetter
 import numpy as np
 
 from bumpymap.route.ground import WornTiles
-from bumpymap.route.planner import PlannedWay
+from bumpymap.route.measure import MeasuredWay
 
 __all__ = ["find_alternatives"]
 
-Plan = Callable[[float, WornTiles | None], PlannedWay | None]
+Plan = Callable[[float, WornTiles | None], MeasuredWay | None]
 """Plans a way with a weight of the hazard [m]; tiles of earlier ways may be dearer."""
 
 _SAFEST_RISK = 1e6
@@ -32,12 +32,12 @@ _DEAREST = 3.0
 """Ways that cost more than this many times the best are not proposed."""
 
 
-def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[PlannedWay, float]]:
+def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[MeasuredWay, float]]:
     """Find up to ``count`` ways, the best first, the others by cost.
 
     ``plan``: plans a way; ``count``: number of ways wanted; ``risk``: weight of the hazard [m] by which the best one is
-    the cheapest. Returns (PlannedWay, float): ways, and the weight of the hazard that each was planned with. Fewer than
-    ``count`` if there are no more; none if there is no way.
+    the cheapest. Returns (MeasuredWay, float): ways, and the weight of the hazard that each was planned with; fewer
+    than ``count`` if there are no more; none if there is no way.
     """
     best = plan(risk, None)
     if best is None:
@@ -56,7 +56,7 @@ def find_alternatives(plan: Plan, count: int, risk: float) -> list[tuple[Planned
     return [found[0], *sorted(found[1:], key=lambda each: _cost(each[0]))]
 
 
-def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, float]]:
+def _hull(plan: Plan, best: MeasuredWay, risk: float) -> list[tuple[MeasuredWay, float]]:
     """Return the ways on the hull, the least ride cost first."""
     ends = [(plan(0.0, None), 0.0), (best, risk), (plan(_SAFEST_RISK, None), _SAFEST_RISK)]
     known = sorted(((way, at) for way, at in ends if way is not None), key=itemgetter(1))
@@ -75,23 +75,23 @@ def _hull(plan: Plan, best: PlannedWay, risk: float) -> list[tuple[PlannedWay, f
 _MOST_ON_HULL = 12
 
 
-def _between(plan: Plan, left: PlannedWay, right: PlannedWay, risk: float) -> tuple[PlannedWay, float] | None:
+def _between(plan: Plan, left: MeasuredWay, right: MeasuredWay, risk: float) -> tuple[MeasuredWay, float] | None:
     """Return a way of the hull between two of its ways; None if they are neighbours."""
     more_ride = _ride(right, risk) - _ride(left, risk)
-    less_hazard = left.measured.figures.hazard - right.measured.figures.hazard
+    less_hazard = left.figures.hazard - right.figures.hazard
     if more_ride <= 0 or less_hazard <= 0:
         return None
     weight = more_ride / less_hazard
     way = plan(weight, None)
     if way is None:
         return None
-    line = _ride(left, risk) + weight * left.measured.figures.hazard
-    if _ride(way, risk) + weight * way.measured.figures.hazard > line * (1 - 1e-4):
+    line = _ride(left, risk) + weight * left.figures.hazard
+    if _ride(way, risk) + weight * way.figures.hazard > line * (1 - 1e-4):
         return None
     return way, weight
 
 
-def _spread_out(ways: list[tuple[PlannedWay, float]], count: int) -> list[tuple[PlannedWay, float]]:
+def _spread_out(ways: list[tuple[MeasuredWay, float]], count: int) -> list[tuple[MeasuredWay, float]]:
     """Order ways of the hull: the safest, the one that costs least without risk, then those between them."""
     if len(ways) <= 2:
         return ways[::-1]
@@ -100,9 +100,9 @@ def _spread_out(ways: list[tuple[PlannedWay, float]], count: int) -> list[tuple[
     return [ways[-1], ways[0], *inner[::step], *(way for at, way in enumerate(inner) if at % step)]
 
 
-def _elsewhere(plan: Plan, found: list[tuple[PlannedWay, float]], risk: float) -> PlannedWay | None:
+def _elsewhere(plan: Plan, found: list[tuple[MeasuredWay, float]], risk: float) -> MeasuredWay | None:
     """Return a way that shares little with the ways before it; None if there is none that is not much dearer."""
-    tiles = np.unique(np.concatenate([way.measured.tiles for way, _ in found]), axis=0)
+    tiles = np.unique(np.concatenate([way.tiles for way, _ in found]), axis=0)
     for factor in _FACTORS:
         way = plan(risk, WornTiles(tiles, factor))
         if way is None or _cost(way) > _DEAREST * _cost(found[0][0]):
@@ -112,15 +112,15 @@ def _elsewhere(plan: Plan, found: list[tuple[PlannedWay, float]], risk: float) -
     return None
 
 
-def _differs(way: PlannedWay, found: list[tuple[PlannedWay, float]], share: float) -> bool:
+def _differs(way: MeasuredWay, found: list[tuple[MeasuredWay, float]], share: float) -> bool:
     return all(way.shared(other) <= share for other, _ in found)
 
 
-def _cost(way: PlannedWay) -> float:
-    return way.measured.figures.cost_m
+def _cost(way: MeasuredWay) -> float:
+    return way.figures.cost_m
 
 
-def _ride(way: PlannedWay, risk: float) -> float:
+def _ride(way: MeasuredWay, risk: float) -> float:
     """Return the cost of a way without its risk, m."""
-    figures = way.measured.figures
+    figures = way.figures
     return figures.cost_m - risk * figures.hazard

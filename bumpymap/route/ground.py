@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,80 +14,22 @@ from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.search import BYTES_PER_TILE, find_way
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.straighten import is_clear
-from bumpytiles import TileWindow
+from bumpytiles import Grid, TileWindow
 
 __all__ = [
     "PIXEL_MARGIN",
     "CostGround",
     "WornTiles",
-    "cost_of",
     "points_along",
+    "sample_line",
     "stretches",
     "window_around",
 ]
 
-_STRIP = 256
-"""Rows that are computed at once, so that the float64 arrays in between stay small."""
-
-
-def cost_of(
-    field: TileField,
-    *,
-    risk_m: float | None = None,
-    robust: bool = False,
-    unknown_cost: float | None = None,
-    closed: NDArray[np.bool_] | None = None,
-    through: bool = False,
-) -> NDArray[np.float32]:
-    """Return the cost of one metre on each tile: ``1 + ride_weight c_r + risk_m hazard``; infinite where closed.
-
-    Closed are tiles that are not passable, and those in ``closed``. Unknown tiles, which hold points but
-    have no class, are closed unless ``unknown_cost`` is given; even then, those in which an obstacle was seen. Tiles
-    without points are closed in any case: around a survey there are as many of them as its bounding rectangle
-    happens to hold, and inside it they are mostly water and shade, of which nothing at all is known.
-
-    Parameters
-    ----------
-    field : TileField
-        (rows, cols) tiles. Only ``barred``, ``p_fail`` and ``c_r`` (``c_r_high`` if ``robust``) are used, and
-        ``obstacle`` of unknown tiles.
-    risk_m : float, optional
-        The detour that one certain failure is worth, m; default: ``fail_weight`` of the vehicle, which gives the
-        values of cost.tif. An unknown hazard counts as 0.
-    robust : bool
-        Plan on ``c_r_high``, the upper end of the interval, in the place of ``c_r``. A tile without one is closed.
-    unknown_cost : float, optional
-        Cost of a metre on unknown tiles, at least 1.
-    closed : bool array (rows, cols), optional
-        Tiles that no way may enter.
-    through : bool
-        Leave tiles open that obstacles or unseen pixels close: a way leads through them where the vehicle fits.
-
-    Returns
-    -------
-    float32 (rows, cols)
-        At least 1.
-    """
-    rule = field.rule
-    risk = rule.fail_weight if risk_m is None else risk_m
-    weighed = type(rule)(rule.ride_weight, risk, rule.drive_m, rule.slope_limit_deg)
-    shaking = field.c_r_high if robust else field.c_r
-    cost = np.empty(field.barred.shape, np.float32)
-    for start in range(0, len(cost), _STRIP):
-        rows = slice(start, start + _STRIP)
-        barred = field.barred[rows]
-        factor = weighed.cost(shaking[rows].astype(np.float64), weighed.hazard(field.p_fail[rows]))
-        is_closed = (~np.isin(barred, OPEN_THROUGH) if through else barred != Barred.NO) | ~np.isfinite(factor)
-        cost[rows] = np.where(is_closed, np.inf, factor)
-        if unknown_cost is not None:
-            cost[rows][(barred == Barred.UNKNOWN) & ~(field.obstacle[rows] > 0.0)] = unknown_cost
-    if closed is not None:
-        cost[closed] = np.inf
-    return cost
-
-
 Floats = NDArray[np.float64]
 
+_STRIP = 256
+"""Rows of costs that are computed at once, so that the float64 arrays in between stay small."""
 PIXEL_MARGIN = 0.2
 """Distance of lines from closed pixels, pixels: half the vehicle's width is then free beside every point of a line."""
 LEAST_SAVING_M = 0.003
@@ -101,10 +43,10 @@ _TIGHT_M = 0.46
 """Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
 _TOUCHING = 100.0
 """Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
-_CORNERS, _CORNER_TILES = 64, 24
-"""Consecutive corners that are looked at together: at most so many, as far from the first."""
-_STRETCH_TILES = 48
+_STRETCH_TILES = 32
 """Longest stretch of a line that is looked at together, tiles."""
+_STEP = 0.5
+"""Distance of the points of a line that are examined, in pixels."""
 _MOST_POINTS = 8192
 """Points of a line that a stretch of it has at most."""
 
@@ -153,30 +95,20 @@ class CostGround:
         return self.site.rule.fail_weight if self.settings.risk is None else self.settings.risk
 
     @property
-    def reach_m(self) -> float:
-        """Distance that the middle of the vehicle keeps from obstacles, m."""
-        return self.site.vehicle.reach_m
-
-    @property
     def joins_corners(self) -> bool:
         """True if it can go from one free pixel to another that touches it at a corner alone."""
-        return corners_join(self.site.vehicle.width_m, self.reach_m, self.site.grid.pixel_size)
+        return corners_join(self.site.vehicle.width_m, self.site.vehicle.reach_m, self.site.grid.pixel_size)
 
     @property
     def margin(self) -> float:
         """Distance that it keeps from closed tiles, in tiles: the same, or less if the tiles are small."""
-        return min(self.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
+        return min(self.site.vehicle.reach_m / self.site.grid.tile_size, _MOST_MARGIN)
 
     @property
     def bands(self) -> tuple[str, ...]:
         """Bands of the map on which the cost depends, besides what bars tiles."""
         obstacle = () if self.settings.unknown is None else ("obstacle",)
         return ("c_r_high" if self.settings.robust else "c_r", "p_fail", *obstacle)
-
-    @property
-    def has_areas(self) -> bool:
-        """True if there are areas to avoid, or to stay in."""
-        return self.avoid is not None or self.only is not None
 
     @property
     def memory_bytes(self) -> int:
@@ -191,24 +123,36 @@ class CostGround:
         return self.of_field(self.site.read(window, self.bands), through=through)
 
     def of_field(self, tiles: TileField, *, through: bool = True) -> NDArray[np.float32]:
-        """Return the same for tiles that have been read."""
-        window, grid = tiles.window, self.site.grid
-        closed = None if self.avoid is None else tiles_in(self.avoid, window, grid)
+        """Return the same for tiles that have been read: ``1 + ride_weight c_r + risk hazard``, at least 1.
+
+        Closed are tiles that are not passable, by their ground or, unless ``through``, by what obstacles leave of them,
+        and those that the areas close. With the risk of the vehicle profile these are the values of cost.tif. Unknown
+        tiles, which hold points but have no class, are closed unless the settings give their cost; even then, those in
+        which an obstacle was seen. Tiles without points are closed in any case: around a survey there are as many of
+        them as its bounding rectangle happens to hold, and inside it they are mostly water and shade, of which nothing
+        at all is known. An unknown hazard counts as 0; a robust plan takes the upper end of the interval of c_r.
+        """
+        rule, settings = tiles.rule, self.settings
+        risk = self.risk if self.risk is not None else settings.risk
+        weighed = rule if risk is None else replace(rule, fail_weight=risk)
+        shaking = tiles.c_r_high if settings.robust else tiles.c_r
+        cost = np.empty(tiles.barred.shape, np.float32)
+        for start in range(0, len(cost), _STRIP):
+            rows = slice(start, start + _STRIP)
+            barred = tiles.barred[rows]
+            factor = weighed.cost(shaking[rows].astype(np.float64), weighed.hazard(tiles.p_fail[rows]))
+            is_open = np.isin(barred, OPEN_THROUGH) if through or self.touching else barred == Barred.NO
+            cost[rows] = np.where(is_open & np.isfinite(factor), factor, np.inf)
+            if settings.unknown is not None:
+                cost[rows][(barred == Barred.UNKNOWN) & ~(tiles.obstacle[rows] > 0.0)] = settings.unknown
+        if self.avoid is not None:
+            cost[tiles_in(self.avoid, tiles.window, tiles.grid)] = np.inf
         if self.only is not None:
-            outside = ~tiles_within(self.only, window, grid)
-            closed = outside if closed is None else closed | outside
-        cost = cost_of(
-            tiles,
-            risk_m=self.risk_m if self.risk is None else self.risk,
-            robust=self.settings.robust,
-            unknown_cost=self.settings.unknown,
-            closed=closed,
-            through=through or self.touching,
-        )
+            cost[~tiles_within(self.only, tiles.window, tiles.grid)] = np.inf
         if self.touching and not through:
             cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= _TOUCHING
         if self.worn is not None:
-            cost *= self.worn.factors(window)
+            cost *= self.worn.factors(tiles.window)
         return cost
 
     def on_pixels(self, window: TileWindow) -> NDArray[np.float32]:
@@ -240,10 +184,10 @@ class CostGround:
         """
         crosses_unknown = self.settings.unknown is not None
         free = np.ones(closed.shape, np.bool_) if crosses_unknown else self.site.passage(window)
-        reach = self.reach_m / self.site.grid.pixel_size
+        reach = self.site.vehicle.reach_m / self.site.grid.pixel_size
         if crosses_unknown:
             free &= _apart(self.site.objects(window) == OBSTACLE, reach)
-        if crosses_unknown or self.has_areas:
+        if crosses_unknown or self.avoid is not None or self.only is not None:
             free &= _apart(closed, min(reach, self.margin * self.site.grid.pixels) + 0.5)
         return free
 
@@ -283,16 +227,23 @@ class CostGround:
             cost = np.where(is_near, np.float32(np.inf), cost)
         return is_clear(cost, self.in_window(line, window), PIXEL_MARGIN)
 
-    def clear_at(self, points: Floats) -> NDArray[np.bool_]:
-        """Say at which points, (n, 2) along a line, the vehicle fits."""
-        clear = np.empty(len(points), np.bool_)
+    def clear_at(self, points: Floats, reach: float = 0.0) -> NDArray[np.bool_]:
+        """Say at which points along a line, (n, 2), no closed pixel is within ``reach`` [px] of their own."""
+        clear = np.ones(len(points), np.bool_)
+        pad = math.floor(reach)
+        steps = np.arange(-pad, pad + 1)
+        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+        around = around[np.square(around).sum(axis=1) <= reach * reach] + pad
         first = 0
-        for part in stretches(points, _STRETCH_TILES * self.site.grid.tile_size):
-            window = window_around(self.site, part, 1)
-            place = np.floor(self.in_window(part, window)).astype(np.int64)
-            last = first + len(part)
-            clear[first:last] = np.isfinite(self.on_pixels(window)[place[:, 0], place[:, 1]])
-            first = last - 1
+        while first < len(points):
+            spans = np.maximum.accumulate(np.abs(points[first : first + _MOST_POINTS] - points[first]).max(axis=1))
+            last = first + int(np.searchsorted(spans, _STRETCH_TILES * self.site.grid.tile_size, side="right"))
+            window = window_around(self.site, points[first:last], 1)
+            is_open = np.isfinite(self.on_pixels(window))
+            if not is_open.all():
+                near = np.floor(self.in_window(points[first:last], window)).astype(np.int64)[:, None] + around
+                clear[first:last] = np.pad(is_open, pad, constant_values=True)[near[..., 0], near[..., 1]].all(axis=1)
+            first = last
         return clear
 
     def tight_turns_deg(self, line: Floats) -> float:
@@ -300,27 +251,8 @@ class CostGround:
         line = line[np.append(True, (np.diff(line, axis=0) != 0.0).any(axis=1))]
         heading = np.arctan2(*np.diff(line, axis=0).T)
         turn = np.abs((np.diff(heading) + np.pi) % (2.0 * np.pi) - np.pi)
-        tight = self._is_beside(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
+        tight = ~self.clear_at(line[1:-1], _TIGHT_M / self.site.grid.pixel_size)
         return float(np.degrees(turn[tight].sum()))
-
-    def _is_beside(self, points: Floats, reach: float) -> NDArray[np.bool_]:
-        """Say at which points, (n, 2), a closed pixel is at most ``reach`` [px] from their own."""
-        beside = np.zeros(len(points), np.bool_)
-        pad = math.floor(reach)
-        steps = np.arange(-pad, pad + 1)
-        around = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-        around = around[np.square(around).sum(axis=1) <= reach * reach] + pad
-        first = 0
-        while first < len(points):
-            spans = np.maximum.accumulate(np.abs(points[first : first + _CORNERS] - points[first]).max(axis=1))
-            last = first + int(np.searchsorted(spans, _CORNER_TILES * self.site.grid.tile_size, side="right"))
-            window = window_around(self.site, points[first:last], 1)
-            closed = np.isinf(self.on_pixels(window))
-            if closed.any():
-                near = np.floor(self.in_window(points[first:last], window)).astype(np.int64)[:, None] + around
-                beside[first:last] = np.pad(closed, pad)[near[..., 0], near[..., 1]].any(axis=1)
-            first = last
-        return beside
 
 
 def _steps_to_closed(cost: NDArray[np.float32], limit: int) -> NDArray[np.int32]:
@@ -385,3 +317,10 @@ def points_along(line: Floats, distance: Floats) -> Floats:
     along = np.concatenate([[0.0], np.cumsum(step)])
     moving = np.concatenate([[True], step > 0])  # np.interp wants distances that increase
     return np.column_stack([np.interp(distance, along[moving], line[moving, axis]) for axis in (0, 1)])
+
+
+def sample_line(line: Floats, grid: Grid) -> tuple[Floats, float]:
+    """Return points in the middle of even parts of a line, half a pixel apart, and the length of a part, m."""
+    length = np.cumsum(np.hypot(*np.diff(line, axis=0).T))[-1]
+    count = max(1, int(np.ceil(length / (_STEP * grid.pixel_size))))
+    return points_along(line, (np.arange(count) + 0.5) * (length / count)), float(length / count)

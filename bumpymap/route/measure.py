@@ -4,15 +4,15 @@ A way may be long and its window large, so it is measured in stretches, each wit
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Barred, RouteFigures, RouteProfile, TileField, TracedLine
+from bumpymap.core import Barred, RouteFigures, RouteProfile, TracedLine
 from bumpymap.layers import MapReader
-from bumpymap.route.ground import points_along, stretches, window_around
+from bumpymap.route.ground import CostGround, points_along, sample_line, stretches, window_around
 from bumpymap.route.places import in_window
 from bumpymap.route.straighten import trace
 
@@ -23,86 +23,89 @@ Floats = NDArray[np.float64]
 _STRETCH_TILES = 128
 """Longest stretch, tiles."""
 _SAMPLES_A_TILE = 3
+_RIDE = ("c_r", "c_r_low", "c_r_high")
 
 
 @dataclass(frozen=True, slots=True)
 class MeasuredWay:
-    """Figures and profile of a way, and the tiles that it crosses."""
+    """A way through all stops, and what it costs."""
 
+    line: Floats
+    """(m, 2) easting and northing of its corners, m."""
     figures: RouteFigures
     profile: RouteProfile
     tiles: NDArray[np.int64]
     """(n, 2) column and row of each tile in order, on the grid; a tile that is crossed twice is there twice."""
 
-
-@dataclass(frozen=True, slots=True)
-class _Pieces:
-    """The pieces of a way inside single tiles; (n,) each."""
-
-    col: NDArray[np.int64]
-    row: NDArray[np.int64]
-    length: Floats
-    """m."""
-    cost: Floats
-    """Per metre."""
-    c_r: Floats
-    c_r_low: Floats
-    c_r_high: Floats
-    hazard: Floats
-    """Per metre; 0 if unknown."""
-    p_fail: Floats
-    unknown: NDArray[np.bool_]
+    def shared(self, other: "MeasuredWay") -> float:
+        """Return the share of this way's tiles that the other crosses too, or passes beside."""
+        crossed = np.unique(self.tiles, axis=0)
+        beside = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1).reshape(-1, 2)
+        near = (other.tiles[:, None] + beside).reshape(-1, 2)
+        _both, count = np.unique(np.concatenate([crossed, np.unique(near, axis=0)]), axis=0, return_counts=True)
+        return int((count > 1).sum()) / len(crossed)
 
 
-def measure_way(
-    site: MapReader,
-    line: Floats,
-    stops: Floats,
-    cost_of: Callable[[TileField], NDArray[np.float32]],
-    *,
-    obstacle_m: float = 0.0,
-    tight_turns_deg: float = 0.0,
-) -> MeasuredWay:
+_Pieces: TypeAlias = dict[str, NDArray[Any]]
+"""The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
+``hazard`` per metre (0 if unknown), ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if unknown)."""
+
+
+def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
     """Measure a way over a map.
 
     Parameters
     ----------
-    site : MapReader
-        The map.
+    ground : CostGround
+        The map, with costs.
     line : array (m, 2)
         Easting and northing of the corners, m, on the grid.
     stops : array (k, 2)
         Easting and northing of start, stops and goal, m.
-    cost_of : callable
-        Returns the cost per metre of each tile of a window, inf where closed.
-    obstacle_m : float
-        Length on which the vehicle does not fit, m.
-    tight_turns_deg : float
-        Sum of the angles of turns beside obstacles, degrees.
     """
-    pieces = _all_pieces(site, line, cost_of)
-    profile = _profile(site, line, pieces)
-    figures = replace(_figures(pieces, profile, stops, site), obstacle_m=obstacle_m, tight_turns_deg=tight_turns_deg)
-    return MeasuredWay(figures, profile, np.column_stack([pieces.col, pieces.row]))
+    pieces = _all_pieces(ground, line)
+    profile, obstacle_m = _profile(ground.site, line, pieces), 0.0
+    if ground.settings.through_obstacles:
+        points, step = sample_line(line, ground.site.grid)
+        obstacle_m = float((~ground.clear_at(points)).sum()) * step
+        if obstacle_m > 0.0:
+            clear = ground.clear_at(np.column_stack([profile.easting, profile.northing]))
+            profile = replace(profile, obstacle=~clear)
+    length, climb = float(pieces["length"].sum()), _climb(profile, ground.site.grid.tile_size)
+    figures = RouteFigures(
+        length_m=length,
+        straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
+        cost_m=float((pieces["length"] * pieces["cost"]).sum()),
+        **_ride(pieces),
+        hazard=float((pieces["length"] * pieces["hazard"]).sum()),
+        p_fail_max=float(np.nanmax(pieces["p_fail"])) if np.isfinite(pieces["p_fail"]).any() else math.nan,
+        unknown_m=float(pieces["length"][pieces["unknown"]].sum()),
+        obstacle_m=obstacle_m,
+        tight_turns_deg=ground.tight_turns_deg(line),
+        climb_m=climb[0],
+        descent_m=climb[1],
+        seconds=length / ground.site.vehicle.speed_mps,
+    )
+    return MeasuredWay(line, figures, profile, np.column_stack([pieces["col"], pieces["row"]]))
 
 
-def way_cost(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> float:
+def way_cost(ground: CostGround, line: Floats) -> float:
     """Return the cost of a way alone, m: ``figures.cost_m`` of `measure_way`."""
-    pieces = _all_pieces(site, line, cost_of)
-    return float((pieces.length * pieces.cost).sum())
+    pieces = _all_pieces(ground, line)
+    return float((pieces["length"] * pieces["cost"]).sum())
 
 
-def _all_pieces(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
+def _all_pieces(ground: CostGround, line: Floats) -> _Pieces:
     """Cut a way into pieces inside single tiles, stretch by stretch."""
-    parts = [_pieces(site, part, cost_of) for part in stretches(line, site.grid.tile_size * _STRETCH_TILES)]
-    return _Pieces(*(np.concatenate([getattr(part, name) for part in parts]) for name in _Pieces.__slots__))
+    parts = [_pieces(ground, part) for part in stretches(line, ground.site.grid.tile_size * _STRETCH_TILES)]
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _pieces(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArray[np.float32]]) -> _Pieces:
-    window = window_around(site, line, 1)
-    tiles = site.read(window)
-    cost = cost_of(tiles)
-    place = in_window(line, site.grid, window)
+def _pieces(ground: CostGround, line: Floats) -> _Pieces:
+    window = window_around(ground.site, line, 1)
+    tiles = ground.site.read(window)
+    cost = ground.of_field(tiles)
+    place = in_window(line, tiles.grid, window)
     found = trace(cost, place)
     if not len(found.length):  # a way of no length lies in one tile
         row, col = np.floor(place[:1]).astype(np.int64).T
@@ -110,53 +113,29 @@ def _pieces(site: MapReader, line: Floats, cost_of: Callable[[TileField], NDArra
     at = found.row, found.col
     unknown = tiles.barred[at] == Barred.UNKNOWN
     hazard = tiles.rule.hazard(tiles.p_fail[at])
-    return _Pieces(
-        col=window.col + found.col,
-        row=window.row + window.rows - 1 - found.row,
-        length=found.length * site.grid.tile_size,
-        cost=cost[at].astype(np.float64),
-        c_r=np.where(unknown, np.nan, tiles.c_r[at]),
-        c_r_low=np.where(unknown, np.nan, tiles.c_r_low[at]),
-        c_r_high=np.where(unknown, np.nan, tiles.c_r_high[at]),
-        hazard=np.where(unknown | np.isnan(hazard), 0.0, hazard),
-        p_fail=np.where(unknown, np.nan, tiles.p_fail[at]),
-        unknown=unknown,
-    )
+    return {
+        "col": window.col + found.col,
+        "row": window.row + window.rows - 1 - found.row,
+        "length": found.length * tiles.grid.tile_size,
+        "cost": cost[at].astype(np.float64),
+        "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
+        "unknown": unknown,
+        **{name: np.where(unknown, np.nan, getattr(tiles, name)[at]) for name in (*_RIDE, "p_fail")},
+    }
 
 
-def _figures(pieces: _Pieces, profile: RouteProfile, stops: Floats, site: MapReader) -> RouteFigures:
-    known = np.isfinite(pieces.c_r)
-    weight = pieces.length * known
-    total = float(weight.sum())
-
-    def mean(values: Floats) -> float:
-        return float((weight * np.nan_to_num(values)).sum() / total) if total > 0 else math.nan
-
-    worst = int(np.argmax(np.where(known, pieces.c_r, -1.0))) if known.any() else None
-    at_worst = (
-        [math.nan] * 3 if worst is None else [float(x[worst]) for x in (pieces.c_r, pieces.c_r_low, pieces.c_r_high)]
-    )
-    length = float(pieces.length.sum())
-    climb, descent = _climb(profile, site.grid.tile_size)
-    return RouteFigures(
-        length_m=length,
-        straight_m=float(np.hypot(*np.diff(stops, axis=0).T).sum()),
-        cost_m=float((pieces.length * pieces.cost).sum()),
-        c_r_mean=mean(pieces.c_r),
-        c_r_mean_low=mean(pieces.c_r_low),
-        c_r_mean_high=mean(pieces.c_r_high),
-        c_r_max=at_worst[0],
-        c_r_max_low=at_worst[1],
-        c_r_max_high=at_worst[2],
-        hazard=float((pieces.length * pieces.hazard).sum()),
-        p_fail_max=float(np.nanmax(pieces.p_fail)) if np.isfinite(pieces.p_fail).any() else math.nan,
-        unknown_m=float(pieces.length[pieces.unknown].sum()),
-        obstacle_m=0.0,
-        tight_turns_deg=0.0,
-        climb_m=climb,
-        descent_m=descent,
-        seconds=length / site.vehicle.speed_mps,
-    )
+def _ride(pieces: _Pieces) -> dict[str, float]:
+    """Return mean and worst ride cost, with their intervals; NaN where none is known."""
+    known = np.isfinite(pieces["c_r"])
+    weight = pieces["length"] * known
+    total, worst = float(weight.sum()), int(np.argmax(np.where(known, pieces["c_r"], -1.0)))
+    found = {}
+    for name in _RIDE:
+        kind, end = name[:3], name[3:]
+        mean = (weight * np.nan_to_num(pieces[name])).sum() / total if total > 0 else math.nan
+        found[f"{kind}_mean{end}"] = float(mean)
+        found[f"{kind}_max{end}"] = float(pieces[name][worst]) if known.any() else math.nan
+    return found
 
 
 def _climb(profile: RouteProfile, tile_size: float) -> tuple[float, float]:
@@ -176,9 +155,9 @@ def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
     count = max(2, math.ceil(length / size * _SAMPLES_A_TILE) + 1)
     distance = np.linspace(0.0, length, count)
     points = points_along(line, distance)
-    ends = np.cumsum(pieces.length)
+    ends = np.cumsum(pieces["length"])
     piece = np.minimum(np.searchsorted(ends, distance, side="left"), len(ends) - 1)
-    spent = np.concatenate([[0.0], np.cumsum(pieces.length * pieces.cost)])
+    spent = np.concatenate([[0.0], np.cumsum(pieces["length"] * pieces["cost"])])
     z = _heights(site, points)
     return RouteProfile(
         distance=distance,
@@ -186,10 +165,7 @@ def _profile(site: MapReader, line: Floats, pieces: _Pieces) -> RouteProfile:
         northing=points[:, 1],
         z=z,
         slope=_slope(distance, z, size),
-        c_r=pieces.c_r[piece],
-        c_r_low=pieces.c_r_low[piece],
-        c_r_high=pieces.c_r_high[piece],
-        p_fail=pieces.p_fail[piece],
+        **{name: pieces[name][piece] for name in (*_RIDE, "p_fail")},
         cost=np.interp(distance, np.concatenate([[0.0], ends]), spent),
         obstacle=np.zeros(count, np.bool_),
     )

@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from os.path import lexists
 from pathlib import Path
@@ -26,12 +25,11 @@ from bumpymap.layers import (
     write_isochrones,
     write_profile,
     write_reach,
-    write_reach_back,
     write_route_geojson,
 )
 from bumpymap.views import write_route_picture
 
-__all__ = ["ReachLevels", "check_reach_out", "check_route_out", "write_reach_files", "write_routes"]
+__all__ = ["REACH_KINDS", "ROUTE_KINDS", "check_out", "write_reach_files", "write_routes"]
 
 _log = logging.getLogger(__name__)
 
@@ -45,20 +43,31 @@ ROUTE_KINDS = {
 REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
 """Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "reach.tif", "reach_back.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), "reach.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
 )
 
 
-def check_route_out(out: Path, *, overwrite: bool) -> None:
-    """Check, before anything is computed, that files of routes can be written to a folder or a file. Writes nothing.
+ROUTE_MANIFEST_FORMAT = "bumpymap-route"
+_VERSION = 1
+
+
+def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> str | None:
+    """Check, before anything is computed, that files can be written to a folder, or one to a file. Writes nothing.
 
     Parameters
     ----------
     out : Path
-        A folder, or one file that ends in .geojson, .gpx, .csv or .png.
+        A folder, or one file that ends in one of the suffixes of ``kinds``.
+    kinds : mapping
+        `ROUTE_KINDS` or `REACH_KINDS`.
     overwrite : bool
         Allow files of an earlier run to be replaced.
+
+    Returns
+    -------
+    str or None
+        The name, by ``kinds``, of what a single file holds; None: ``out`` is a folder.
 
     Raises
     ------
@@ -67,65 +76,23 @@ def check_route_out(out: Path, *, overwrite: bool) -> None:
     OutputError
         There are files that must not be replaced, or the place of a file is missing.
     """
-    check_out(out, ROUTE_KINDS, overwrite=overwrite)
-
-
-def check_reach_out(out: Path, *, overwrite: bool) -> None:
-    """Check the same for the reach: a folder, or one file that ends in .tif or .geojson."""
-    check_out(out, REACH_KINDS, overwrite=overwrite)
-
-
-def is_one_file(out: Path, kinds: Mapping[str, str]) -> bool:
-    """Return whether ``out`` names one file: by its suffix, unless it is a folder that exists."""
-    return out.suffix.lower() in kinds and not (out.is_dir() and not out.is_symlink())
-
-
-def check_out(out: Path, kinds: Mapping[str, str], *, overwrite: bool) -> None:
-    """Check a folder, or one file with one of the suffixes of ``kinds``; errors as in `check_route_out`."""
-    suffix = out.suffix.lower()
-    if is_one_file(out, kinds):
+    suffix, is_folder = out.suffix.lower(), out.is_dir()
+    if suffix in kinds and (not is_folder or out.is_symlink()):
         if not out.parent.is_dir():
             raise OutputError(
                 f"cannot write {out}: there is no folder {out.parent}. Create it, or choose another `out`"
             )
         if lexists(out) and not overwrite:
             raise OutputError(f"{out} exists. Choose another `out`, or pass `overwrite=True` to replace it")
-        return
-    if suffix in OTHER_FILES and not out.is_dir():
+        return kinds[suffix]
+    if suffix in OTHER_FILES and not is_folder:
         raise UsageError(
             f"{out} is named like a {suffix} file, which is not written here. Give a folder as `out`, or a file that "
             f"ends in {', '.join(kinds)}"
         )
     require_folder(out)
     refuse_present(out, ROUTE_FILES.names, overwrite=overwrite)
-
-
-ROUTE_MANIFEST_FORMAT = "bumpymap-route"
-_VERSION = 1
-
-Writer = Callable[[Path], None]
-
-
-@dataclass(frozen=True, slots=True)
-class ReachLevels:
-    """The levels of isochrones."""
-
-    values: Sequence[float]
-    """m of cost, or minutes."""
-    by: str = "cost"
-    """``cost`` or ``minutes``."""
-
-
-@dataclass(frozen=True)
-class _RouteOutput:
-    """The files of a run: how each is written, and what route.json says beside them."""
-
-    writers: Mapping[str, Writer]
-    """By name."""
-    kinds: Mapping[str, str]
-    """Name of what a single file is, by its suffix."""
-    manifest: Mapping[str, Any]
-    notes: list[str] = field(default_factory=list)
+    return None
 
 
 def write_routes(
@@ -144,7 +111,7 @@ def write_routes(
     source : MapSource
         The map that they were planned on.
     out : Path
-        The folder, which is created if it is missing, or one file: see `check_route_out`.
+        The folder, which is created if it is missing, or one file: see `check_out`.
     manifest : mapping
         The run's own entries for route.json, such as settings.
     overwrite : bool
@@ -158,23 +125,26 @@ def write_routes(
     Raises
     ------
     UsageError, OutputError
-        See `check_route_out`; or a file cannot be written.
+        See `check_out`; or a file cannot be written.
     BadInputError
         A layer cannot be read, or the routes have no longitude and latitude and ``out`` is a GPX file.
     """
-    place = RouteCoordinates.of(routes)
-    writers: dict[str, Writer] = {
+    one_file, place, notes = check_out(out, ROUTE_KINDS, overwrite=overwrite), RouteCoordinates.of(routes), []
+    writers: dict[str, Callable[[Path], None]] = {
         "route.geojson": partial(write_route_geojson, routes),
         "route.gpx": partial(write_gpx, routes),
         "profile.csv": partial(write_profile, routes),
         "route.png": partial(write_route_picture, routes, source),
     }
-    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
-    output = _RouteOutput(writers, ROUTE_KINDS, entries)
-    if not place.has_degrees and not is_one_file(out, ROUTE_KINDS):
+    if not place.has_degrees and one_file is None:
         del writers["route.gpx"]
-        output.notes.append("route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown")
-    return _write(output, out, overwrite=overwrite)
+        notes = ["route.gpx was not written: the layers have no CRS, so longitude and latitude are unknown"]
+        _log.warning(notes[0])
+    if one_file is not None:
+        writers[one_file](out)
+        return [out]
+    entries = {**manifest, **_describe_layers(source), "routes": [_describe(route, place) for route in routes]}
+    return _write_folder(writers, out, entries, notes, overwrite=overwrite)
 
 
 def write_reach_files(
@@ -182,47 +152,47 @@ def write_reach_files(
     source: MapSource,
     out: Path,
     *,
-    levels: ReachLevels | None = None,
+    levels: Sequence[float] = (),
+    by: str = "cost",
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, reach_back.tif (with back-links), isochrones.geojson (with levels) and route.json to a folder.
+    """Write reach.tif, isochrones.geojson (with levels) and route.json to a folder.
 
-    ``out`` may be one file instead, .tif for the cost or .geojson for the isochrones. For the other parameters, the
-    result and errors see `write_routes`.
+    ``out`` may be one file instead, .tif for the cost or .geojson for the isochrones; ``levels`` of these: m of cost,
+    or minutes, as ``by`` says (``cost``, ``minutes``). For the other parameters, the result and errors see
+    `write_routes`.
     """
+    one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
     vehicle = next((entry.get("vehicle") for entry in source.manifests), None)
     name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
     about = {"vehicle": name} if isinstance(name, str) else {}
-    writers: dict[str, Writer] = {"reach.tif": partial(write_reach, reach, about=about)}
-    if reach.back is not None:
-        writers["reach_back.tif"] = partial(write_reach_back, reach, about=about)
-    if levels is not None:
-        write = partial(write_isochrones, reach, levels.values, by=levels.by, about=about)
-        writers["isochrones.geojson"] = write
-    entries = {**manifest, **_describe_layers(source)}
-    return _write(_RouteOutput(writers, REACH_KINDS, entries), out, overwrite=overwrite)
+    writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
+    if levels:
+        writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, by=by, about=about)
+    if one_file is None:
+        return _write_folder(writers, out, {**manifest, **_describe_layers(source)}, [], overwrite=overwrite)
+    if one_file not in writers:
+        raise UsageError(
+            f"{out} would hold {one_file}, which needs levels. Give the levels of the isochrones too, or a folder"
+        )
+    writers[one_file](out)
+    return [out]
 
 
-def _write(output: _RouteOutput, out: Path, *, overwrite: bool) -> list[Path]:
-    """Write all files to the folder ``out``, or the one that its suffix names."""
-    check_out(out, output.kinds, overwrite=overwrite)
-    for note in output.notes:
-        _log.warning(note)
-    if is_one_file(out, output.kinds):
-        name = output.kinds[out.suffix.lower()]
-        if name not in output.writers:
-            raise UsageError(
-                f"{out} would hold {name}, which needs levels. Give the levels of the isochrones too, or a folder"
-            )
-        output.writers[name](out)
-        return [out]
-
+def _write_folder(
+    writers: Mapping[str, Callable[[Path], None]],
+    out: Path,
+    entries: Mapping[str, Any],
+    notes: list[str],
+    *,
+    overwrite: bool,
+) -> list[Path]:
     def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
-        head = {"format": ROUTE_MANIFEST_FORMAT, "version": _VERSION, **output.manifest}
-        return head | {"versions": software_versions(), "notes": output.notes, "files": files}
+        head = {"format": ROUTE_MANIFEST_FORMAT, "version": _VERSION, **entries}
+        return head | {"versions": software_versions(), "notes": notes, "files": files}
 
-    return ROUTE_FILES.write(out, output.writers, describe, overwrite=overwrite)
+    return ROUTE_FILES.write(out, writers, describe, overwrite=overwrite)
 
 
 def _describe_layers(source: MapSource) -> dict[str, Any]:

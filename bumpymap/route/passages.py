@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from scipy import ndimage, sparse
 from scipy.sparse import csgraph
 
-from bumpymap.core import OBSTACLE
-from bumpymap.route.ground import PIXEL_MARGIN, CostGround, points_along, window_around
+from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
-from bumpymap.route.search import find_way
 from bumpytiles import TileWindow
 
-__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas", "widest_opening"]
+__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas"]
 
 Floats = NDArray[np.float64]
 
@@ -38,9 +36,6 @@ _CHEAPER, _CORNER_TILES = 0.97, 2.0
 way over whole tiles only if it costs less than this share of it, with so much length added for a corner."""
 BYTES_PER_TILE = 7000
 """Memory that the graph takes."""
-_LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
-"""Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
-vehicle does not fit, so that a line leads through few of them."""
 
 
 class AreaGraph(NamedTuple):
@@ -54,19 +49,6 @@ class AreaGraph(NamedTuple):
     """(n, 2) the mean place of its pixels, tiles south and east of the window's corner."""
     arcs: sparse.csr_array
     """(n, n) cost from node to node, in tiles."""
-
-
-class AreaReach(NamedTuple):
-    """Cost and length of the ways to the tiles of a window; all arrays are (rows, cols)."""
-
-    cost: Floats
-    """Cost of the cheapest way to the tile, in tiles; infinite where none leads."""
-    length: Floats
-    """Length of that way, in tiles."""
-    is_between: NDArray[np.bool_]
-    """Tiles to which that way leads over areas, between obstacles."""
-    has_room: NDArray[np.bool_]
-    """Tiles in which the vehicle fits somewhere."""
 
 
 def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
@@ -103,15 +85,18 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     return again if again is not None else line
 
 
-def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats) -> AreaReach:
+def reach_over_areas(
+    ground: CostGround, window: TileWindow, start: Floats, cost: Floats, length: Floats
+) -> NDArray[np.bool_]:
     """Extend what is reached over whole tiles by what is reached over the areas of tiles.
 
     ``ground``: the map, with costs; ``window``: it takes ``BYTES_PER_TILE`` of memory for each tile; ``start`` (2,):
     easting and northing, m; ``cost``, ``length`` (rows, cols): of the cheapest way over whole tiles to each tile, in
-    tiles; the cost is infinite where none leads.
+    tiles; the cost is infinite where none leads; both are changed. Returns (rows, cols): tiles in which the vehicle
+    fits somewhere.
     """
     graph = _graph(ground, window)
-    count, cost_of_tile, length_of_tile = len(graph.tile), cost.ravel().copy(), length.ravel().copy()
+    count, cost_of_tile, length_of_tile = len(graph.tile), cost.reshape(-1), length.reshape(-1)  # views
     per_tile = ground.on_tiles(window).ravel()[graph.tile].astype(np.float64)
     # A way over whole tiles ends in the largest area of its tile, from where it goes on.
     size = np.bincount(graph.node.ravel() + 1, minlength=count + 1)[1:]
@@ -147,63 +132,9 @@ def reach_over_areas(ground: CostGround, window: TileWindow, start: Floats, cost
     is_cheaper = spent[nearest] + _CORNER_TILES * per_tile[nearest] < _CHEAPER * cost_of_tile[tiles]
     nearest, tiles = nearest[is_cheaper], tiles[is_cheaper]
     cost_of_tile[tiles], length_of_tile[tiles] = spent[nearest], _sum_along(before, hop)[nearest]
-    is_between, has_room = np.zeros(cost.size, np.bool_), np.zeros(cost.size, np.bool_)
-    is_between[tiles] = has_room[graph.tile] = True
-    return AreaReach(
-        cost_of_tile.reshape(cost.shape),
-        length_of_tile.reshape(cost.shape),
-        is_between.reshape(cost.shape),
-        has_room.reshape(cost.shape),
-    )
-
-
-def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Floats, float] | None:
-    """Find the widest opening that is too narrow for the vehicle and joins two points that are not joined otherwise.
-
-    Parameters
-    ----------
-    ground : CostGround
-        The map, with costs.
-    start, goal : array (2,)
-        Easting and northing, m; the vehicle fits there.
-
-    Returns
-    -------
-    place : array (2,)
-        Easting and northing of its narrowest point, m.
-    width : float
-        Between the pixels that close it, m.
-        None if all openings around the two points are narrower than 0.4 m (of pixels of 0.2 m), or memory does not
-        allow to look for one.
-    """
-    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
-    window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)
-    if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
-        return None
-    pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size
-    closed = np.repeat(np.repeat(np.isinf(ground.on_tiles(window)), pixels, 0), pixels, 1)
-    closed |= ground.site.objects(window) == OBSTACLE
-    room = ndimage.distance_transform_edt(np.pad(~closed, 1))[1:-1, 1:-1]
-    ends = [(float(row), float(col)) for row, col in ground.in_window(np.array([start, goal]), window)]
-    first, last = ((math.floor(row), math.floor(col)) for row, col in ends)
-    reach = min(room[first], room[last], ground.reach_m / pixel)
-    levels = np.unique(room[(room >= _LEAST_OPENING) & (room < reach)])
-    for level in levels[::-1].tolist():
-        pieces = ndimage.label(room >= level)[0]
-        if pieces[first] == pieces[last]:
-            break
-    else:
-        return None
-    cost = np.where(room < reach, np.float32(_TOO_NARROW), np.float32(1.0))
-    cost[room < level] = np.inf
-    found = find_way(cost, *ends, margin=PIXEL_MARGIN)
-    if found is None:
-        return None
-    steps = [np.linspace(a, b, 2 + math.ceil(2.0 * math.dist(a, b))) for a, b in pairwise(found.line)]
-    places = np.floor(np.concatenate(steps)).astype(np.int64)
-    narrowest = places[room[places[:, 0], places[:, 1]].argmin()]
-    width = (2.0 * room[tuple(narrowest)] - 1.0) * pixel
-    return on_grid((narrowest[None] + 0.5) / pixels, ground.site.grid, window)[0], float(width)
+    has_room = np.zeros(cost.size, np.bool_)
+    has_room[graph.tile] = True
+    return has_room.reshape(cost.shape)
 
 
 def _least_of_each(group: NDArray[np.int64], value: NDArray[np.generic]) -> NDArray[np.int64]:
@@ -285,11 +216,17 @@ def _search(graph: AreaGraph, start: int, goal: int) -> tuple[list[int], NDArray
     if not np.isfinite(spent[goal]):
         return None
     left = csgraph.dijkstra(graph.arcs, indices=goal, limit=_DEARER * spent[goal] + 1.0)
+    path = _path(before, start, goal)
+    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
+    return path, np.union1d(near, path)
+
+
+def _path(before: NDArray[np.integer], start: int, goal: int) -> list[int]:
+    """Return the nodes from a start to a goal, given the one before each."""
     path = [goal]
     while path[-1] != start:
         path.append(int(before[path[-1]]))
-    near = np.flatnonzero(spent + left <= _DEARER * spent[goal] + 1.0)
-    return path[::-1], np.union1d(near, path)
+    return path[::-1]
 
 
 def _at_edge(graph: AreaGraph, nodes: NDArray[np.int64]) -> bool:
@@ -368,10 +305,7 @@ def _over_corners(ground: CostGround, cost: NDArray[np.float32], ends: Floats, w
     spent, before = csgraph.dijkstra(graph, directed=False, indices=start, return_predecessors=True)
     if not np.isfinite(spent[goal]):
         return None
-    path = [int(goal)]
-    while path[-1] != start:
-        path.append(int(before[path[-1]]))
-    pixels = np.argwhere(is_free)[path[::-1]]
+    pixels = np.argwhere(is_free)[_path(before, int(start), int(goal))]
     piece = ndimage.label(is_free)[0][tuple(pixels.T)]
     cuts = np.flatnonzero(np.diff(piece))
     corners = on_grid((pixels + 0.5) / ground.site.grid.pixels, ground.site.grid, window)

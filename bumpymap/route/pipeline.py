@@ -1,16 +1,15 @@
 """Job 3: from the layers of a map to ways over it, or to what can be reached; from the command line and from Python.
 
 Open the map, find the points on it, choose the order in which they are passed (exact, by dynamic programming over
-subsets: Held and Karp 1962), plan the ways, measure them, write them; and where there is no way, say why, and what
-would help.
+subsets: Held and Karp 1962), plan the ways, measure them, write them.
 """
 
 import logging
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -20,10 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    BARRED_TEXT,
-    NO_TILE,
     BadInputError,
-    Barred,
     Progress,
     SilentProgress,
     UsageError,
@@ -33,27 +29,23 @@ from bumpymap.core import (
     settings_of_call,
     short_repr,
 )
-from bumpymap.layers import MapReader, PlannedRoute, open_map, read_areas
+from bumpymap.layers import PlannedRoute, open_map, read_areas
 from bumpymap.route.alternatives import find_alternatives
 from bumpymap.route.ground import CostGround
-from bumpymap.route.places import on_grid, place_in_window
 from bumpymap.route.planner import Planner
-from bumpymap.route.reach import Reach, find_reach
-from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES, MOVES, spread
+from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
-from bumpymap.route.stops import Stops, find_stops, place_text
-from bumpytiles import TileWindow
+from bumpymap.route.stops import Stops, find_stops
 
 if TYPE_CHECKING:
     import xarray
 
-    from bumpymap.layers import ReachField
+    from bumpymap.route.reach import Reach
 
 __all__ = [
     "MOST_VISITS",
     "RouteResult",
     "best_order",
-    "explain_no_way",
     "find_routes",
     "map_reach",
     "plan_routes",
@@ -96,95 +88,6 @@ def best_order(costs: NDArray[np.float64], *, fixed_end: bool) -> list[int]:
     return [0, *reversed(order), *([n - 1] if fixed_end else [])]
 
 
-def explain_no_way(planner: Planner, points: NDArray[np.float64], names: Sequence[str]) -> str:
-    """Return the message for the first two points without a way between them.
-
-    ``points`` (k, 2): easting and northing of the stops, m; ``names``: how the message calls each of them.
-    """
-    for number, (start, goal) in enumerate(pairwise(points)):
-        if np.isfinite(planner.leg_cost(start, goal)):
-            continue
-        ground = planner.ground
-        window, grid = ground.site.window, ground.site.grid
-        between = f"there is no way from {names[number]} to {names[number + 1]}"
-        if window.cols * window.rows > ground.memory_tiles:
-            return f"{between} over passable ground"
-        cost = ground.on_tiles(window, through=False)
-        barred = ground.site.read(window, ()).barred
-        places = (place_in_window(end, grid, window) for end in (start, goal))
-        reached = [np.isfinite(spread(cost, place, margin=ground.margin)[0]) for place in places]
-        counts = [int(part.sum()) for part in reached]
-        areas = [
-            f"{tiles:,} tile{'' if tiles == 1 else 's'} ({tiles * grid.tile_size**2 / 1e4:,.2f} ha)" for tiles in counts
-        ]
-        closest = _opening(ground, start, goal) or _closest(ground.site, *reached)
-        beside = _beside(min(reached, key=lambda part: int(part.sum())), barred)
-        unknown = ""
-        if ground.settings.unknown is None and Barred.UNKNOWN in beside:
-            unknown = "cross unknown ground with `unknown=COST`, "
-        return (
-            f"{between}: {areas[0]} can be reached from the first, {areas[1]} from the second, and no tile from both. "
-            f"Beside the smaller area lie: {_described(beside, has_areas=ground.has_areas)}. {closest}"
-            f"Choose other points, {unknown}map the survey for another vehicle, or drive through what the map takes "
-            "for an obstacle with `through_obstacles`"
-        )
-    return "there is no way through all points"
-
-
-def _opening(ground: CostGround, start: NDArray[np.float64], goal: NDArray[np.float64]) -> str:
-    """Say where the widest opening between two points is; nothing if it is as wide as the vehicle, or there is none."""
-    from bumpymap.route.passages import widest_opening
-
-    found = widest_opening(ground, start, goal)
-    needed = 2.0 * ground.reach_m
-    if found is None or found[1] >= needed:
-        return ""
-    place, width = found
-    return (
-        f"The widest opening between them is at {place_text(ground.site, place)}, about {width:.1f} m wide; the "
-        f"vehicle needs {needed:.1f} m. "
-    )
-
-
-def _closest(site: MapReader, first: NDArray[np.bool_], second: NDArray[np.bool_]) -> str:
-    """Say where the two areas come closest, and what lies between them."""
-    from scipy.ndimage import distance_transform_edt
-
-    if not (first.any() and second.any()):
-        return ""
-    apart, (rows, cols) = distance_transform_edt(~second, return_indices=True)
-    row, col = np.unravel_index(np.where(first, apart, np.inf).argmin(), first.shape)
-    ends = np.array([[row, col], [rows[row, col], cols[row, col]]]) + 0.5
-    middle = on_grid(ends.mean(axis=0)[None], site.grid, site.window)[0]
-    code = int(site.read(TileWindow.around(*site.grid.index(middle)[:, None]), ()).barred[0, 0])
-    why = BARRED_TEXT[Barred(code)] if code in BARRED_TEXT and code != Barred.NO else "no passable ground"
-    return (
-        f"They come closest at {place_text(site, middle)}, {math.dist(*ends) * site.grid.tile_size:.0f} m from "
-        f"tile to tile, where there is: {why}. "
-    )
-
-
-def _beside(area: NDArray[np.bool_], barred: NDArray[np.uint8]) -> list[int]:
-    """Return what the tiles around an area are, codes of `Barred` or NO_TILE, the most frequent first."""
-    padded = np.pad(area, 1)
-    beside = padded[:-2, 1:-1] | padded[2:, 1:-1] | padded[1:-1, :-2] | padded[1:-1, 2:]
-    codes, counts = np.unique(barred[beside & ~area], return_counts=True)
-    return [int(codes[at]) for at in np.argsort(-counts, kind="stable")]
-
-
-def _described(codes: Sequence[int], *, has_areas: bool) -> str:
-    """Say what bars the tiles around an area: the reasons of those that are not passable together, then the rest."""
-    narrow = "passages too narrow for the vehicle"
-    texts = {
-        int(Barred.NO): f"tiles that `avoid` or `only` closes, or {narrow}" if has_areas else narrow,
-        int(Barred.UNKNOWN): BARRED_TEXT[Barred.UNKNOWN],
-        NO_TILE: "ground that was not surveyed",
-    }
-    reasons = [BARRED_TEXT[Barred(code)] for code in codes if code not in texts]
-    found = [f"tiles that are not passable ({', '.join(reasons)})"] if reasons else []
-    return "; ".join([*found, *(texts[code] for code in codes if code in texts)]) or "the edge of the map"
-
-
 PathLike: TypeAlias = str | os.PathLike[str]
 Point: TypeAlias = str | tuple[float, float]
 """``"lon,lat"`` or ``"x,y"`` in the survey's CRS, or a pair of such numbers."""
@@ -210,7 +113,6 @@ class RouteSettings(ReachSettings, total=False):
     through_obstacles: bool
     visit: bool
     round_trip: bool
-    compare: Iterable[PathLike]
     overwrite: bool
 
 
@@ -238,7 +140,7 @@ def find_routes(
     **settings
         Those of ``bumpymap route``, with underscores: ``alternatives``, ``risk`` [m], ``robust``, ``unknown`` [cost per
         metre], ``snap`` [m], ``visit``, ``round_trip``, ``avoid``, ``only``, ``allow_outside``,
-        ``through_obstacles``, ``compare``, ``memory``, ``overwrite``.
+        ``through_obstacles``, ``memory``, ``overwrite``.
 
     Returns
     -------
@@ -345,7 +247,7 @@ class RouteResult:
 
     routes: tuple[PlannedRoute, ...]
     """The best way first."""
-    reach: Reach | None
+    reach: "Reach | None"
     """The part of the map that can be reached, if there was no goal."""
     files: tuple[Path, ...]
     """The files that were written."""
@@ -366,13 +268,12 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         A file cannot be written.
     """
     progress = progress or SilentProgress()
-    with _opened(config.layers, config) as ground:
+    with _opened(config) as ground:
         stops = find_stops(ground, config)
         if config.out is not None:
-            from bumpymap.route.output import check_reach_out, check_route_out, write_routes  # slow to load
+            from bumpymap.route.output import REACH_KINDS, ROUTE_KINDS, check_out, write_routes  # slow to load
 
-            check = check_reach_out if config.is_reach else check_route_out
-            check(config.out, overwrite=config.overwrite)
+            check_out(config.out, REACH_KINDS if config.is_reach else ROUTE_KINDS, overwrite=config.overwrite)
         if config.is_reach:
             if config.out is None:
                 raise UsageError("the map of what can be reached is written to a folder: add `out='DIR'`")
@@ -380,10 +281,6 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
         progress.start("routes", None)
         routes, order = _routes(ground, stops, config)
         notes = [*stops.notes, *order]
-        for folder in config.compare:
-            route, remarks = _compared(folder, config)
-            routes.append(route)
-            notes += remarks
         files: list[Path] = []
         if config.out is not None:
             manifest = {"settings": asdict(config), "remarks": notes}
@@ -392,9 +289,9 @@ def plan_routes(config: RouteConfig, progress: Progress | None = None) -> RouteR
 
 
 @contextmanager
-def _opened(folders: Sequence[Path], config: RouteConfig) -> Iterator[CostGround]:
+def _opened(config: RouteConfig) -> Iterator[CostGround]:
     """Open a map, and keep its files open while it is planned on."""
-    site = open_map(folders)
+    site = open_map(config.layers)
     with site.kept_open():
         avoid, only = (
             None if path is None else read_areas(path, site, allow_outside=config.cost.allow_outside)
@@ -402,14 +299,6 @@ def _opened(folders: Sequence[Path], config: RouteConfig) -> Iterator[CostGround
         )
         tiles = min(memory_limit(config.memory) // BYTES_PER_TILE, MOST_TILES)
         yield CostGround(site, config.cost, tiles, avoid, only)
-
-
-def _compared(folder: Path, config: RouteConfig) -> tuple[PlannedRoute, list[str]]:
-    """Plan the best way on the map of another vehicle; return it and the remarks on it."""
-    with _opened([folder], config) as ground:
-        vehicle, stops = ground.site.vehicle.name, find_stops(ground, config, folder)
-        (route, *_), order = _routes(ground, stops, replace(config, alternatives=1))
-    return replace(route, name=f"{route.name}, {vehicle}"), [*stops.notes, *(f"{vehicle}: {note}" for note in order)]
 
 
 def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list[PlannedRoute], list[str]]:
@@ -422,7 +311,14 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
     points = stops.points
     ways = find_alternatives(partial(planner.way, points), config.alternatives, ground.risk_m)
     if not ways:
-        raise BadInputError(explain_no_way(planner, points, stops.names))
+        legs = zip(pairwise(points), pairwise(stops.names), strict=True)
+        first, second = next(names for (start, goal), names in legs if planner.line(start, goal) is None)
+        unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
+        raise BadInputError(
+            f"there is no way from {first} to {second} on which the vehicle fits. Choose other points (without a goal, "
+            f"the same command maps what can be reached), {unknown}map the survey for another vehicle, or drive "
+            "through what the map takes for an obstacle with `through_obstacles`"
+        )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
     site = ground.site
@@ -433,8 +329,8 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             grid=site.grid,
             line=way.line,
             stops=points,
-            profile=way.measured.profile,
-            figures=way.measured.figures,
+            profile=way.profile,
+            figures=way.figures,
             vehicle=site.vehicle,
             risk_m=risk,
         )
@@ -456,40 +352,35 @@ def _in_best_order(planner: Planner, stops: Stops, config: RouteConfig) -> Stops
     return stops.in_order(order[: len(points)])
 
 
-def reach_from(config: RouteConfig) -> "ReachField":
+def reach_from(config: RouteConfig) -> "Reach":
     """Map what can be reached from the start, and write nothing. For errors see `plan_routes`."""
-    with _opened(config.layers, config) as ground:
-        _, found, field = _reach(ground, find_stops(ground, config), config)
+    with _opened(config) as ground:
+        found = _reach(ground, find_stops(ground, config), config)
     for note in found.notes:
         _log.warning(note)
-    return field
+    return found
 
 
-def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[NDArray[np.float64], Reach, "ReachField"]:
-    """Return the start, and what can be reached from it, also as it is written."""
-    from bumpymap.layers import ReachField
+def _reach(ground: CostGround, stops: Stops, config: RouteConfig) -> "Reach":
+    """Return what can be reached from the start, within the largest outline."""
+    from bumpymap.route.reach import find_reach
 
-    site, start = ground.site, stops.points[0]
-    limits = [*(minutes * 60.0 * site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
-    found = find_reach(ground, start, max(limits, default=math.inf))
-    fields = found.window, found.cost, found.minutes, found.back
-    return start, found, ReachField(site.georeference, site.grid, *fields, -MOVES)
+    limits = [*(minutes * 60.0 * ground.site.vehicle.speed_mps for minutes in config.isochrones), *config.isocosts]
+    return find_reach(ground, stops.points[0], max(limits, default=math.inf))
 
 
 def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Path) -> RouteResult:
-    from bumpymap.route.output import ReachLevels, write_reach_files
+    from bumpymap.route.output import write_reach_files
 
-    start, found, field = _reach(ground, stops, config)
+    found = _reach(ground, stops, config)
     notes = (*stops.notes, *found.notes)
-    levels = ReachLevels(config.isochrones, "minutes") if config.isochrones else None
-    if config.isocosts:
-        levels = ReachLevels(config.isocosts, "cost")
     files = write_reach_files(
-        field,
+        found,
         ground.site,
         out,
-        levels=levels,
-        manifest={"settings": asdict(config), "start": start, "remarks": notes},
+        levels=config.isochrones or config.isocosts,
+        by="minutes" if config.isochrones else "cost",
+        manifest={"settings": asdict(config), "start": stops.points[0], "remarks": notes},
         overwrite=config.overwrite,
     )
     return RouteResult((), found, tuple(files), notes)

@@ -12,7 +12,16 @@ from bumpymap.core import BadInputError, UsageError, describe_crs, unit_name
 from bumpymap.layers import MapReader
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["GridPoint", "in_window", "on_grid", "overlap", "parse_point", "place_in_window", "place_point"]
+__all__ = [
+    "GridPoint",
+    "in_window",
+    "on_grid",
+    "overlap",
+    "parse_point",
+    "place_in_window",
+    "place_point",
+    "window_within",
+]
 
 System = Literal["lonlat", "crs"]
 Place: TypeAlias = Sequence[float] | NDArray[np.float64]
@@ -24,14 +33,6 @@ _FORMS = (
     "Give LON,LAT such as 11.5,48.1, or X,Y in the survey's CRS such as 434100,5411200; lonlat:11.5,48.1 and "
     "crs:434100,5411200 say which of the two it is"
 )
-
-
-_NEAR_M = 5000.0
-"""How far from the map two numbers may lie that are thought to be swapped, m."""
-
-
-_FEET_M = (0.3048, 1200 / 3937)
-"""The foot, and the US survey foot, m."""
 
 
 class GridPoint(NamedTuple):
@@ -108,17 +109,7 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
-    how_far = ""
-    if meant:
-        read_as, point = next(iter(meant.items()))
-        as_what = "longitude and latitude" if read_as == "lonlat" else "coordinates in the survey's CRS"
-        metres = _outside_m(point, route_map)
-        away = f"{metres / 1000.0:,.1f} km" if metres >= 1000.0 else f"{metres:.1f} m"
-        how_far = f"; read as {as_what}, it is {away} away from it"
-    raise BadInputError(
-        f"{name} lies outside the map, which spans {_extent(route_map)}{how_far}. "
-        f"{_swapped(x, y, route_map) or _other_unit(x, y, route_map)}{_FORMS}"
-    )
+    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {_FORMS}")
 
 
 def place_in_window(
@@ -154,6 +145,17 @@ def overlap(one: TileWindow, other: TileWindow) -> TileWindow:
     return TileWindow(west, south, east - west, north - south)
 
 
+def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
+    """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
+    if not math.isfinite(reach):
+        return whole
+    west = max(whole.col, math.floor(start[0] - reach))
+    south = max(whole.row, math.floor(start[1] - reach))
+    east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)
+    north = min(whole.row + whole.rows, math.ceil(start[1] + reach) + 1)
+    return TileWindow(west, south, max(east - west, 1), max(north - south, 1))
+
+
 def _in_tile(coordinate: float, tile: int) -> float:
     """Return a coordinate, or the nearest one in a tile."""
     return min(max(coordinate, float(tile)), math.nextafter(tile + 1.0, tile))
@@ -179,30 +181,6 @@ def _outside_m(point: GridPoint, route_map: MapReader) -> float:
     easting = min(max(point.easting, bounds.west), bounds.east)
     northing = min(max(point.northing, bounds.south), bounds.north)
     return max(math.hypot(point.easting - easting, point.northing - northing), np.finfo(float).tiny)
-
-
-def _swapped(x: float, y: float, route_map: MapReader) -> str:
-    """Ask about the order of the two numbers if they lie on the map, or near it, the other way round."""
-    for system in ("lonlat", "crs") if route_map.has_crs else ("crs",):
-        point = _on_grid(y, x, route_map, system, forced=False)
-        if point is not None and _outside_m(point, route_map) <= _NEAR_M:
-            order = "Longitude comes before latitude" if system == "lonlat" else "x (east) comes before y (north)"
-            return f"{order}: did you mean {y:.10g},{x:.10g}? "
-    return ""
-
-
-def _other_unit(x: float, y: float, route_map: MapReader) -> str:
-    """Ask about the unit if the point lies on the map, or near it, as one in feet on a map in metres, or reversed."""
-    unit = route_map.georeference.metres_per_unit
-    others = {1.0: _FEET_M, **dict.fromkeys(_FEET_M, (1.0,))}.get(unit, ())
-    points = [(x * other / unit, y * other / unit) for other in others]
-    near = {point: _outside_m(GridPoint(*route_map.to_grid(*point)), route_map) for point in points}
-    if not near or not min(near.values()) <= _NEAR_M:
-        return ""
-    meant_x, meant_y = min(near, key=lambda point: near[point])
-    own_unit, given = ("metres", "feet") if unit == 1.0 else (unit_name(unit).replace("foot", "feet"), "metres")
-    meant = f"{meant_x:.2f},{meant_y:.2f}"
-    return f"The map's coordinates are in {own_unit}: if the point is in {given}, did you mean {meant}? "
 
 
 def _extent(route_map: MapReader) -> str:

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Barred, UsageError
+from bumpymap.layers import ReachField
 from bumpymap.route.ground import CostGround
-from bumpymap.route.places import place_in_window
-from bumpymap.route.search import BETWEEN_OBSTACLES, MOVES, spread
-from bumpytiles import TileWindow, kernel
+from bumpymap.route.places import place_in_window, window_within
+from bumpymap.route.search import MOVES, spread
+from bumpytiles import kernel
 
-__all__ = ["Reach", "add_up_lengths", "find_reach", "window_within"]
+__all__ = ["Reach", "add_up_lengths", "find_reach"]
 
 
 @kernel
@@ -63,21 +64,11 @@ _ONLY_WHOLE = (
 
 
 @dataclass(frozen=True, slots=True)
-class Reach:
-    """Cost and time of the cheapest way to the tiles of a window; arrays are (rows, cols), north row first."""
+class Reach(ReachField):
+    """Cost and time of the cheapest way to the tiles of a window from one start, and how it was looked for."""
 
-    window: TileWindow
-    cost: NDArray[np.float32]
-    """Cost of the way to the tile's centre, m; NaN if it cannot be reached."""
-    minutes: NDArray[np.float32]
-    """Driving time of that way at the profile's speed, min; NaN likewise."""
-    back: NDArray[np.uint8]
-    """The move by which that way enters the tile, see `bumpymap.route.search.MOVES`; `FROM_START` (254) if it leads
-    straight from the start to the middle of the tile, `BETWEEN_OBSTACLES` (253) if it leads between obstacles, where
-    there are no moves, `NOT_REACHED` (255) if there is none."""
-    passable: int
+    passable: int = 0
     """Tiles of the window that are not closed, or in which the vehicle fits between obstacles."""
-    tile_size: float
     limit_m: float | None = None
     """How far from the start the window reaches to each side, m; None: it is the whole map."""
     notes: tuple[str, ...] = ()
@@ -96,7 +87,7 @@ class Reach:
     @property
     def area_ha(self) -> float:
         """Area of the tiles that can be reached, ha."""
-        return self.tiles * self.tile_size**2 / 1e4
+        return self.tiles * self.grid.tile_size**2 / 1e4
 
     @property
     def highest_cost(self) -> float:
@@ -133,44 +124,18 @@ def find_reach(ground: CostGround, start: NDArray[np.float64], most_m: float = m
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
             notes = (_ONLY_WHOLE.format(size=math.ceil(window.rows * window.cols * BYTES_PER_TILE / 1e9)),)
         else:
-            found = reach_over_areas(ground, window, start, spent, length)
-            spent, length = found.cost, found.length
-            back[found.is_between] = BETWEEN_OBSTACLES
-            _mark_all_between(back)
-            is_passable |= found.has_room
+            is_passable |= reach_over_areas(ground, window, start, spent, length)
     spent[np.isinf(spent)] = np.nan
     spent *= site.grid.tile_size
     length *= site.grid.tile_size / site.vehicle.speed_mps / 60.0
     length[np.isnan(spent)] = np.nan
     return Reach(
-        window=window,
+        site.georeference,
+        site.grid,
+        window,
         cost=spent.astype(np.float32),
         minutes=length.astype(np.float32),
-        back=back,
         passable=int(is_passable.sum()),
-        tile_size=site.grid.tile_size,
         limit_m=None if window == site.window else most_m,
         notes=notes,
     )
-
-
-def _mark_all_between(back: NDArray[np.uint8]) -> None:
-    """Set `BETWEEN_OBSTACLES` for all tiles whose moves lead to one that has it."""
-    row, col = np.indices(back.shape, np.int32)
-    has_move = back < len(MOVES)
-    move = MOVES[np.where(has_move, back, 0)] * has_move[..., None]
-    ahead = ((row - move[..., 0]) * back.shape[1] + col - move[..., 1]).ravel()
-    while not np.array_equal(ahead, further := ahead[ahead]):  # each pass doubles how far is looked
-        ahead = further
-    back[(back.ravel()[ahead] == BETWEEN_OBSTACLES).reshape(back.shape)] = BETWEEN_OBSTACLES
-
-
-def window_within(whole: TileWindow, start: NDArray[np.float64], reach: float) -> TileWindow:
-    """Return the part of a map within a distance of a place, tiles east and north of the grid's origin."""
-    if not math.isfinite(reach):
-        return whole
-    west = max(whole.col, math.floor(start[0] - reach))
-    south = max(whole.row, math.floor(start[1] - reach))
-    east = min(whole.col + whole.cols, math.ceil(start[0] + reach) + 1)
-    north = min(whole.row + whole.rows, math.ceil(start[1] + reach) + 1)
-    return TileWindow(west, south, max(east - west, 1), max(north - south, 1))

@@ -20,7 +20,7 @@ percent or two.
 """
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cache
 from math import gcd
 from typing import NamedTuple, TypeVar
@@ -30,18 +30,16 @@ from numpy.typing import NDArray
 
 from bumpymap.route._line_kernels import connect, find_near
 from bumpymap.route._search_kernels import (
-    BETWEEN_OBSTACLES,
     FROM_START,
     NEW,
     NOT_REACHED,
+    REACH,
     SETTLED,
     Ground,
     MoveTables,
     Reached,
     Seeds,
-    mark_crowded,
     search,
-    walk_back,
 )
 from bumpymap.route.straighten import (
     LEAST_SAVING,
@@ -56,7 +54,6 @@ from bumpymap.route.straighten import (
 )
 
 __all__ = [
-    "BETWEEN_OBSTACLES",
     "BYTES_PER_TILE",
     "FROM_START",
     "MOST_TILES",
@@ -65,12 +62,10 @@ __all__ = [
     "REACH",
     "Found",
     "Point",
-    "RingedWindow",
     "SearchFrame",
     "Way",
     "find_way",
     "follow_back",
-    "is_open",
     "move_tables",
     "seek",
     "settle_point",
@@ -78,8 +73,6 @@ __all__ = [
     "tight_way",
 ]
 
-REACH = 4
-"""Tiles that a move goes at most, along each axis."""
 MOVES: NDArray[np.int64] = np.array(
     [(row, col) for row in range(-REACH, REACH + 1) for col in range(-REACH, REACH + 1) if gcd(row, col) == 1]
 )
@@ -87,14 +80,26 @@ MOVES: NDArray[np.int64] = np.array(
 
 
 @cache
-def _pieces() -> tuple[list[NDArray[np.int64]], list[NDArray[np.float64]], NDArray[np.float64]]:
-    """Trace every move: tiles between its ends, (n, 2) from where it starts, the length in each, and in the ends."""
-    open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
+def _traced_moves(margin: float) -> tuple[MoveTables, NDArray[np.int64]]:
+    """Trace every move; also return the tiles between their ends, (n, 2) from where each starts."""
     middle = REACH + 0.5
-    traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
+    open_ground = np.ones((2 * REACH + 1, 2 * REACH + 1), np.float32)
     # First and last piece are as long as each other, and in tables of their own.
-    tiles = [np.column_stack([each.row, each.col])[1:-1] - REACH for each in traced]
-    return tiles, [each.length[1:-1] for each in traced], np.array([each.length[0] for each in traced])
+    traced = [trace(open_ground, np.array([[middle, middle], middle + move])) for move in MOVES]
+    near = np.empty((len(MOVES), *open_ground.shape), np.bool_)
+    find_near(np.vstack([np.zeros((1, 2)), MOVES]) + middle, margin, near)
+    bits = 1 << np.arange(REACH * len(open_ground) + len(open_ground))
+    tables = MoveTables(
+        step=np.empty(0, np.int64),
+        length=np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1)),
+        end=np.array([each.length[0] for each in traced]),
+        first_piece=np.cumsum([0, *(len(each.length) - 2 for each in traced)]),
+        piece=np.empty(0, np.int64),
+        piece_length=np.concatenate([each.length[1:-1] for each in traced]),
+        near_north=near[:, REACH::-1].reshape(len(near), -1) @ bits,
+        near_south=near[:, :REACH:-1].reshape(len(near), -1) @ bits[: -len(open_ground)],
+    )
+    return tables, np.concatenate([np.column_stack([each.row, each.col])[1:-1] for each in traced]) - REACH
 
 
 def move_tables(width: int, margin: float) -> MoveTables:
@@ -103,26 +108,9 @@ def move_tables(width: int, margin: float) -> MoveTables:
     ``width``: columns of the window, flattened row by row; ``margin``: distance that a way keeps from closed tiles,
     tiles.
     """
-    tiles, lengths, end = _pieces()
-    near = np.empty((len(MOVES), 2 * REACH + 1, 2 * REACH + 1), np.bool_)
-    find_near(np.vstack([np.zeros((1, 2)), MOVES]) + REACH + 0.5, margin, near)
-    _, row, col = np.nonzero(near)
+    tables, tiles = _traced_moves(margin)
     flat = np.array([width, 1])
-    return MoveTables(
-        step=MOVES @ flat,
-        length=np.sqrt((MOVES.astype(np.float64) ** 2).sum(axis=1)),
-        end=end,
-        first_piece=_starts([len(each) for each in lengths]),
-        piece=np.concatenate(tiles) @ flat,
-        piece_length=np.concatenate(lengths),
-        first_near=_starts(near.sum(axis=(1, 2))),
-        near=(np.column_stack([row, col]) - REACH) @ flat,
-    )
-
-
-def _starts(counts: "list[int] | NDArray[np.int64]") -> NDArray[np.int64]:
-    """Where each list starts when all are set one behind the other, and where the last ends."""
-    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return tables._replace(step=MOVES @ flat, piece=tiles @ flat)
 
 
 Floats = NDArray[np.float64]
@@ -131,6 +119,7 @@ Point = tuple[float, float]
 Number = TypeVar("Number", bound=np.generic)
 
 _QUANTUM = 2.0**-30
+_MOST_QUANTA = 2**30 - 1
 
 
 def settle_point(point: Point) -> Point:
@@ -140,21 +129,9 @@ def settle_point(point: Point) -> Point:
     """
     if not (math.isfinite(point[0]) and math.isfinite(point[1])):
         raise ValueError(f"{point} is no point: field coordinates are two finite numbers")
-    r, c = (_settled(x) for x in point)
-    return r, c
-
-
-def _settled(x: float) -> float:
-    """Round one coordinate."""
-    tile = math.floor(x)
-    return tile + min(max(round((x - tile) / _QUANTUM), 1), round(1 / _QUANTUM) - 1) * _QUANTUM
-
-
-def is_open(cost: NDArray[np.float32], point: Point) -> bool:
-    """Say whether a point lies in an open tile of a window."""
-    row, col = math.floor(point[0]), math.floor(point[1])
-    inside = 0 <= row < cost.shape[0] and 0 <= col < cost.shape[1]
-    return inside and bool(cost[row, col] < math.inf)
+    tiles = [math.floor(x) for x in point]
+    r, c = (min(max(round((x - tile) / _QUANTUM), 1), _MOST_QUANTA) for x, tile in zip(point, tiles, strict=True))
+    return tiles[0] + r * _QUANTUM, tiles[1] + c * _QUANTUM
 
 
 class SearchFrame(NamedTuple):
@@ -162,44 +139,38 @@ class SearchFrame(NamedTuple):
 
     back: bool
     """True if the search runs from goal to start."""
-    flip_rows: bool
-    flip_cols: bool
+    flips: tuple[bool, bool]
+    """True if rows, columns run the other way."""
     transpose: bool
+    shape: tuple[int, int]
+    """Of the window."""
 
     @classmethod
     def of(cls, cost: NDArray[np.float32], start: Point, goal: Point) -> "SearchFrame":
         """Choose the frame for a start and a goal in the window."""
         back = _rank(cost, start) > _rank(cost, goal)
         down, right = (goal[0] - start[0], goal[1] - start[1]) if not back else (start[0] - goal[0], start[1] - goal[1])
-        return cls(back, down < 0.0, right < 0.0, abs(down) < abs(right))
+        return cls(back, (down < 0.0, right < 0.0), abs(down) < abs(right), (cost.shape[0], cost.shape[1]))
 
     def turn(self, values: NDArray[Number]) -> NDArray[Number]:
         """Turn an array (rows, cols); a view."""
-        turned = values[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
+        turned = values[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
         return turned.T if self.transpose else turned
 
     def turn_back(self, values: NDArray[Number]) -> NDArray[Number]:
         """Undo `turn`; a view."""
         turned = values.T if self.transpose else values
-        return turned[:: -1 if self.flip_rows else 1, :: -1 if self.flip_cols else 1]
+        return turned[:: -1 if self.flips[0] else 1, :: -1 if self.flips[1] else 1]
 
-    def ends(self, shape: tuple[int, ...], start: Point, goal: Point) -> tuple[Point, Point]:
-        """Turn start and goal in a window of ``shape``, and put them in order."""
-        (r0, c0), (r1, c1) = (self._place(shape, point) for point in ((goal, start) if self.back else (start, goal)))
-        return (r0, c0), (r1, c1)
+    def turn_line(self, line: Floats) -> Floats:
+        """Turn a line (n, 2), and put its ends in order."""
+        line = np.where(self.flips, self.shape - line, line)
+        return line[:: -1 if self.back else 1, :: -1 if self.transpose else 1]
 
-    def _place(self, shape: tuple[int, ...], point: Point) -> Point:
-        r = shape[0] - point[0] if self.flip_rows else point[0]
-        c = shape[1] - point[1] if self.flip_cols else point[1]
-        return (c, r) if self.transpose else (r, c)
-
-    def line_back(self, shape: tuple[int, ...], line: Floats) -> Floats:
-        """Turn a line (n, 2) back to a window of ``shape``, from its start to its goal."""
-        line = line[:: -1 if self.back else 1, :: -1 if self.transpose else 1].copy()
-        for axis, flipped in enumerate((self.flip_rows, self.flip_cols)):
-            if flipped:
-                line[:, axis] = shape[axis] - line[:, axis]
-        return line
+    def turn_line_back(self, line: Floats) -> Floats:
+        """Undo `turn_line`."""
+        line = line[:: -1 if self.back else 1, :: -1 if self.transpose else 1]
+        return np.where(self.flips, self.shape - line, line)
 
 
 def _rank(cost: NDArray[np.float32], point: Point) -> tuple[float, ...]:
@@ -215,77 +186,62 @@ MOST_TILES = 2_000_000_000
 """Tiles of a window, which the search numbers with 32 bits; the ring takes the rest."""
 
 
-@dataclass(frozen=True, slots=True)
-class RingedWindow:
-    """A window as the search takes it: with a ring of closed tiles."""
+def _search(
+    cost: NDArray[np.float32], start: Point, goal: Point | None, margin: float, bound: float
+) -> tuple[Reached, Callable[[NDArray[Number]], NDArray[Number]]]:
+    """Search a window from a start in an open tile, to a goal or all around.
 
-    cost: NDArray[np.float32]
-    """(rows + 2 * REACH, cols + 2 * REACH)."""
-    margin: float
-    least: float
-    """Least cost; 1 if all is closed."""
+    ``bound`` as in `seek`. Also return what takes one of the flat arrays to (rows, cols). Raises ValueError where a
+    cost is below 1 or NaN.
+    """
+    least = float(cost.min(initial=math.inf))
+    if not least >= 1.0:
+        raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
+    ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
+    ringed[REACH:-REACH, REACH:-REACH] = cost
+    margin, width, count = wide_margin(margin), ringed.shape[1], ringed.size
 
-    @classmethod
-    def of(cls, cost: NDArray[np.float32], margin: float) -> "RingedWindow":
-        """Set a ring around costs; raises ValueError where one is below 1 or NaN."""
-        least = float(cost.min(initial=math.inf))
-        if not least >= 1.0:
-            raise ValueError(f"the least cost is {least}; every cost must be a number of at least 1, or infinite")
-        ringed = np.full((cost.shape[0] + 2 * REACH, cost.shape[1] + 2 * REACH), np.inf, np.float32)
-        ringed[REACH:-REACH, REACH:-REACH] = cost
-        return cls(ringed, wide_margin(margin), least if least < math.inf else 1.0)
-
-    def inner(self, values: NDArray[Number]) -> NDArray[Number]:
-        """Return values of the flattened window without the ring."""
-        return values.reshape(self.cost.shape)[REACH:-REACH, REACH:-REACH]
-
-    def seeds(self, start: Point, goal: Point | None) -> Seeds:
-        """Connect start and goal with the middles of tiles around them."""
-        first = self._connect(start)
-        row, col = np.nonzero(first < math.inf)
-        tile = (row + math.floor(start[0])) * self.cost.shape[1] + col + math.floor(start[1])
-        if goal is None:
-            return Seeds(tile, first[row, col], np.full_like(first, math.inf), math.inf)
-        return Seeds(tile, first[row, col], self._connect(goal), self.straight_cost(start, goal))
-
-    def _connect(self, point: Point) -> Floats:
-        """Costs straight from a point to the middles of tiles around it; infinite if it lies in a closed tile."""
+    def connected(point: Point) -> Floats:
+        """Costs straight from a point to the middles of tiles around it."""
         out = np.full((2 * REACH + 1, 2 * REACH + 1), math.inf)
-        r, c = point[0] + REACH, point[1] + REACH
-        if is_open(self.cost, (r, c)):
-            connect(self.cost, r, c, self.margin, out)
+        connect(ringed, point[0] + REACH, point[1] + REACH, margin, out)
         return out
 
-    def straight_cost(self, start: Point, goal: Point) -> float:
-        """Cost of the straight line; infinite if it is not clear."""
-        line = np.array([start, goal], np.float64) + REACH
-        return line_cost(self.cost, line) if is_clear(self.cost, line, self.margin) else math.inf
-
-    def search(self, seeds: Seeds, goal: Point, bound: float) -> Reached:
-        """Run the search; ``bound`` as in `Ground`."""
-        crowded = np.ones(self.cost.shape, np.uint8)
-        mark_crowded(self.cost, REACH, np.zeros(self.cost.shape[1], np.int64), crowded)
-        width, count = self.cost.shape[1], self.cost.size
-        ground = Ground(self.cost.ravel(), crowded.ravel(), width, goal[0] + REACH, goal[1] + REACH, self.least, bound)
-        reached = Reached(
-            np.full(count, math.inf),
-            np.full(count, NOT_REACHED, np.uint8),
-            np.full(count, NEW, np.int32),
-            np.empty(count, np.int32),
-            np.empty(count),
-            np.zeros(1, np.int64),
-            np.zeros(1),
-        )
-        search(ground, move_tables(width, self.margin), seeds, reached)
-        return reached
+    first = connected(start)
+    row, col = np.nonzero(first < math.inf)
+    seeds = Seeds(
+        (row + math.floor(start[0])) * width + col + math.floor(start[1]),
+        first[row, col],
+        np.full_like(first, math.inf),
+        math.inf,
+    )
+    if goal is not None:
+        straight = np.array([start, goal], np.float64) + REACH
+        is_straight = is_clear(ringed, straight, margin)
+        known = line_cost(ringed, straight) if is_straight else math.inf
+        seeds = seeds._replace(exit_cost=connected(goal), best=known)
+    closed = np.append(np.packbits(~(ringed < math.inf), bitorder="little"), np.uint8(0))
+    row_of_goal, col_of_goal = (0.0, 0.0) if goal is None else (goal[0] + REACH, goal[1] + REACH)
+    at_least = min(least if least < math.inf else 1.0, bound)
+    ground = Ground(ringed.ravel(), closed, width, row_of_goal, col_of_goal, least, at_least)
+    reached = Reached(
+        np.full(count, math.inf),
+        np.full(count, NOT_REACHED, np.uint8),
+        np.full(count, NEW, np.int32),
+        np.empty(count, np.int32),
+        np.empty(count),
+        np.zeros(1, np.int64),
+        np.zeros(1),
+    )
+    search(ground, move_tables(width, margin), seeds, reached)
+    return reached, lambda values: values.reshape(ringed.shape)[REACH:-REACH, REACH:-REACH]
 
 
 _AROUND = 8
 """Tiles around a line by moves within which it is pulled tight."""
 
 
-@dataclass(frozen=True, slots=True)
-class Way:
+class Way(NamedTuple):
     """A way between two points."""
 
     line: Floats
@@ -296,8 +252,7 @@ class Way:
     """The same of the way by moves from which it was pulled tight; never less."""
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """Result of a search."""
 
     line: Floats | None
@@ -348,8 +303,7 @@ def tight_way(found: Found, margin: float, least_saving: float = LEAST_SAVING) -
     near, corner = _cut_out(found.ground, found.line)
     line = thin_out(near, pull_tight(near, found.line - corner, wide_margin(margin)), margin, least_saving)
     line = off_borders(near, line, margin)
-    pulled = line_cost(near, line)
-    return Way(found.frame.line_back(found.settled.shape, line + corner), pulled, found.cost)
+    return Way(found.frame.turn_line_back(line + corner), line_cost(near, line), found.cost)
 
 
 def _cut_out(cost: NDArray[np.float32], line: Floats) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
@@ -373,20 +327,21 @@ def seek(cost: NDArray[np.float32], start: Point, goal: Point, margin: float, bo
     ``bound`` is what no tile costs less than, those outside the window included, if ways may leave it.
     """
     start, goal = settle_point(start), settle_point(goal)
-    if not (is_open(cost, start) and is_open(cost, goal)):
-        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), SearchFrame(False, False, False, False), cost)
+    frame = SearchFrame(False, (False, False), False, (cost.shape[0], cost.shape[1]))
+    tiles = np.floor([start, goal])
+    if (tiles < 0).any() or (tiles >= cost.shape).any() or np.isinf(cost[tuple(tiles.astype(np.int64).T)]).any():
+        return Found(None, math.inf, np.zeros(cost.shape, np.bool_), frame, cost)
     frame = SearchFrame.of(cost, start, goal)
     ground = frame.turn(cost)
-    first, last = frame.ends(cost.shape, start, goal)
-    window = RingedWindow.of(ground, margin)
-    reached = window.search(window.seeds(first, last), last, min(window.least, bound))
-    settled, best = frame.turn_back(window.inner(reached.place) == SETTLED), float(reached.best[0])
+    line = frame.turn_line(np.array([start, goal]))
+    first, last = ((float(r), float(c)) for r, c in line)
+    reached, inner = _search(ground, first, last, margin, bound)
+    settled, best = frame.turn_back(inner(reached.place) == SETTLED), float(reached.best[0])
     if not best < math.inf:
         return Found(None, best, settled, frame, ground)
-    line = np.array([first, last])
     if reached.last[0] >= 0:
-        row, col = divmod(int(reached.last[0]), window.cost.shape[1])
-        path = follow_back(window.inner(reached.back), row - REACH, col - REACH)
+        row, col = divmod(int(reached.last[0]), ground.shape[1] + 2 * REACH)
+        path = follow_back(inner(reached.back), row - REACH, col - REACH)
         line = np.concatenate([line[:1], path[::-1], line[1:]])
     return Found(line, best, settled, frame, ground)
 
@@ -416,11 +371,10 @@ def spread(cost: NDArray[np.floating], start: Point, *, margin: float = 0.0) -> 
     ValueError
         As `find_way`.
     """
-    window = RingedWindow.of(as_cost(cost), margin)
-    reached = window.search(window.seeds(settle_point(start), None), (0.0, 0.0), 0.0)
+    reached, inner = _search(as_cost(cost), settle_point(start), None, margin, 0.0)
     g, back = reached.g, reached.back
     del reached  # before copies are made
-    return np.ascontiguousarray(window.inner(g)), np.ascontiguousarray(window.inner(back))
+    return np.ascontiguousarray(inner(g)), np.ascontiguousarray(inner(back))
 
 
 def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
@@ -429,7 +383,7 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     Parameters
     ----------
     back : array (rows, cols) uint8
-        From `spread`, or of a `Reach`.
+        From `spread`.
     row, col : int
         A tile that has been reached.
 
@@ -442,20 +396,13 @@ def follow_back(back: NDArray[np.uint8], row: int, col: int) -> Floats:
     Raises
     ------
     ValueError
-        There is no way to the tile, or it leads between obstacles, where there are no moves.
+        There is no way to the tile.
     """
     if back[row, col] == NOT_REACHED:
         raise ValueError(f"there is no way to the tile in row {row}, column {col}")
-    if back[row, col] == BETWEEN_OBSTACLES:
-        raise ValueError(f"the way to the tile in row {row}, column {col} leads between obstacles: plan it as a route")
-    back, count = np.ascontiguousarray(back), np.zeros(1, np.int64)
-    path = np.empty((sum(back.shape), 2), np.int64)
-    walk_back(back, MOVES, row, col, path, count)
-    if count[0] > len(path):
-        path = np.empty((int(count[0]), 2), np.int64)
-        walk_back(back, MOVES, row, col, path, count)
-    path = path[: count[0]]
-    move = back[path[:, 0], path[:, 1]]
-    kept = np.ones(len(path), np.bool_)
-    kept[1:-1] = move[1:-1] != move[:-2]
-    return path[kept].astype(np.float64) + 0.5
+    path, last = [(row, col)], NOT_REACHED
+    while (move := int(back[row, col])) < len(MOVES):
+        row, col = row - int(MOVES[move, 0]), col - int(MOVES[move, 1])
+        path[-1:] = [(row, col)] if move == last else [path[-1], (row, col)]
+        last = move
+    return np.array(path, np.float64) + 0.5

@@ -59,8 +59,6 @@ class RouteConfig:
     places (on a round trip, only the start)."""
     round_trip: Annotated[bool, Setting("Return to the start", option="return", group="Way")] = False
     alternatives: Annotated[int, Setting("Number of ways to propose", "N", 1, 10, group="Way")] = 1
-    compare: Annotated[tuple[Path, ...], Setting("Layers of the site for another vehicle", "DIR", group="Vehicle")] = ()
-    """Maps of the same site for other vehicles: each plans its own way between the same points."""
     snap: Annotated[float, Setting("Move points on closed ground by up to M", "M", 0.0, unit="m", group="Way")] = 0.0
     """A start, goal or point to pass on ground that cannot be used is moved by this much at most, m."""
     isochrones: Annotated[
@@ -93,10 +91,10 @@ class RouteConfig:
         if self.points is not None and (self.goal is not None or self.via):
             raise UsageError("the file of points holds start, points to pass and goal: leave out `goal` and `via`")
         memory_limit(self.memory)
-        if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1 or self.compare):
+        if self.is_reach and (self.visit or self.round_trip or self.alternatives > 1):
             raise UsageError(
-                "without a goal the run maps what can be reached from the start; `visit`, `round_trip`, `alternatives` "
-                "and `compare` belong to a way: add `goal`, `via` or `points`"
+                "without a goal the run maps what can be reached from the start; `visit`, `round_trip` and "
+                "`alternatives` belong to a way: add `goal`, `via` or `points`"
             )
         if self.isochrones and self.isocosts:
             raise UsageError("`isochrones` and `isocosts` are outlines of one run each: give one of them")

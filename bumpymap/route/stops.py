@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BARRED_TEXT, NO_TILE, BadInputError, Barred, TileField
 from bumpymap.layers import MapReader, read_points
 from bumpymap.route.ground import CostGround
-from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point
-from bumpymap.route.reach import window_within
+from bumpymap.route.places import GridPoint, parse_point, place_in_window, place_point, window_within
 from bumpymap.route.settings import RouteConfig
 from bumpytiles import TileWindow
 
@@ -96,16 +94,13 @@ class Stops:
         return replace(self, points=self.points[list(order)], names=tuple(self.names[at] for at in order))
 
 
-def find_stops(ground: CostGround, config: RouteConfig, compared: Path | None = None) -> Stops:
+def find_stops(ground: CostGround, config: RouteConfig) -> Stops:
     """Return the points that the settings name.
 
-    ``compared``: the layers if they are those of another vehicle, which messages then name. Raises BadInputError: a
-    point does not lie on the map, or on ground that cannot be used.
+    Raises BadInputError: a point does not lie on the map, or on ground that cannot be used.
     """
-    vehicle = ground.site.vehicle.name
-    where, of = ("", "") if compared is None else (f"in {compared} ({vehicle}), ", f"{vehicle}: ")
     named = _named(ground.site, config)
-    points = [usable_point(ground, where + name, point, config.snap) for name, point in named]
+    points = [usable_point(ground, name, point, config.snap) for name, point in named]
     names, notes = [], []
     for (name, point), used in zip(named, points, strict=True):
         if used == point:
@@ -113,7 +108,7 @@ def find_stops(ground: CostGround, config: RouteConfig, compared: Path | None = 
             continue
         moved = f"moved by {math.dist(point, used):.1f} m"
         names.append(f"{name} ({moved})")
-        notes.append(f"{of}{name} was {moved} to ground that can be used")
+        notes.append(f"{name} was {moved} to ground that can be used")
     return Stops(np.array(points), tuple(names), tuple(notes))
 
 

@@ -324,6 +324,11 @@ LEAST_SAVING = 1e-3
 """Least saving of a corner of a thinned line by default, tiles: 3 mm."""
 _FIRST_STEP = 0.5
 _LEAST_STEP = 2e-5
+_AXES = np.arange(4) * 0.5 * np.pi
+_TURNED = np.array([0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375])[:, None] * np.pi + _AXES
+_ANGLES = np.concatenate([np.broadcast_to(_AXES, _TURNED.shape), _TURNED], axis=1).ravel()
+_DIRECTIONS = np.column_stack([np.sin(_ANGLES), np.cos(_ANGLES)])
+"""Along the axes always, and four more at angles that change: curved margins leave narrow ways to go."""
 _SPARE = 5e-10
 """Added to the margin, tiles: the line stays clear when its coordinates are rounded in other windows."""
 _LEAST_PART = 1e-3
@@ -415,14 +420,6 @@ def _with_new_corners(line: Floats) -> Floats:
 
 def _move(tightening: Tightening, line: Floats) -> Floats:
     """Move corners."""
-    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _directions())
+    corners = Corners(line.copy(), np.full(len(line), _FIRST_STEP), np.empty(len(line)), _DIRECTIONS)
     move_corners(tightening, corners, _SWEEPS)
     return corners.points
-
-
-def _directions() -> Floats:
-    """Along the axes always, and four more at angles that change: curved margins leave narrow ways to go."""
-    axes = np.array([0.0, 0.5, 1.0, 1.5]) * np.pi
-    turned = np.array([0.25, 0.125, 0.375, 0.0625, 0.1875, 0.3125, 0.4375])[:, None] * np.pi + axes
-    angles = np.concatenate([np.broadcast_to(axes, turned.shape), turned], axis=1).ravel()
-    return np.column_stack([np.sin(angles), np.cos(angles)])

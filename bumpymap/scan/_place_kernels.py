@@ -1,7 +1,7 @@
 """Compiled loops over the points of a scan: where each lies on the polar grid.
 
 ``place_points`` finds the cell (zone, ring, sector) and the pixel of every point, ``sort_points`` lists the points by
-cell, ``count_labels`` goes through the labels of each. Nothing here allocates: scratch arrays come from the caller.
+cell. Nothing here allocates: scratch arrays come from the caller.
 """
 
 import math
@@ -16,10 +16,8 @@ __all__ = [
     "BLOCK",
     "CellOrder",
     "ZoneGrid",
-    "count_labels",
     "place_points",
     "point_directions",
-    "rows_of_points",
     "sort_points",
     "turn_of",
 ]
@@ -150,37 +148,3 @@ def sort_points(cell: Integers, out: CellOrder) -> None:
         if cell[i] >= 0:
             order[starts[cell[i] + 1]] = np.int32(i)
             starts[cell[i] + 1] += 1
-
-
-@kernel
-def rows_of_points(cell: Integers, rows: Integers, out: Integers) -> None:
-    """Write the row of each point's cell; -1 outside the grid."""
-    for i in range(len(cell)):
-        out[i] = rows[cell[i]] if cell[i] >= 0 else np.int32(-1)
-
-
-@kernel
-def count_labels(
-    label: Annotated[NDArray[np.uint16], 1],
-    by_cell: CellOrder,
-    cells: Counts,
-    seen: Integers,
-    most: Annotated[NDArray[np.int16], 1],
-) -> None:
-    """Find the most frequent label of each listed sector, the smallest of equals.
-
-    ``label`` (points,): below 32,768; ``by_cell``, ``cells``: as in ``measure_sectors``; ``seen`` (32768,): scratch,
-    zeros before and after; ``most`` (sectors,): filled.
-    """
-    starts, order = by_cell.starts, by_cell.order
-    for s in range(len(cells)):
-        first, last = starts[cells[s]], starts[cells[s] + 1]
-        best, count = 0, 0
-        for i in range(first, last):
-            mine = int(label[order[i]])
-            seen[mine] += 1
-            if seen[mine] > count or (seen[mine] == count and mine < best):
-                best, count = mine, seen[mine]
-        for i in range(first, last):
-            seen[label[order[i]]] = 0
-        most[s] = best

@@ -16,7 +16,6 @@ from bumpymap.core import (
     NOT_TRAVERSABLE,
     VEHICLE_OR_CALIBRATION,
     ClassedSectors,
-    Compat,
     PolarSettings,
     Robot,
     Scan,
@@ -29,11 +28,9 @@ from bumpymap.core import (
     refuse_clashes,
     sector_bounds,
     settings_of_call,
-    short_repr,
 )
 from bumpymap.readers import read_scan, scene_points
 from bumpymap.scan.config import ScanConfig
-from bumpymap.scan.ground import SectorBuffers
 from bumpymap.scan.methods import choose_method
 
 __all__ = ["ScanClassifier", "ScanResult", "classify_scan"]
@@ -133,7 +130,6 @@ class ClassifierSettings(TypedDict, total=False):
 
     method: ScanMethod | None
     model: str | os.PathLike[str] | None
-    compat: Compat
     polar: PolarSettings | Mapping[str, Any] | None
     robot: Robot | Mapping[str, Any] | None
     vehicle: str | os.PathLike[str] | None
@@ -152,8 +148,6 @@ class ScanClassifier:
         How sectors are classified; the default is the network if one is included for the grid.
     model : path, optional
         A scan network, instead of the included one.
-    compat : {"none", "paper"}
-        ``paper``: fit the stripe classes in every scan.
     polar : dict, optional
         The polar grid, with the names and values of ``[polar]`` in a settings file.
     robot : dict, optional
@@ -163,9 +157,6 @@ class ScanClassifier:
         beside it. Its belly and height say what an obstacle is.
     calibration : path, optional
         A calibration file, instead of ``vehicle``.
-    reuse : bool
-        Give the arrays with a row per point in memory that the next call in the same thread overwrites: for a loop
-        that is done with a result before it asks for the next one.
 
     Raises
     ------
@@ -188,19 +179,15 @@ class ScanClassifier:
     True
     """
 
-    def __init__(self, *, reuse: bool = False, **settings: Unpack[ClassifierSettings]) -> None:
+    def __init__(self, **settings: Unpack[ClassifierSettings]) -> None:
         own = settings_of_call(settings, ScanConfig, "ScanClassifier", ClassifierSettings.__annotations__)
         refuse_clashes(own, [VEHICLE_OR_CALIBRATION])
-        if not isinstance(reuse, bool):
-            raise UsageError(f"reuse is {short_repr(reuse)}; it must be True or False")
         config = ScanConfig(frames=(), out=Path(), **own)  # these two are not used
-        self._given: dict[str, Any] = {"reuse": reuse, **settings}
+        self._given: dict[str, Any] = {**settings}
         self._robot = config.robot
         nearest = config.polar.zone_starts_m[0]
         self._blind = config.robot.box_m is None and nearest > 0.0 and config.robot.radius_m <= nearest
         self._method = choose_method(config)
-        self._scratch = SectorBuffers()
-        self._results = SectorBuffers() if reuse else None
 
     def __call__(self, points: ScanSource, /) -> ScanResult:
         """Classify the ground of one scan.
@@ -215,7 +202,7 @@ class ScanClassifier:
         Returns
         -------
         ScanResult
-            Its arrays are not changed by the next scan, unless ``reuse`` is set.
+            Its arrays are not changed by the next scan.
 
         Raises
         ------
@@ -228,15 +215,16 @@ class ScanClassifier:
             scan = read_scan(Path(path_of_call("points", points)), self._robot)
             classed = self._method.classify(scan)
             return ScanResult(scan.points, point_classes(scan, classed), classed.sectors.point_sector, classed)
-        results = SectorBuffers() if self._results is None else self._results
-        array = _columns(points, results)
+        array = _columns(points)
         rows = self._scene(array)
-        scan = Scan(array if rows is None else self._keep(array, rows))
+        scan = Scan(array if rows is None else array.take(rows, axis=0))
         classed = self._method.classify(scan)
         classes, sector = point_classes(scan, classed), classed.sectors.point_sector
         if rows is not None:
-            classes = _spread(classes, rows, NOT_TRAVERSABLE, results.empty("class", len(array), np.uint8))
-            sector = _spread(sector, rows, -1, results.empty("sector", len(array), np.int32))
+            found, classes = classes, np.full(len(array), NOT_TRAVERSABLE, np.uint8)
+            classes[rows] = found
+            held, sector = sector, np.full(len(array), -1, np.int32)
+            sector[rows] = held
         return ScanResult(array, classes, sector, classed)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -252,11 +240,6 @@ class ScanClassifier:
             finite = np.isfinite(points[:, 0] + points[:, 1] + points[:, 2])
         return None if finite.all() else np.flatnonzero(finite)
 
-    def _keep(self, points: NDArray[np.float32], rows: NDArray[np.intp]) -> NDArray[np.float32]:
-        """Return some points, in a buffer: only the classification of this scan reads them."""
-        out = self._scratch.empty("points", 3 * len(rows), np.float32).reshape(-1, 3)
-        return points.take(rows, axis=0, out=out, mode="clip")
-
 
 def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings]) -> ScanResult:
     """Classify the ground of one scan.
@@ -266,8 +249,8 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     points : array (n, 3 or more) or path
         As for a call of `ScanClassifier`.
     **settings
-        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``compat``,
-        ``polar``, ``robot``, ``vehicle``, ``calibration``.
+        As for `ScanClassifier`, which is faster for several scans: ``method``, ``model``, ``polar``,
+        ``robot``, ``vehicle``, ``calibration``.
 
     Returns
     -------
@@ -281,24 +264,13 @@ def classify_scan(points: ScanSource, /, **settings: Unpack[ClassifierSettings])
     return ScanClassifier(**settings)(points)
 
 
-def _columns(points: ArrayLike, buffers: SectorBuffers) -> NDArray[np.float32]:
-    """Return x, y and z of an array of points as contiguous float32; in a buffer, if the array is not so itself."""
+def _columns(points: ArrayLike) -> NDArray[np.float32]:
+    """Return x, y and z of an array of points as contiguous float32; not copied if the array is so itself."""
     try:
         array = np.asarray(points)
         if array.ndim == 2 and array.shape[1] >= 3 and array.dtype.kind in "fiu":
-            if array.dtype == np.float32 and array.shape[1] == 3 and array.flags.c_contiguous:
-                return array
-            out = buffers.empty("given", 3 * len(array), np.float32).reshape(-1, 3)
-            np.copyto(out, array[:, :3], casting="unsafe")
-            return out
+            return np.ascontiguousarray(array[:, :3], np.float32)
         what = f"an array of shape {array.shape} and type {array.dtype}"
     except ValueError as error:  # rows of different lengths
         what = f"no array ({error})"
     raise UsageError(f"points are {what}; give an array (n, 3) of x, y and z in metres, or the path of a file")
-
-
-def _spread(values: NDArray[Any], rows: NDArray[np.intp], gap: int, full: NDArray[Any]) -> NDArray[Any]:
-    """Put values in their rows of the full array, ``gap`` elsewhere; return it."""
-    full.fill(gap)
-    full[rows] = values
-    return full

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from bumpymap.core import (
-    Compat,
     GridSettings,
     NameOrFile,
     PolarSettings,
@@ -57,19 +56,12 @@ class ScanConfig:
         Setting("Columns of .bin files: 4, 5 or 6", "N", default="by their values", rare=True),
     ] = None
     """Number of float32 columns of ``.bin`` files; None: found from their values."""
-    labels: Annotated[
-        NameOrFile | None,
-        Setting("Label set: kitti, semantic-kitti, rellis, or a file (id,class)", "NAME|FILE", rare=True),
-    ] = None
-    """Label set that labels must be of: ``kitti``, ``semantic-kitti``, ``rellis``, or a CSV file."""
     method: Annotated[
         ScanMethod | None, Setting("How sectors are classified: filter or learned", "NAME", default="", group="Ground")
     ] = None
     """How sectors are classified; None: learned if a network for the grid is included, else filter."""
     model: Annotated[Path | None, Setting("ONNX file of your own scan network (learned)", "FILE", rare=True)] = None
     """A scan network, instead of the included one."""
-    compat: Annotated[Compat, Setting("paper: fit the stripe classes in every scan", default="", rare=True)] = "none"
-    """``paper``: fit the stripe classes in every scan, as the paper does."""
     products: Annotated[tuple[ScanProduct, ...], Setting("What to write for each frame", "LIST", rare=True)] = (
         SCAN_PRODUCTS
     )
@@ -103,16 +95,14 @@ class ScanConfig:
                 "Pictures of frames are drawn with `pictures`"
             )
         check_settings(self)
-        if (self.method == "learned" or self.model) and (self.method == "filter" or self.compat == "paper"):
-            raise UsageError(
-                "`model` belongs to the learned method and `compat='paper'` to the filter; give options of one"
-            )
+        if self.model is not None and self.method == "filter":
+            raise UsageError("`model` is a network of the learned method, and `method` is filter; give one of them")
         if self.poses is not None and self.odometry is not None:
             raise UsageError("`poses` and `odometry` both say where the frames were taken: give one of them")
         if self.bag is not None and self.bag.suffix.lower() != ".mcap":
             raise UsageError(f"`bag` is {self.bag}; it is the name of a file that ends in .mcap")
         if not self.may_have_poses:
-            self.refuse_map_settings()
+            self.refuse_crs()
 
     @property
     def may_have_poses(self) -> bool:
@@ -128,25 +118,9 @@ class ScanConfig:
 
         return BagTopics(self.topic, self.odometry, poses=self.poses is None)
 
-    @property
-    def rates_ride(self) -> bool:
-        """True if the ride of a vehicle on each sector is computed."""
-        return (self.vehicle is not None or self.calibration is not None) and self.finds_ground
-
-    @property
-    def finds_ground(self) -> bool:
-        """True if ground points are found; False: all points are taken for ground, as in the paper."""
-        return self.compat == "none" and self.polar.ground_only
-
-    def refuse_map_settings(self) -> None:
-        """Raise UsageError if there are settings for the map of the drive alone; for runs without poses."""
+    def refuse_crs(self) -> None:
+        """Raise UsageError if there is a CRS; for runs without poses."""
         if self.crs is not None:
             raise UsageError(
                 "`crs` applies to the map of a drive, which needs the pose of every frame: add `poses='FILE'`"
-            )
-        names = [name for name in ("vehicle", "calibration") if getattr(self, name) is not None]
-        if names and not self.finds_ground:
-            raise UsageError(
-                f"`{names[0]}` rates the ground of a scan, and as in the paper no ground is found in it: leave out "
-                f"`compat='paper'` (and ground_only), or `{names[0]}`"
             )

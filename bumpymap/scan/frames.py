@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, ClassedSectors, Scan, move_together, remove_path
+from bumpymap.core import BadInputError, ClassedSectors, Frame, Scan, move_together, remove_path
 from bumpymap.layers import (
     ACCUMULATED_NAME,
     FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME,
-    Frame,
     FramePart,
     FrameReport,
     SectorTable,
@@ -34,7 +33,7 @@ from bumpymap.layers import (
     sync_to_disk,
     write_frame,
 )
-from bumpymap.readers import BagReader, LabelSet, deskew, label_set, read_message, read_scan, require_label_set
+from bumpymap.readers import BagReader, deskew, read_message, read_scan
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.merge import DriveMerge, PlacedPoints, open_merge
 from bumpymap.views import GridBag, write_picture
@@ -42,10 +41,8 @@ from bumpymap.views import GridBag, write_picture
 __all__ = [
     "FrameProducts",
     "FrameReader",
-    "drop_empty_folder",
     "frame_products",
     "move_products",
-    "naming_frame",
     "open_products",
     "present_products",
     "staging_folder",
@@ -62,12 +59,10 @@ class FrameReader:
 
     def __init__(self, config: ScanConfig) -> None:
         self._config = config
-        self._labels: LabelSet | None = None if config.labels is None else label_set(config.labels)
         self.skipped: dict[str, str] = {}
         """Origin -> error message of each frame that was skipped."""
         self._bags: dict[Path, BagReader] = {}
         self._lock = Lock()
-        self._told_of_no_labels = False
 
     def read(self, frame: Frame) -> Scan:
         """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
@@ -75,21 +70,7 @@ class FrameReader:
             scan = read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
         else:
             scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
-        if self._labels is not None and scan.label is not None:
-            require_label_set(scan.label, self._labels, frame.origin)
-        elif self._labels is not None:
-            self._tell_of_no_labels()
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
-
-    def _tell_of_no_labels(self) -> None:
-        """Say once that there is nothing to check the label set with."""
-        with self._lock:
-            told, self._told_of_no_labels = self._told_of_no_labels, True
-        if not told:
-            _log.warning(
-                "there are frames without labels, so `labels` was not checked for them. Labels of DIR/NAME.bin are in "
-                "NAME.label in DIR, or in a folder labels beside it"
-            )
 
     def _bag(self, path: Path) -> BagReader:
         """Return a bag, which is opened once."""
@@ -116,15 +97,6 @@ class FrameReader:
             reasons = list(self.skipped.values())
             more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
             raise BadInputError("none of the frames could be read:", *reasons[:_NAMED], *more)
-
-
-@contextmanager
-def naming_frame(frame: Frame) -> Iterator[None]:
-    """Add the origin of the frame to the message of a BadInputError."""
-    try:
-        yield
-    except BadInputError as error:
-        raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
 
 
 _STAGED = "products"
@@ -259,9 +231,3 @@ def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     move_together(staged, out, SCAN_MANIFEST_NAME)
     remove_stale_products(out, files)
     return files
-
-
-def drop_empty_folder(staged: Path) -> None:
-    """Remove the folder of the frames' own files if there are none."""
-    with suppress(OSError):
-        (staged / FRAME_FOLDER).rmdir()

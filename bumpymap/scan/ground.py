@@ -2,7 +2,6 @@
 
 import math
 import threading
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -31,7 +30,7 @@ from bumpymap.scan._ground_kernels import (
 )
 from bumpymap.scan._place_kernels import CellOrder, ZoneGrid
 
-__all__ = ["ScanGround", "SectorBuffers", "all_ground", "cell_layout", "find_ground", "ground_ends"]
+__all__ = ["SectorBuffers", "cell_layout", "find_ground", "ground_ends"]
 
 
 class SectorBuffers(threading.local):
@@ -97,30 +96,6 @@ _HIGHEST_M = 0.5
 """Highest ground below the origin, m: frames may have it at the robot's base."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScanGround:
-    """The ground of a scan; (cells,) by cell of the polar grid, (m,) by point."""
-
-    found: NDArray[np.bool_]
-    """(cells,) whether the cell has ground points and a plane of its own."""
-    by_cell: CellOrder
-    """The ground points by cell."""
-    point_ground: NDArray[np.bool_]
-    """(m,)"""
-    point_height: NDArray[np.float32]
-    """(m,) height above the ground, m; NaN where it is not known."""
-    obstacles: NDArray[np.int32]
-    """(cells,) points between belly and height of the vehicle."""
-    overhead: NDArray[np.int32]
-    """(cells,) points higher than the vehicle."""
-    top: NDArray[np.float32]
-    """(cells,) the highest obstacle point above the ground, m; -inf without any."""
-    clearance: NDArray[np.float32]
-    """(cells,) lowest point above the vehicle's height, m; inf without any."""
-    things: NDArray[np.float32]
-    """(cells, 2, pixels, pixels) highest point that is not ground in each pixel, m, and the number of such points."""
-
-
 def find_ground(
     points: NDArray[np.float32],
     pixel: NDArray[np.int32],
@@ -128,7 +103,7 @@ def find_ground(
     settings: PolarSettings,
     start: float,
     buffers: SectorBuffers | None = None,
-) -> ScanGround:
+) -> tuple[NDArray[np.bool_], GroundLabels]:
     """Find the ground of a scan that was placed on the polar grid.
 
     A plane is found in every cell by seed and refit, once with what its spread allows, and once more when the noise of
@@ -138,7 +113,8 @@ def find_ground(
     would lie above its sensor has none: its axes are not what they are said to be.
 
     ``points`` (m, 3): m; ``start``: azimuth of sector 0, rad; ``buffers``: hold ``things`` and the order of the ground
-    points until the next call.
+    points until the next call. Returns whether each cell has ground points and a plane of its own (cells,), and what
+    is known of the points and cells.
     """
     buffers = buffers or SectorBuffers()
     geometry = _geometry(settings, start)
@@ -195,35 +171,7 @@ def find_ground(
             buffers.empty("state", parts, np.int32),
         ),
     )
-    return ScanGround(
-        planes.kind == FOUND,
-        CellOrder(labels.starts, labels.order),
-        labels.ground,
-        labels.height,
-        labels.obstacles,
-        labels.overhead,
-        labels.top,
-        labels.clearance,
-        labels.things.reshape(cells, 2, settings.pixels, settings.pixels),
-    )
-
-
-def all_ground(by_cell: CellOrder, points: NDArray[np.float32], pixels: int) -> ScanGround:
-    """Take every point inside the grid for ground, as the paper does; heights above it are not known."""
-    cells, count = len(by_cell.starts) - 2, len(points)
-    inside = np.zeros(count, np.bool_)
-    inside[by_cell.order[: by_cell.starts[-2]]] = True
-    return ScanGround(
-        np.ones(cells, np.bool_),
-        by_cell,
-        inside,
-        np.full(count, np.nan, np.float32),
-        np.zeros(cells, np.int32),
-        np.zeros(cells, np.int32),
-        np.full(cells, -np.inf, np.float32),
-        np.full(cells, np.inf, np.float32),
-        np.zeros((cells, 2, pixels, pixels), np.float32),
-    )
+    return planes.kind == FOUND, labels
 
 
 def _lies_above_sensor(planes: GroundPlanes) -> bool:

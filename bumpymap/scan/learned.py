@@ -23,6 +23,7 @@ from bumpymap.core import (
     PolarSettings,
     SectorStack,
     UsageError,
+    cell_numbers,
     check_network,
     metadata_of,
     read_network,
@@ -222,7 +223,7 @@ def _with_neighbours(stack: SectorStack, probability: NDArray[np.float32]) -> ND
     The odds of class 2 stay: a single obstacle must not be outvoted.
     """
     layout = cell_layout(stack.settings)
-    cell = layout.first[stack.zone] + stack.ring * layout.sectors[stack.zone] + stack.sector
+    cell = cell_numbers(stack)
     smooth, fair = np.maximum(probability[:, :2], _LEAST_PROBABILITY).T
     own = np.log(fair / smooth)
     is_open = stack.traversable & (stack.ground_count >= OPEN_SHARE * stack.count)

@@ -5,8 +5,12 @@ world, with an image of the nearest ranges by direction. When all are there, the
 frames give small corrections of the poses, and block after block is read back: a voxel through which two other frames
 or more saw, and more than saw something in it, held something that moved. Memory is bounded by the surfaces in one
 block and by a number of squares of ground.
+
+Poses are refused by how much the height of the same ground differs between frames, and by how much of what stands on it
+in one frame is seen through in another: that also finds poses on level ground that are wrong along it.
 """
 
+import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -20,19 +24,11 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError
 from bumpymap.layers import AccumulatedSurvey
 from bumpymap.scan._merge_kernels import VoxelTable, gather_points, judge_places, move_voxels, range_image
-from bumpymap.scan.align import (
-    LIMITS,
-    LOWEST,
-    REACH_M,
-    Alignment,
-    DriveHeights,
-    GroundHeights,
-    align_frames,
-    ground_heights,
-    refuse_wrong_poses,
-)
+from bumpymap.scan.align import Alignment, DriveHeights, GroundHeights, align_frames, ground_heights
 
-__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "open_merge"]
+__all__ = ["MOST_GROUND", "MOST_OTHERS", "DriveMerge", "PlacedPoints", "WrongPosesError", "open_merge"]
+
+_log = logging.getLogger(__name__)
 
 MOST_GROUND, MOST_OTHERS = 8, 3
 """Ground points per pixel of the map, and other points per voxel, that are kept."""
@@ -46,6 +42,25 @@ _PROBE_MM = 800
 """Height above ground, between belly and top of a vehicle, at which it shows whether the ground can be driven on."""
 _POINT = np.dtype([("place", "<i4", 3), ("range_cm", "<u2"), ("kind", "u1")])
 _FAR_MM = 2_000_000_000
+_REACH_M = 40.0
+"""Places nearer than this are judged by a frame whether it saw through them."""
+_LIMITS = np.array([[_REACH_M, 0.5, 0.02]])
+"""As `judge_places` takes them."""
+_LOWEST = -0.25
+"""Range images go from straight down to straight up."""
+_THICK_M = 0.5
+"""Ground that differs by more between frames is refused."""
+_SUSPECT, _WRONG = 0.15, 0.4
+"""Share of what stands there that other frames see through, above which poses are suspect, and refused. With traffic it
+is 0.08, with poses that are 1 m off 0.18, inverted, reversed or in feet 0.67 to 0.72."""
+_LEAST_AGREED_M, _MOST_M = 5.0, 30.0
+"""Distance of two frames that are compared."""
+_PAIRS, _POINTS, _LEAST_COMPARED = 24, 3000, 300
+"""Pairs of frames, and points of each, that are compared; fewest points that tell."""
+
+
+class WrongPosesError(BadInputError):
+    """Poses with which the frames contradict each other: the same run would end in the same way again."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +144,7 @@ class DriveMerge:
         blocks, number = np.unique(block, return_inverse=True)
         order = np.argsort(number.astype(np.min_scalar_type(len(blocks))), kind="stable")
         image = np.zeros((_COLUMNS // 2, _COLUMNS), np.uint16)
-        range_image(np.ascontiguousarray(points, np.float32), LOWEST, image)
+        range_image(np.ascontiguousarray(points, np.float32), _LOWEST, image)
         counts = np.bincount(number, minlength=len(blocks))
         return PlacedPoints(pose, rows[order], blocks, counts, image, ground_heights(points, is_ground, pose))
 
@@ -152,7 +167,7 @@ class DriveMerge:
         self.points.flush()
         self.images.flush()
         self.alignment = align_frames(self.heights.frames)
-        refuse_wrong_poses(self.alignment, self)
+        self._refuse_wrong_poses(self.alignment)
         self.shift = self.alignment.shift
         for block in sorted(self.blocks):
             xyz, is_ground = self._thin(block, self._gather(block))
@@ -165,18 +180,60 @@ class DriveMerge:
         """(frames, 4, 4) as they were given, when all have come."""
         return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
 
-    def read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    def _read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
         """Read a frame back: its points (n, 3) in the frame of the sensor, m, and whether each is ground (n,)."""
         pose, begin, end = self.frames[number]
         rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
         world = 0.001 * rows["place"] + (self.offset - pose[:3, 3])
         return world @ pose[:3, :3], rows["kind"] == 1
 
-    def image(self, number: int) -> NDArray[np.uint16]:
+    def _image(self, number: int) -> NDArray[np.uint16]:
         """Read the range image of a frame, see `range_image`."""
         pixels = _COLUMNS * _COLUMNS // 2
         flat = np.fromfile(self.images.name, np.uint16, pixels, offset=2 * pixels * number)
         return flat.reshape(-1, _COLUMNS)
+
+    def _refuse_wrong_poses(self, given: Alignment) -> None:
+        """Raise WrongPosesError if the frames contradict each other; warn if they may."""
+        if len(self.poses) < 2:
+            return
+        through, reason = self._seen_through(), ""
+        nearest = np.linalg.norm(np.diff(self.poses[:, :3, 3], axis=0), axis=1).min()
+        if through > _SUSPECT:
+            reason = f"frames see through {through:.0%} of what stands in others"
+        wrong = through > _WRONG
+        if given.before_m > _THICK_M:
+            wrong, reason = True, f"the height of the same ground differs by {given.before_m:.1f} m between frames"
+        elif not given.squares and nearest > 2.0 * _REACH_M:
+            wrong, reason = True, "the frames are so far apart that they share no ground"
+        message = (
+            f"according to the poses, {reason}. Are `poses` those of the LiDAR (not of a camera or of the robot's "
+            "base), one per frame in order of time, in metres, and from the sensor to the world (not inverted)?"
+        )
+        if wrong:
+            raise WrongPosesError(message)
+        if reason:
+            _log.warning("%s", message)
+
+    def _seen_through(self) -> float:
+        """Return the share of points above the ground through which a frame some metres away sees; NaN if unknown."""
+        through, near, poses = 0, 0, self.poses
+        for first in np.unique(np.linspace(0, len(poses) - 1, _PAIRS).round().astype(int)).tolist():
+            away = np.linalg.norm(poses[first + 1 :, :3, 3] - poses[first, :3, 3], axis=1)
+            far = np.flatnonzero((away >= _LEAST_AGREED_M) & (away <= _MOST_M))
+            if not len(far):
+                continue
+            second = int(first + 1 + far[0])
+            points, is_ground = self._read(first)
+            standing = points[~is_ground & (np.linalg.norm(points, axis=1) < _REACH_M)]
+            standing = standing[:: max(1, len(standing) // _POINTS)]
+            found = np.zeros((4, len(standing)), np.int32)
+            way = np.ascontiguousarray((np.linalg.inv(poses[second]) @ poses[first])[:3])
+            places = np.round(1000.0 * standing).astype(np.int32)
+            judge_places(places, way, _LOWEST, self._image(second), _LIMITS, found)
+            through += int(found[0].sum())
+            near += int(found[3].sum())
+        return through / (through + near) if through + near >= _LEAST_COMPARED else float("nan")
 
     def _whole_offset(self) -> NDArray[np.int64]:
         return (1000 * self.offset[:2]).astype(np.int64)
@@ -205,12 +262,12 @@ class DriveMerge:
         middle = self.poses[:, :2, 3]
         away = np.linalg.norm(middle - np.clip(middle, corner, corner + 0.001 * _BLOCK_MM), axis=1)
         found = np.zeros((4, len(where)), np.int32)
-        for number in np.flatnonzero(away < REACH_M).tolist():
+        for number in np.flatnonzero(away < _REACH_M).tolist():
             pose = self.poses[number].copy()
             pose[:3, 3] -= [*corner, self.offset[2]]
             pose[2, 3] += self.shift[number, 0]
             back = np.ascontiguousarray(np.linalg.inv(pose)[:3])
-            judge_places(where, back, LOWEST, self.image(number), LIMITS, found)
+            judge_places(where, back, _LOWEST, self._image(number), _LIMITS, found)
         return found
 
     def _thin(self, block: int, table: VoxelTable) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:

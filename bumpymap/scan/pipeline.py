@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from pyproj import CRS
 
 from bumpymap.core import (
+    BadInputError,
+    Frame,
     Kept,
     MapConfig,
     OutputError,
@@ -34,9 +37,9 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     ACCUMULATED_NAME,
+    FRAME_FOLDER,
     MAP_FOLDER,
     SCAN_MANIFEST_NAME,
-    Frame,
     FramePart,
     FrameReport,
     check_scan_folder,
@@ -56,30 +59,25 @@ from bumpymap.layers import (
 )
 from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import (
-    LABEL_SETS,
     FramePoses,
     bag_files,
     files_beside_poses,
     find_sources,
     identity,
     label_file,
-    label_set,
     place_sources,
 )
-from bumpymap.scan.align import WrongPosesError
 from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import (
     FrameProducts,
     FrameReader,
-    drop_empty_folder,
     frame_products,
     move_products,
-    naming_frame,
     open_products,
     present_products,
     staging_folder,
 )
-from bumpymap.scan.merge import PlacedPoints
+from bumpymap.scan.merge import PlacedPoints, WrongPosesError
 from bumpymap.scan.methods import Method, choose_method
 from bumpymap.views import check_bag_file
 
@@ -218,10 +216,7 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
 
 def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
     """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
-    if config.labels is not None:
-        label_set(config.labels)  # says which there are
-    labels = [] if config.labels is None or config.labels in LABEL_SETS else [Path(config.labels)]
-    labels += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
+    labels = [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
     beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
     bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
     stored = [file for bag in bags for file in bag_files(bag)]
@@ -259,7 +254,7 @@ def crs_of_poses(config: ScanConfig) -> CRS | None:
 def drive_settings(config: ScanConfig, frames: Sequence[Frame]) -> MapConfig | None:
     """Return the settings of the map of the drive, None without poses; check its calibration before the long work."""
     if all(frame.pose is None for frame in frames):
-        config.refuse_map_settings()
+        config.refuse_crs()
         return None
     own = {"vehicle": config.vehicle} if config.vehicle is not None else {}
     drive = MapConfig(
@@ -331,7 +326,8 @@ def classify_frames(
             done = {report.frame.name for report in reports}
             products.grids.write(config.bag, (n for n, frame in enumerate(frames) if frame.name in done))
             manifest["bag"] = describe_file(config.bag)
-        drop_empty_folder(staged)
+        with suppress(OSError):
+            (staged / FRAME_FOLDER).rmdir()  # if no frame has files of its own
         write_scan_manifest(staged, manifest, reports, run_spec["inputs"])
         files = move_products(staged, out)
     return ScanRun(files, method.name, tuple(reports), reader.skipped, clock.seconds, merged=accumulated)
@@ -354,8 +350,10 @@ def _classify_each(
             return *finished, ""
         begin = time.perf_counter()
         scan = reader.read(frame)
-        with naming_frame(frame):
+        try:
             classed = method.classify(scan)
+        except BadInputError as error:
+            raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
         report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
         return *products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
 

@@ -17,14 +17,12 @@ from bumpymap.scan._place_kernels import (
     BLOCK,
     CellOrder,
     ZoneGrid,
-    count_labels,
     place_points,
     point_directions,
-    rows_of_points,
     sort_points,
 )
 from bumpymap.scan._sector_kernels import SectorInputs, SectorMeasures, measure_sectors, sector_scratch
-from bumpymap.scan.ground import SectorBuffers, all_ground, find_ground, ground_ends
+from bumpymap.scan.ground import SectorBuffers, cell_layout, find_ground, ground_ends
 
 __all__ = ["RANSAC_THRESHOLD_M", "anchor_of", "polar_sectors"]
 
@@ -59,37 +57,33 @@ def polar_sectors(
     sort_points(cell, by_cell)
     counts = np.diff(by_cell.starts[:-1])
     cells = np.flatnonzero(counts > settings.least_points)
-    ground = (
-        find_ground(points, pixel, by_cell, settings, start, buffers)
-        if settings.ground_only
-        else all_ground(by_cell, points, settings.pixels)
-    )
-    ground_count = np.diff(ground.by_cell.starts[:-1])[cells]
-    there = ground.found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
+    found, ground = find_ground(points, pixel, by_cell, settings, start, buffers)
+    ground_count = np.diff(ground.starts[:-1])[cells]
+    there = found[cells] & (ground_count >= _LEAST_GROUND_POINTS)
     scalars, normal, heights = _measure(
-        SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M), ground.by_cell, settings, buffers
+        SectorInputs(points, pixel, cells[there], RANSAC_THRESHOLD_M),
+        CellOrder(ground.starts, ground.order),
+        settings,
+        buffers,
     )
     is_level = (normal[:, 2] >= settings.least_normal_z) & (scalars[:, 3] <= settings.overhead_m)
     obstacles = ground.obstacles[cells]
     stands = there & (obstacles >= _LEAST_OBSTACLE_POINTS)
-    drops, ground_end = np.zeros(len(cells), np.bool_), np.full(1, np.inf, np.float32)
-    if settings.ground_only:
-        slope = np.zeros((len(counts), 2))
-        slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
-        height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
-        known = GroundPoints(points, pixel, ground.point_ground, slope)
-        all_drops, ground_end = ground_ends(known, by_cell, grid, settings, height, buffers)
-        drops = there & all_drops[cells]
-    zone, ring, sector = _places(cells, sectors, rings)
-    rows, point_sector = np.full(len(counts), -1, np.int32), np.empty(len(points), np.int32)
+    slope = np.zeros((len(counts), 2))
+    slope[cells[there][is_level]] = -normal[is_level, :2] / normal[is_level, 2:]
+    height = -float(np.median(scalars[is_level, 3])) if is_level.any() else 0.0
+    known = GroundPoints(points, pixel, ground.ground, slope)
+    drops, ground_end = ground_ends(known, by_cell, grid, settings, height, buffers)
+    rows = np.full(len(counts) + 1, -1, np.int32)  # the last one is for points outside of the grid
     rows[cells] = np.arange(len(cells), dtype=np.int32)
-    rows_of_points(cell, rows, point_sector)
+    point_sector = rows.take(cell, mode="wrap")
+    layout = cell_layout(settings)
     return SectorStack(
         settings=settings,
         azimuth_start_rad=start,
-        zone=zone,
-        ring=ring,
-        sector=sector,
+        zone=layout.zone[cells].astype(np.int16),
+        ring=layout.ring[cells].astype(np.int16),
+        sector=layout.sector[cells].astype(np.int16),
         count=counts[cells].astype(np.int32),
         normal=_spread(normal, there, 0.0),
         traversable=_spread(is_level, there, False),
@@ -97,17 +91,17 @@ def polar_sectors(
         coverage=_spread(scalars[:, 2].astype(np.float32), there, 0.0),
         variance=_spread(scalars[:, 0].astype(np.float32), there, np.nan),
         residual=_spread(scalars[:, 1].astype(np.float32), there, np.nan),
-        label=_labels(scan, by_cell, cells),
+        label=_labels(scan, point_sector, len(cells)),
         ground_count=np.where(there, ground_count, 0).astype(np.int32),
         obstacle_count=obstacles,
         overhead_count=ground.overhead[cells],
-        obstacle=stands | drops,
+        obstacle=stands | there & drops[cells],
         obstacle_height=np.where(stands, ground.top[cells], np.float32(np.nan)),
-        clearance=_finite(ground.clearance[cells]),
-        things=ground.things[cells],
+        clearance=np.where(ground.overhead[cells] > 0, ground.clearance[cells], np.float32(np.nan)),
+        things=ground.things[cells].reshape(-1, 2, settings.pixels, settings.pixels),
         point_sector=point_sector,
-        point_ground=ground.point_ground,
-        point_height=ground.point_height,
+        point_ground=ground.ground,
+        point_height=ground.height,
         ground_end=ground_end,
     )
 
@@ -119,10 +113,6 @@ def _spread(values: NDArray[Any], rows: NDArray[np.bool_], gap: float) -> NDArra
     full = np.full((len(rows), *values.shape[1:]), gap, values.dtype)
     full[rows] = values
     return full
-
-
-def _finite(values: NDArray[np.float32]) -> NDArray[np.float32]:
-    return np.where(np.isfinite(values), values, np.float32(np.nan))
 
 
 def anchor_of(points: NDArray[np.float32], settings: PolarSettings) -> float:
@@ -145,24 +135,20 @@ def _measure(
     return out
 
 
-def _places(
-    cells: NDArray[np.int64], sectors: NDArray[np.int64], rings: NDArray[np.int64]
-) -> tuple[NDArray[np.int16], NDArray[np.int16], NDArray[np.int16]]:
-    """Return zone, ring and sector of cells."""
-    ends = np.cumsum(sectors * rings)
-    zone = np.searchsorted(ends, cells, side="right")
-    ring, sector = np.divmod(cells - (ends - sectors * rings)[zone], sectors[zone])
-    return zone.astype(np.int16), ring.astype(np.int16), sector.astype(np.int16)
-
-
-def _labels(scan: Scan, by_cell: CellOrder, cells: NDArray[np.int64]) -> NDArray[np.int16]:
-    most = np.full(len(cells), -1, np.int16)
-    if scan.label is not None and len(cells):
-        if int(scan.label.max()) >= _LABELS:
-            raise BadInputError(
-                f"the scan {scan.name} has the label {int(scan.label.max())}; semantic ids are below {_LABELS:,}. Does "
-                "its label file belong to it?"
-            )
-        label = np.ascontiguousarray(scan.label, np.uint16)
-        count_labels(label, by_cell, cells, np.zeros(_LABELS, np.int32), most)
+def _labels(scan: Scan, point_sector: NDArray[np.int32], sectors: int) -> NDArray[np.int16]:
+    """Return the most frequent label of each sector, the smallest of equals; -1 without labels."""
+    if scan.label is None or not sectors:
+        return np.full(sectors, -1, np.int16)
+    if int(scan.label.max()) >= _LABELS:
+        raise BadInputError(
+            f"the scan {scan.name} has the label {int(scan.label.max())}; semantic ids are below {_LABELS:,}. Does its "
+            "label file belong to it?"
+        )
+    ids = np.flatnonzero(np.bincount(scan.label))
+    column = np.zeros(int(ids[-1]) + 1, np.int64)
+    column[ids] = np.arange(len(ids))
+    inside = point_sector >= 0
+    place = point_sector[inside] * len(ids) + column[scan.label[inside]]
+    votes = np.bincount(place, minlength=sectors * len(ids)).reshape(sectors, -1)
+    most: NDArray[np.int16] = ids[votes.argmax(axis=1)].astype(np.int16)
     return most

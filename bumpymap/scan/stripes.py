@@ -16,7 +16,7 @@ Stripes tell the relief of the ground, not what stands on it. Where most points 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 
@@ -24,9 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import (
-    CLASSES,
     NOT_TRAVERSABLE,
-    BadInputError,
     ClassedSectors,
     PolarSettings,
     SectorStack,
@@ -41,11 +39,8 @@ __all__ = [
     "StripeModel",
     "classify_filter",
     "count_stripes",
-    "fit_centres",
     "gabor_bank",
     "load_stripes",
-    "nearest_class",
-    "stripes_in",
 ]
 
 OPEN_SHARE, _BLOCKED_SHARE = 0.55, 0.45
@@ -92,7 +87,7 @@ class StripeModel:
         if settings.pixels != self.pixels:
             raise UsageError(
                 f"the stripe classes were fitted on heightmaps of {self.pixels} pixels, and pixels is "
-                f"{settings.pixels}. Leave out pixels, or pass `compat='paper'`, which fits classes in every scan"
+                f"{settings.pixels}. Leave out pixels"
             )
 
 
@@ -103,21 +98,12 @@ def count_stripes(heights: NDArray[np.float32], settings: StripeFilter | None = 
     (n,): mean number of stripes along a column: ``pixels / wavelength_px`` on even ground, towards 0 on rough ground.
     """
     settings = settings or StripeFilter()
-    pixels = heights.shape[1]
-    rows = np.arange(pixels, dtype=np.float32)[:, None] - pixels // 2
-    turns = rows / np.float32(settings.wavelength_px) + heights / np.float32(settings.metres_per_stripe)
-    return stripes_in(np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns))), settings)
-
-
-def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.float32]:
-    """Count the stripes in images.
-
-    ``maps`` (n, pixels, pixels): stripes are waves of amplitude 1 about 0. Returns (n,): mean number of stripes along a
-    column.
-    """
-    count, pixels = maps.shape[:2]
+    count, pixels = heights.shape[:2]
+    line = np.arange(pixels, dtype=np.float32)[:, None] - pixels // 2
+    turns = line / np.float32(settings.wavelength_px) + heights / np.float32(settings.metres_per_stripe)
+    maps = np.cos(np.float32(2.0 * math.pi) * (turns - np.rint(turns)))
     bank = _bank_for_stripes(pixels, settings)
-    order = np.argsort(_unevenness(maps), kind="stable")
+    order = np.argsort(np.abs(np.diff(maps, axis=2)).sum(axis=(1, 2)), kind="stable")  # from straight to broken
     rows = np.concatenate([order, np.broadcast_to(order[-1:], -count % LANES)])
     padded = np.zeros((len(rows), bank.shape[2]), np.float32)
     padded[:, : pixels * pixels] = maps.reshape(count, pixels * pixels)[rows]
@@ -128,12 +114,6 @@ def stripes_in(maps: NDArray[np.float32], settings: StripeFilter) -> NDArray[np.
     mean = np.empty(count, np.float32)
     mean[order] = stripes.reshape(-1)[:count] / np.float32(pixels)
     return mean
-
-
-def _unevenness(maps: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return how much the rows of maps differ along them: 0 for straight stripes."""
-    uneven: NDArray[np.float32] = np.abs(np.diff(maps, axis=2)).sum(axis=(1, 2))
-    return uneven
 
 
 @cache
@@ -166,23 +146,6 @@ def gabor_bank(pixels: int, settings: StripeFilter) -> NDArray[np.float32]:
     return bank
 
 
-def fit_centres(stripes: NDArray[np.float32], seed: int, scans: int) -> tuple[float, float, float]:
-    """Return the centres of class 0, 1 and 2 of the stripe counts of traversable sectors."""
-    try:
-        from sklearn.cluster import KMeans
-    except ImportError as error:
-        raise UsageError("fitting stripe classes needs scikit-learn: pip install 'bumpymap[scan]'") from error
-    if len(np.unique(stripes)) < CLASSES:
-        raise BadInputError(
-            f"{scans} scans with {len(stripes)} traversable sectors hold fewer than {CLASSES} different stripe counts: "
-            "no classes can be told apart. Name more scans, of smooth and of rough ground"
-        )
-    column = stripes.astype(np.float64)[:, None]
-    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=seed).fit(column)
-    smooth, middle, rough = sorted(found.cluster_centers_.ravel().tolist(), reverse=True)
-    return smooth, middle, rough
-
-
 def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> ClassedSectors:
     """Assign to every traversable sector the class whose centre is nearest to its stripe count.
 
@@ -203,25 +166,12 @@ def classify_filter(stack: SectorStack, model: StripeModel | None = None) -> Cla
     model.require_pixels(stack.settings)
     stripes = np.full(len(stack.zone), np.nan, np.float32)
     stripes[stack.traversable] = count_stripes(stack.heights[stack.traversable], model.filter)
-    classed = nearest_class(stack, stripes, model.centres)
-    rougher = np.maximum(classed.class_id, _class_of_things(stack))
-    return replace(classed, class_id=np.where(stack.traversable, rougher, classed.class_id))
-
-
-def _class_of_things(stack: SectorStack) -> NDArray[np.uint8]:
-    """Return the class of what stands on the ground of sectors: 0 nothing much, 1 plants, 2 obstacles."""
+    nearest = np.abs(stripes[:, None] - np.array(model.centres, np.float32)).argmin(axis=1).astype(np.uint8)
     things = stack.count - stack.ground_count
     is_covered = stack.ground_count < OPEN_SHARE * stack.count
     is_blocked = is_covered & (stack.obstacle_count >= _BLOCKED_SHARE * things)
-    return is_covered.astype(np.uint8) + is_blocked.astype(np.uint8)
-
-
-def nearest_class(
-    stack: SectorStack, stripes: NDArray[np.float32], centres: tuple[float, float, float]
-) -> ClassedSectors:
-    """Assign to each sector the class with the nearest centre."""
-    class_id = np.abs(stripes[:, None] - np.array(centres, np.float32)).argmin(axis=1).astype(np.uint8)
-    class_id[~stack.traversable] = NOT_TRAVERSABLE
+    rougher = np.maximum(nearest, is_covered.astype(np.uint8) + is_blocked.astype(np.uint8))
+    class_id = np.where(stack.traversable, rougher, np.uint8(NOT_TRAVERSABLE))
     return ClassedSectors(stack, class_id, stripes, "filter")
 
 

@@ -3,14 +3,13 @@ from .advice import (
     advise as advise,
     enough_points as enough_points,
     ground_line as ground_line,
-    models_for as models_for,
     outcome_of_run as outcome_of_run,
     require_known as require_known,
-    size_options as size_options,
     unknown_line as unknown_line,
 )
 from .api import (
     MapSettings as MapSettings,
+    folder_of_call as folder_of_call,
     map_settings as map_settings,
 )
 from .batch.run import (
@@ -33,7 +32,6 @@ from .flight_lines import (
     FlightLines as FlightLines,
     compare_lines as compare_lines,
     describe_lines as describe_lines,
-    describe_pairs as describe_pairs,
 )
 from .pipeline import (
     map_surveys as map_surveys,

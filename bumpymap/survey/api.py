@@ -3,6 +3,7 @@
 import os
 from collections.abc import Collection, Mapping, Sequence
 from numbers import Integral
+from pathlib import Path
 from typing import Any, TypeAlias, TypedDict
 
 from bumpymap.core import (
@@ -16,12 +17,13 @@ from bumpymap.core import (
     Rating,
     UsageError,
     ZUnit,
+    path_of_call,
     refuse_clashes,
     settings_of_call,
     short_repr,
 )
 
-__all__ = ["EachSettings", "MapSettings", "PathLike", "map_settings"]
+__all__ = ["EachSettings", "MapSettings", "PathLike", "folder_of_call", "map_settings"]
 
 PathLike: TypeAlias = str | os.PathLike[str]
 
@@ -59,6 +61,16 @@ class EachSettings(TypedDict, total=False):
 
 class MapSettings(EachSettings, total=False):
     """Settings of `map_survey`: the fields of ``MapConfig``, as it describes them."""
+
+
+def folder_of_call(name: str, place: PathLike) -> Path:
+    """Return the output folder that a Python call gives; raise UsageError if it is a URL or not a valid path."""
+    text = path_of_call(name, place)
+    if "://" in text:
+        raise UsageError(
+            f"{name} is {text}, a URL; give a folder of this machine, and copy it to the server after the run"
+        )
+    return Path(text)
 
 
 def map_settings(settings: Mapping[str, Any], function: str, known: Collection[str]) -> dict[str, Any]:

@@ -49,7 +49,7 @@ from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
 from bumpytiles import BLOCK_TILES, Bounds, Grid, TileWindow
 
-__all__ = ["map_surveys", "recorded_result", "write_layers"]
+__all__ = ["map_surveys", "write_layers"]
 
 _COMPARED = ("inputs", "settings", "made with")
 
@@ -172,23 +172,6 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
     return MapResult(files, summary, points, only, inputs.skipped, clock.seconds, lines, thin, sheets)
-
-
-def recorded_result(config: MapConfig) -> MapResult:
-    """Return the result of a complete run whose run.json is in ``config.out``, while its layers are elsewhere.
-
-    Raises
-    ------
-    BumpymapError
-        That run had other inputs, settings or versions; or the inputs cannot be read.
-    """
-    try:
-        config = with_memory(config)
-        budget = Budget(memory_bytes(config.memory), config.threads)
-        _, _, run_spec, neighbours = _prepare(config, budget, crs_must_agree=False)
-        return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin, with_layers=False)
-    finally:
-        close_filter()
 
 
 def _prepare(

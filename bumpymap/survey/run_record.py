@@ -197,10 +197,8 @@ def describe_run(config: MapConfig, inputs: SurveyInputs, models: RatingModels, 
     }
 
 
-def earlier_result(
-    config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin: bool, with_layers: bool = True
-) -> MapResult:
-    """Return the recorded result of the complete run in ``config.out``; its layers are verified if they are there.
+def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin: bool) -> MapResult:
+    """Return the recorded result of the complete run in ``config.out``, whose layers are verified.
 
     Raises
     ------
@@ -208,7 +206,7 @@ def earlier_result(
         That run had other inputs or settings, or its layers are no longer complete.
     """
     names = made_names(read_record(config.out / MANIFEST_NAME))
-    with verified_record(config.out, names if with_layers else None) as record:
+    with verified_record(config.out, names) as record:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         ignored = _WITHOUT_EFFECT if skipped else {*_WITHOUT_EFFECT, "skip_bad"}
         before = spec_of_manifest(

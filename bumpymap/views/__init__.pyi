@@ -28,7 +28,7 @@ from .page.change_page import (
 )
 from .page.map_page import (
     write_check_page as write_check_page,
-    write_reports as write_reports,
+    write_report as write_report,
 )
 from .page.page import (
     compile_pages as compile_pages,

@@ -1,9 +1,7 @@
-"""Numbers as pages show them, and texts that take more than a template: commands, names, degrees, a check in words."""
+"""Numbers as pages show them, and texts that take more than a template: names, degrees, a check in words."""
 
 import math
-import shlex
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
@@ -14,7 +12,6 @@ from bumpymap.core import (
     CheckedDrive,
     CheckResult,
     MapAgreement,
-    MapConfig,
     count_text,
     parse_json,
     share_text,
@@ -29,22 +26,18 @@ __all__ = [
     "check_headline",
     "check_verdict",
     "columns_words",
-    "command_of",
     "degrees",
     "degrees_line",
-    "drive_notes",
     "level_words",
     "metres",
     "names_of",
     "number",
     "percent",
     "read_surfaces",
-    "settings_of",
     "share",
     "shares",
     "signed",
     "skipped_words",
-    "sorted_reasons",
     "survey_name",
     "warnings_of",
     "whole",
@@ -134,40 +127,6 @@ def degrees_line(median_c_r: Sequence[float]) -> str:
     real = read_surfaces()
     named = ", ".join(f"{degrees(real['c_r'][name])} on {name}" for name in _NAMED)
     return f"Median c_r in degrees of pitch per metre: {classes}; a real {real['vehicle']} measured {named}"
-
-
-_PRIVATE = {
-    *("surveys", "out", "threads", "memory", "scratch", "scheduler", "overwrite"),
-    *("features", "csf"),
-}
-"""Settings that do not change the layers, or that are tables of their own."""
-_FILES = ("vehicle", "calibration", "model")
-"""Settings that may be paths. The name of a CRS may hold a slash too."""
-
-
-def command_of(record: Mapping[str, Any]) -> str | None:
-    """Return the command that makes these layers again, without the folders of the machine; None if not of `map`."""
-    settings = record.get("settings") or {}
-    if not settings.get("surveys"):
-        return None
-    surveys = " ".join(shlex.quote(base_name(path)) for path in settings["surveys"])
-    words = [f"bumpymap map {surveys} --out LAYERS"]
-    for name, usual in {one.name: one.default for one in fields(MapConfig) if one.name not in _PRIVATE}.items():
-        value = settings.get(name, usual)
-        if value == usual or value is None or value is False:
-            continue
-        option = f"--{name.replace('_', '-')}"
-        text = ",".join(f"{one:g}" for one in value) if isinstance(value, list) else str(value)
-        text = base_name(text) if name in _FILES else text
-        words.append(option if value is True else f"{option} {shlex.quote(text)}")
-    return " ".join(words)
-
-
-def settings_of(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return names and values of the settings that have no option of their own: how tiles are measured."""
-    settings = record.get("settings") or {}
-    names = ("features", "csf") if settings.get("ground") == "csf" else ("features",)
-    return [(f"{group}.{name}", str(value)) for group in names for name, value in (settings.get(group) or {}).items()]
 
 
 def base_name(path: str) -> str:
@@ -271,24 +230,10 @@ def percent(part: float) -> str:
     return f"{100 * part:.0f} %" if np.isfinite(part) else "\N{EN DASH}"
 
 
-def sorted_reasons(result: CheckResult) -> list[tuple[str, float]]:
-    """Return why parts of the ways do not count, and their length over all drives, m; the longest first."""
-    total: dict[str, float] = {}
-    for drive in result.drives:
-        for reason, length in drive.left_out_m.items():
-            total[reason] = total.get(reason, 0.0) + length
-    return sorted(((reason, length) for reason, length in total.items() if length > 0.0), key=lambda item: -item[1])
-
-
 def names_of(items: Sequence[str], most: int = 3) -> str:
     """Return names, the first few of them."""
     shown = ", ".join(items[:most])
     return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
-
-
-def drive_notes(result: CheckResult) -> list[str]:
-    """Return from which columns each drive was read and what was guessed, a sentence each."""
-    return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
 
 
 def skipped_words(result: CheckResult) -> list[str]:

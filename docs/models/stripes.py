@@ -9,13 +9,14 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from sklearn.cluster import KMeans
 
 import bumpymap
 from bumpymap.core import CLASSES, NOT_TRAVERSABLE
+from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.train.scan_sectors import crowns_as_bushes
-from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, polar_sectors
-from bumpymap.scan.stripes import StripeFilter, StripeModel, count_stripes, fit_centres
+from bumpymap.scan.stripes import StripeFilter, StripeModel, count_stripes
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
@@ -31,7 +32,9 @@ def main() -> None:
     stacks = [polar_sectors(crowns_as_bushes(scene_scan(SEED, i))) for i in range(OF_A_THEME * len(THEMES))]
     counts = np.concatenate([count_stripes(stack.heights[stack.traversable]) for stack in stacks])
     pixels = stacks[0].settings.pixels
-    model = StripeModel(StripeFilter(), pixels, fit_centres(counts, 0, len(stacks)), len(stacks), len(counts), 0)
+    found = KMeans(CLASSES, init="k-means++", n_init=10, random_state=0).fit(counts.astype(np.float64)[:, None])
+    smooth, fair, rough = sorted(found.cluster_centers_.ravel().tolist(), reverse=True)
+    model = StripeModel(StripeFilter(), pixels, (smooth, fair, rough), len(stacks), len(counts), 0)
     record = {"format": "bumpymap stripes 2", **asdict(model)}
     OUT.write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
     print(f"{model.sectors:,} sectors with ground of {model.scans} scans; centres {model.centres}")

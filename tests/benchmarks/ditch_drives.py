@@ -75,7 +75,7 @@ def driven(args):
     """Return the drives by case."""
     settings = CalibrationSettings(Vehicle.load(args.vehicle), seed=args.seed)
     jobs = [Job(kind, width, depth) for depth in DEPTHS_M for width in WIDTHS_M for kind in ("crossing", "tile")]
-    journal = Journal(args.data / f"ditches-{args.vehicle}.jsonl", settings.to_dict())
+    journal = Journal(args.data / f"ditches-{args.vehicle}.jsonl", settings.to_dict(), PatchDrives.read)
     return drive_jobs(
         partial(run, settings), jobs, lambda done, all_: print(f"{done}/{all_}", file=sys.stderr), journal=journal
     )

@@ -180,21 +180,6 @@ def run(kill_test: KillTest, kills: int, seed: int) -> tuple[float, list[Trial]]
     return whole, trials
 
 
-def table(title: str, whole: float, trials: list[Trial]) -> str:
-    """Return a Markdown table of the trials."""
-    same = sum(not trial.faults for trial in trials)
-    lines = [
-        f"**{title}**: {same} of {len(trials)} identical. An uninterrupted run takes {whole:.1f} s.",
-        "",
-        "| killed at [s] | stage | resumed run [s] | files |",
-        "|---|---|---|---|",
-    ]
-    for trial in sorted(trials, key=lambda trial: trial.instant):
-        stages = "; killed again: ".join(trial.stages)
-        lines.append(f"| {trial.instant:.2f} | {stages} | {trial.resumed:.1f} | {'; '.join(trial.faults) or 'same'} |")
-    return "\n".join(lines)
-
-
 def summary(kept: dict[str, Any]) -> str:
     """Return a Markdown table of all tested surveys, one row each."""
     lines = [
@@ -231,12 +216,10 @@ def main() -> None:
     kept = json.loads(results.read_text(encoding="utf-8")) if results.exists() else {}
     kept[given.title] = {"whole_s": whole, "trials": [asdict(trial) for trial in trials]}
     results.write_text(json.dumps(kept, indent=1), encoding="utf-8")
-    text = "\n\n".join(
-        table(title, k["whole_s"], [Trial(**trial) for trial in k["trials"]]) for title, k in kept.items()
-    )
+    text = summary(kept)
     print(text)
     if given.page:
-        FIGURES.write_text(summary(kept).strip() + "\n", encoding="utf-8")
+        FIGURES.write_text(text + "\n", encoding="utf-8")
     if any(trial.faults for trial in trials):
         sys.exit(1)
 

@@ -58,14 +58,10 @@ class MadeSurvey:
     millions: int
     order: str
     format: str
-    cuts: int = 1
     sides: tuple[str, ...] = ("map",)
 
     def title(self, scale: float) -> str:
         """Name the survey in the tables."""
-        if self.cuts > 1:
-            files = self.cuts**2
-            return f"{files} adjoining files of {self.millions * scale / files:g} million points, {self.format.upper()}"
         return f"{self.millions * scale:g} million points, {self.order}, {self.format.upper()}"
 
 
@@ -74,7 +70,6 @@ MADE = {
     "20m-laz": MadeSurvey(20, "sorted", "laz", sides=(*_ALL, "map_1gb")),
     "20m-las": MadeSurvey(20, "sorted", "las", sides=(*_ALL, "map_1gb", "before_1gb")),
     "20m-shuffled": MadeSurvey(20, "shuffled", "laz", sides=("map_1gb",)),
-    "16x2.5m-laz": MadeSurvey(40, "sorted", "laz", cuts=4, sides=("map", "before")),
     "200m-laz": MadeSurvey(200, "sorted", "laz", sides=("map_1gb",)),
     "200m-shuffled": MadeSurvey(200, "shuffled", "laz", sides=("map_1gb",)),
     "100m-laz": MadeSurvey(100, "sorted", "laz"),
@@ -164,7 +159,7 @@ class Bench:
             if key in wanted:
                 points = max(1, round(made.millions * 1_000_000 * given.scale))
                 words = ("--data", given.data, "--points", points, "--order", made.order, "--format", made.format)
-                facts[key] = {"title": made.title(given.scale), **_survey_facts(*words, "--cuts", made.cuts)}
+                facts[key] = {"title": made.title(given.scale), **_survey_facts(*words)}
                 cases[key] = self.sides(key, Path(facts[key]["path"]), made.sides)
         if "sample" in wanted:
             facts["sample"] = {"title": "sample survey", **_survey_facts("--facts", SAMPLE)}
@@ -260,16 +255,16 @@ def load(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def tables(results: dict[str, Any]) -> str:
-    """Return the Markdown of all tables: targets, surveys, and the figures of every program."""
+    """Return the Markdown of all tables: targets, and the figures of every program."""
     facts = results["machine"]
     versions = ", ".join(f"{name} {version}" for name, version in facts["versions"].items())
     text = (
         f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gb']} GB, {facts['system']}. {versions}. "
-        "Medians of as many runs as the last table says."
+        "Medians of the runs of each program."
     )
     if results["scale"] != 1.0:
         text += f" A trial with {results['scale']:g} of the points; its times are not representative."
-    return "\n\n".join([text, _goal_table(results), _survey_table(results), _side_table(results)])
+    return "\n\n".join([text, _goal_table(results), _side_table(results)])
 
 
 def _median(results: dict[str, Any], key: str, side: str, figure: str) -> float | None:
@@ -304,33 +299,19 @@ def _goal_table(results: dict[str, Any]) -> str:
     return table(("measure", "measured", "target", "met"), rows)
 
 
-def _survey_table(results: dict[str, Any]) -> str:
-    rows = []
-    for fact in results["surveys"].values():
-        if "points" in fact:
-            density = f"{fact['points'] / fact['area_m2']:.0f}" if "area_m2" in fact else ""
-            size = f"{fact['width_m']:.0f} x {fact['depth_m']:.0f} x {fact['height_m']:.0f} m"
-            counts = (f"{fact['points']:,}", f"{fact['bytes'] / 1e6:,.0f} MB")
-            rows.append((fact["title"], *counts, fact["kind"], size, density))
-    return table(("survey", "points", "size", "format", "extent", "points/m2"), rows)
-
-
 def _side_table(results: dict[str, Any]) -> str:
     rows = []
     for key, sides in results["samples"].items():
         for side, samples in sides.items():
             name = (results["surveys"][key]["title"], SIDES.get(side, f"`bumpymap`, {side}"))
             if codes := [sample["exit_code"] for sample in samples if sample["exit_code"]]:
-                rows.append((*name, f"failed (exit {codes[0]})", "", "", "", ""))
+                rows.append((*name, f"failed (exit {codes[0]})", "", ""))
                 continue
-            walls = [sample["wall"] for sample in samples]
             wall, user, system, peak = (
                 statistics.median(sample[figure] for sample in samples) for figure in ("wall", "user", "system", "peak")
             )
-            spread = f"{wall:.2f} ({min(walls):.2f} to {max(walls):.2f})"
-            rows.append((*name, spread, f"{user:.2f}", f"{system:.2f}", f"{peak / 1e9:.2f}", str(len(samples))))
-    head = ("case", "program", "wall time [s]", "user time [s]", "system time [s]", "peak memory [GB]", "runs")
-    return table(head, rows)
+            rows.append((*name, f"{wall:.2f}", f"{user + system:.2f}", f"{peak / 1e9:.2f}"))
+    return table(("case", "program", "wall time [s]", "processor time [s]", "peak memory [GB]"), rows)
 
 
 def main() -> None:

@@ -60,35 +60,6 @@ def test_without_a_change_both_are_standard_normal_whatever_the_noise():
     assert found.z_height.mean() == pytest.approx(0.0, abs=0.06)
 
 
-def test_a_rut_with_its_berms_has_another_shape_at_the_same_height():
-    difference = np.random.default_rng(2).normal(0.0, 0.03, (200, 15, 15))
-    difference[:, :, 6:9] -= 0.1
-    difference[:, :, [4, 5, 9, 10]] += 0.075
-    found = compare_heights(difference)
-    assert np.median(found.z_shape) > 6.0
-    assert np.median(np.abs(found.z_height)) < 4.0
-
-
-def test_a_step_up_is_another_height_of_the_same_shape():
-    found = compare_heights(np.random.default_rng(3).normal(0.1, 0.03, (200, 15, 15)))
-    assert found.z_height.min() > 10.0
-    assert np.abs(found.z_shape).max() < 5.0
-
-
-def test_the_same_heights_differ_by_nothing():
-    found = compare_heights(np.zeros((2, 15, 15)))
-    assert not np.concatenate([found.d_height, found.z_height, found.z_shape]).any()
-
-
-def test_few_pixels_are_not_compared():
-    difference = np.full((2, 15, 15), np.nan)
-    difference[0, 0, :15] = 1.0
-    difference[1, :2, :8] = 1.0
-    found = compare_heights(difference)
-    assert np.isnan([found.d_height[0], found.z_height[0], found.z_shape[0]]).all()
-    assert found.z_height[1] > 5.0
-
-
 def test_cells_are_means_of_the_pixels_that_are_seen():
     heights = np.random.default_rng(1).normal(size=(3, 6, 6))
     heights[0, :2, :2] = heights[1, 0, 0] = np.nan
@@ -127,15 +98,3 @@ def test_what_both_maps_share_is_no_part_of_the_spread(floor):
     z = ride_z(before, after, CommonError(shared, floor))
     assert z == pytest.approx(np.full(2, np.log(1.02) / (own * np.sqrt(2.0))), rel=0.05)
     assert (z > 1.5 * ride_z(before, after)).all()
-
-
-def test_spreads_smaller_than_what_is_shared_stay_above_zero():
-    narrow = (np.array([0.1]), np.array([0.099]), np.array([0.101]))
-    (z,) = ride_z(narrow, tuple(2 * band for band in narrow), CommonError(0.5))
-    assert z == pytest.approx(2.0 * ride_z(narrow, tuple(2 * band for band in narrow))[0])
-
-
-def test_records_without_a_common_error_have_none():
-    for record in ({}, {"calibration": "c0ffee"}, {"calibration": {"model_error": None, "floor_radpm": "0.1"}}):
-        assert CommonError.of(record) == CommonError()
-    assert CommonError.of({"calibration": {"model_error": 0.1, "floor_radpm": 0.03}}) == CommonError(0.1, 0.03)

@@ -106,14 +106,6 @@ def test_an_offset_that_is_given_is_the_one_taken_off(may, again):
     assert any("too many" in note for note in result.notes)
 
 
-def test_the_same_layers_have_not_changed(may, root):
-    copy = shutil.copytree(may, root / "copy")
-    result = compare(may, copy, min_tiles=1)
-    assert result.counts["changed"] == 0
-    assert not result.field.d_height.any()
-    assert not result.field.z_c_r.any()
-
-
 def test_the_error_that_both_maps_share_is_taken_off(may, june, root):
     knows = RUN["calibration"] | {"model_error": 0.08}
     both = [copy_folder(site, root / f"{site.name}_shared", calibration=knows) for site in (may, june)]
@@ -199,13 +191,6 @@ def test_unlike_surveys_are_refused(may, tmp_path, options, changes, word):
         compare(may, other, out=tmp_path / "out")
     assert word in str(caught.value)
     assert not (tmp_path / "out").exists()
-
-
-def test_another_site_is_refused(may, tmp_path):
-    far = survey(7, tiles=np.indices((ROWS, COLS))[0] < 2)
-    far.patches.col[:] += 5_000
-    with pytest.raises(BadInputError, match="no place in common"):
-        compare(may, write_folder(tmp_path / "far", far))
 
 
 def test_damaged_classes_are_refused(may, tmp_path):

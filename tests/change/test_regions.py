@@ -51,13 +51,3 @@ def test_surveys_that_do_not_fit_each_other_are_widened():
     assert 1.7 < done.widened["shape"] < 2.3
     assert done.widened["c_r"] == 1.0
     assert not done.code.any()
-
-
-def test_tiles_that_are_not_compared_have_no_code():
-    rng = np.random.default_rng(3)
-    found = ground(rng)
-    for array in (found.d_height, found.z_height, found.z_shape):
-        array[0] = np.nan
-    code = decide(found, np.zeros(found.z_height.shape), 0.05).code
-    assert np.isnan(code[0]).all()
-    assert np.isfinite(code[1:]).all()

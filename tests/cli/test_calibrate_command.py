@@ -1,16 +1,16 @@
 import json
 import re
 import sys
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from click.testing import CliRunner
 
 from bumpymap.cli import main
-from bumpymap.lab.settings import CalibrationSettings, LibraryJob
-from bumpymap.lab.simulate import calibrate as calibrate_module, motion_fit, refit, ride_fit
+from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate import calibrate as calibrate_module, refit
 from bumpymap.lab.simulate.drive import PatchDrives
-from bumpymap.lab.simulate.jobs import SimulatorCheck
+from bumpymap.lab.simulate.motion_fit import MotionRecord
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration
 
@@ -26,27 +26,28 @@ def fake_drives(monkeypatch):
     )
 
     def run(settings, job):
-        if isinstance(job, LibraryJob):
-            c_r = 0.02 * (1 + KINDS.index(job.kind))
-            failed = job.kind == "kerb"
+        purpose, first, *rest = job.key
+        if purpose == "library":
+            c_r, failed = 0.02 * (1 + KINDS.index(first)), first == "kerb"
             return PatchDrives(("completed", "stuck" if failed else "completed"), (c_r, None if failed else c_r))
-        c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
-        return (
-            PatchDrives(("completed", "rolled"), (c_r, None))
-            if job.z == 2
-            else PatchDrives(("completed",) * 2, (c_r,) * 2)
-        )
+        if purpose == "crossing":
+            return PatchDrives(("stuck",), (None,))
+        if purpose == "motion":
+            c_r = 0.02 * (1 + KINDS.index(first))
+            return MotionRecord(*(((scale * c_r, scale * 1.1 * c_r, scale * 1.3 * c_r),) for scale in (1, 2, 3)))
+        c_r = 0.03 * (1 + first) * (1 + 5 * rest[0]) * (1 + 0.1 * rest[1])
+        if rest[0] == 2:
+            return PatchDrives(("completed", "rolled"), (c_r, None))
+        return PatchDrives(("completed",) * 2, (c_r,) * 2)
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
-    monkeypatch.setattr(refit, "add_steps", lambda made, *_, **__: replace(made, steps={"seed": made.settings["seed"]}))
-    monkeypatch.setattr(motion_fit, "add_motion", lambda made, *_, effort, **__: replace(made, motion=asdict(effort)))
-    monkeypatch.setattr(ride_fit, "fit_ride", lambda _profile, _terrains, driven: {"terrains": len(driven)})
-    monkeypatch.setattr(ride_fit, "fit_thin_surveys", lambda _profile, terrains, _ride, _limit: {"n": len(terrains)})
+    shipped = Calibration.shipped("warthog")
+    monkeypatch.setattr(refit, "fit_ride", lambda *_: shipped.ride)
+    monkeypatch.setattr(refit, "fit_thin_surveys", lambda *_: shipped.thin)
 
 
 def calibrate(*words):
-    named = [] if {"--vehicle", "--check"} & set(words) else ["--vehicle", "warthog"]
-    return CliRunner().invoke(main, ["calibrate", *named, *map(str, words)])
+    return CliRunner().invoke(main, ["calibrate", "--vehicle", "warthog", *map(str, words)])
 
 
 def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
@@ -59,10 +60,10 @@ def test_calibration_is_written_and_summed_up(tmp_path, fake_drives):
         "bumpymap calibrate --vehicle warthog --out warthog.json --tile-size 3 --quick --set seed=9 --set patches=3 "
         "--set starts=2 --set terrains=1 --set terrain_starts=2 --set pixels=15"
     )
-    assert calibration.ride == {"terrains": 17}
-    assert calibration.steps == {"seed": 9}
-    assert calibration.thin == {"n": 17}
-    assert calibration.motion["terrains"] == 2
+    assert calibration.ride == Calibration.shipped("warthog").ride
+    assert calibration.steps["seed"] == 9
+    assert calibration.steps["crossing"]["fail_up"][0] == [1, 1, 1]
+    assert calibration.motion["origin"]["used"] == calibration.motion["origin"]["terrains"] == 34
     assert re.search(r"warthog: \d+ drives, about .* with 1 process\.", result.output)
     assert "72 drives over textures, 12 failed" in result.output
     assert "34 drives over 17 terrains of the library, 1 failed" in result.output
@@ -99,7 +100,7 @@ def test_interrupted_run_says_how_to_go_on(tmp_path, fake_drives, monkeypatch):
     assert "same command again" in result.output
     assert not out.exists()
     assert calibrate("--out", out, "--quick", "--jobs", 1).exit_code == 0
-    assert len(ran) == 8 + 2 + (36 + 17) - 5  # with the two that tell how long it will take
+    assert len(ran) == 8 + 2 + (36 + 17 + 72 + 34) - 5  # with the two that tell how long it will take
 
 
 def test_a_calibration_is_for_a_vehicle_that_is_named(tmp_path):
@@ -115,14 +116,3 @@ def test_missing_engine_says_what_to_install(tmp_path, monkeypatch):
     assert result.exit_code == 2
     assert "pip install 'bumpymap[sim]'" in result.output
     assert list(tmp_path.iterdir()) == []
-
-
-def test_failing_check_gives_a_table_and_an_exit_code(monkeypatch):
-    results = [SimulatorCheck("level", 0.0001, "< 0.001", ok=True), SimulatorCheck("sine", 7.1, "+-5", ok=False)]
-    monkeypatch.setattr("bumpymap.lab.all_checks", lambda *_args: iter(results))
-    result = calibrate("--check")
-    assert result.exit_code == 1
-    assert "7.1" in result.output
-    assert "FAILED" in result.output
-    monkeypatch.setattr("bumpymap.lab.all_checks", lambda *_args: iter(results[:1]))
-    assert calibrate("--check").exit_code == 0

@@ -149,8 +149,6 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
         (["evaluate", "a.laz", "--out", "o", "--set", "min_starts=60"], "more than --set max_starts, which is 48"),
-        (["calibrate", "--check", "--set", "patches=4"], "leave out --set patches"),
-        (["calibrate", "--check", "--out", "c.json"], "leave out --out"),
     ],
 )
 def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch):
@@ -270,7 +268,7 @@ def test_every_long_command_can_be_quiet_and_speak_json(name):
     assert given["--json"] == {option.opts[0]: option.help for option in options("map")}["--json"]
 
 
-@pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "--out", "o"]])
+@pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "a", "--out"]])
 def test_a_url_where_none_can_be_is_not_taken_for_a_folder(words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     done = CliRunner().invoke(main, [*words, "s3://bucket/night"])
@@ -279,6 +277,8 @@ def test_a_url_where_none_can_be_is_not_taken_for_a_folder(words, tmp_path, monk
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(bumpymap.UsageError, match="out is s3://bucket/night, a URL"):
         bumpymap.map_survey("a.laz", "s3://bucket/night")
+    with pytest.raises(bumpymap.UsageError, match="out is s3://bucket/night, a URL"):
+        bumpymap.map_batch(tmp_path, "s3://bucket/night")
 
 
 @pytest.mark.parametrize("name", [name for name in LONG if name not in {"batch", "compile", "demo", "report", "info"}])
@@ -305,7 +305,7 @@ def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, mon
         ("pixels", "give KEY=VALUE"),
         ("pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
         ("csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
-        ("resume=true", "the same run continues an interrupted one"),
+        ("resume=true", "unknown setting resume"),
         ("a.b.c=4", "give KEY=VALUE"),
     ],
 )

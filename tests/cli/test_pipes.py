@@ -46,10 +46,7 @@ def given(tmp_path_factory):
         ),
         *(f"{command} --out out --calibration p.json" for command in ("map survey.las", "scan frame.bin")),
         *("batch p.csv --out out", "batch p.txt --out out", "batch . --out out --config p.toml"),
-        *(
-            f"scan frame.bin --out out {option}"
-            for option in ("--set model=p.onnx", "--poses p.txt", "--set labels=p.csv")
-        ),
+        *(f"scan frame.bin --out out {option}" for option in ("--set model=p.onnx", "--poses p.txt")),
         *(
             "scan p.mcap --out out",
             "scan p.db3 --out out",

@@ -29,14 +29,8 @@ def test_the_page_is_made_again_and_its_place_is_said(layers):
     assert done.output.split() == ["Open", str(page), "in", "a", "browser."]
     assert page.read_bytes() == before
     assert run(layers[0], "--quiet").output == ""
-
-
-def test_two_maps_in_one_page(layers, tmp_path):
-    out = tmp_path / "two.html"
-    assert run(*layers, "--out", out).exit_code == 0
-    assert "two maps compared" in out.read_text()
-    done = run(*layers, "--out", out, "--overwrite", "--json")
-    assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(out), "bytes": out.stat().st_size}
+    done = run(layers[0], "--json")
+    assert json.loads(done.stdout.splitlines()[-1]) == {"report": str(page), "bytes": len(before)}
 
 
 def test_the_page_of_a_comparison_is_made_again(layers, tmp_path):
@@ -57,12 +51,9 @@ def test_the_page_of_a_comparison_is_made_again(layers, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "told"),
     [
-        ([], 2, "no layers given"),
-        (["may", "june"], 2, "--out"),
-        (["may", "june", "may", "--out", "a.html"], 2, "3 folders"),
+        ([], 2, "Missing argument 'LAYERS'"),
         (["may", "--out", "a.json"], 2, "ends in .html"),
         (["may", "--route", "june"], 3, "--route"),
-        (["may", "--check", "june"], 3, "Give the folder that `bumpymap check` wrote, as --check"),
         (["nothing"], 3, "there is no folder"),
     ],
 )

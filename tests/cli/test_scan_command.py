@@ -152,7 +152,7 @@ def doubtful_columns(folder):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (doubtful_columns, "If that is wrong, say --set columns=4"),
+        (doubtful_columns, "Say which they are with --set columns"),
         (other_poses, "holds 2 poses, but there are 1 frames"),
         (not_a_model, "is not an ONNX model"),
         (no_calibration, "c.json"),
@@ -182,8 +182,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
         (["--set", "range_m=0"], "range_m is 0; it must be a number from 1 to 1000 m"),
         (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
-        (["--set", "compat=paper", "--method", "learned"], "options of one"),
-        (["--fit"], "--fit is gone: train a network"),
+        (["--set", "model=a.onnx", "--method", "filter"], "give one of them"),
     ],
 )
 def test_wrong_usage(scan, frame, tmp_path, options, words):
@@ -203,35 +202,3 @@ def test_a_bad_frame_among_others(scan, frame, tmp_path):
     assert "skipped frames: 1;" in result.stdout
     assert str(bad) in result.stderr
     assert "frames/frame.ply" in out_files(tmp_path)
-
-
-def test_settings_of_a_file_and_options_that_win(scan, frame, tmp_path):
-    config = tmp_path / "scan.toml"
-    config.write_text(
-        'frames = ["frame.ply"]\nproducts = ["table"]\nmethod = "filter"\n'
-        "[polar]\nzone_starts_m = [3, 6.5]\nend_m = 11\nsectors = [8, 16]\nrings = [1, 2]\nleast_points = 10\n"
-        "[robot]\nradius_m = 2.5\nbox_m = [-1, 0, -0.5, 0.5]\n"
-    )
-    result = CliRunner().invoke(
-        main,
-        [
-            "scan",
-            "--config",
-            str(config),
-            "--out",
-            str(tmp_path / "out"),
-            "--set",
-            "polar.rings=2,2",
-            "--set=polar.zone_starts_m=3,6",
-            "--set=polar.end_m=12",
-        ],
-    )
-    assert result.exit_code == 0, result.output
-    settings = json.loads((tmp_path / "out" / "scan.json").read_text())["settings"]
-    assert settings["frames"] == [str(frame)]
-    assert settings["products"] == ["table"]
-    polar = settings["polar"]
-    assert (polar["zone_starts_m"], polar["end_m"], polar["sectors"]) == ([3.0, 6.0], 12.0, [8, 16])
-    assert (polar["rings"], polar["least_points"]) == ([2, 2], 10)
-    assert settings["robot"] == {"radius_m": 2.5, "box_m": [-1.0, 0.0, -0.5, 0.5]}
-    assert out_files(tmp_path) == ["scan.json", "sectors.parquet"]

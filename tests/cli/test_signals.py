@@ -165,7 +165,7 @@ from pathlib import Path
 from bumpymap.lab.simulate.drive import PatchDrives
 
 def run_job(settings, job):
-    if job == next(iter(settings.jobs())):
+    if job.key == ("table", 0, 0, 0):
         return PatchDrives(("completed",) * job.starts, (0.1,) * job.starts)
     (Path(__file__).parent / f"{os.getpid()}.worker").touch()
     time.sleep(3600)

@@ -116,7 +116,7 @@ def test_numbers_in_another_unit_stop_a_calibration_before_it_builds_anything(tm
     vehicle("new", "mine", "--like", "car")
     path = tmp_path / "mine.toml"
     path.write_text(path.read_text().replace("wheelbase_m = 2.7", "wheelbase_m = 2700"))
-    result = CliRunner().invoke(main, ["calibrate", "--vehicle", "mine.toml", "--check"])
+    result = CliRunner().invoke(main, ["calibrate", "--vehicle", "mine.toml", "--out", "c.json"])
     assert result.exit_code == 3
     assert "wheelbase_m is 2700; it must be between 0.1 and 20 metres; 2700 mm would be 2.7" in result.stderr
     calibration = json.loads((SHIPPED / "calibrations" / "car.json").read_text())

@@ -5,7 +5,6 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import shapely
-from scipy.optimize import minimize_scalar
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
@@ -105,18 +104,11 @@ def integral(cost, line, points=20001):
     return total
 
 
-def two_media(start, goal, border, above, below):
-    """Least cost from a point above a horizontal border to one below it (Snell's law holds where it is least)."""
+def pixel_graph(cost, pixel, *, past_corners=False):
+    """Moves over pixels in eight directions as a graph, costs in m, and the node of each pixel.
 
-    def through(c):
-        return above * np.hypot(border - start[0], c - start[1]) + below * np.hypot(goal[0] - border, goal[1] - c)
-
-    low, high = sorted((start[1], goal[1]))
-    return minimize_scalar(through, bounds=(low, high), method="bounded", options={"xatol": 1e-10}).fun
-
-
-def cheapest_on_pixels(cost, start, goal, pixel):
-    """Cost [m] of the cheapest path over pixels in eight directions, past closed corners; inf if there is none."""
+    A move past a corner needs the pixels beside it to be free, but with ``past_corners``.
+    """
     rows, cols = cost.shape
     free, number = np.isfinite(cost), np.arange(cost.size).reshape(cost.shape)
     parts = []
@@ -124,9 +116,14 @@ def cheapest_on_pixels(cost, start, goal, pixel):
         here = np.s_[: rows - down, max(0, -right) : cols - max(0, right)]
         there = np.s_[down:, max(0, right) : cols + min(0, right)]
         corners = np.s_[: rows - down, max(0, right) : cols + min(0, right)], np.s_[down:, here[1].start : here[1].stop]
-        kept = free[here] & free[there] & free[corners[0]] & free[corners[1]]
+        kept = free[here] & free[there] & (past_corners | free[corners[0]] & free[corners[1]])
         length = np.hypot(down, right) * pixel
-        parts.append((number[here][kept], number[there][kept], length * 0.5 * (cost[here] + cost[there])[kept]))
+        parts.append((number[here][kept], number[there][kept], length * 0.5 * (cost[here][kept] + cost[there][kept])))
     first, last, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
-    graph = csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2)
+    return csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2), number
+
+
+def cheapest_on_pixels(cost, start, goal, pixel):
+    """Cost [m] of the cheapest path over pixels in eight directions, past closed corners; inf if there is none."""
+    graph, number = pixel_graph(cost, pixel)
     return dijkstra(graph, directed=False, indices=number[tuple(start)])[number[tuple(goal)]]

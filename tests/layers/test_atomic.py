@@ -8,7 +8,7 @@ from region_files import regions_of, write_flatgeobuf, write_geojson
 from bumpymap.core.errors import OutputError
 from bumpymap.core.files import atomic, write_together
 from bumpymap.core.types import CostTable
-from bumpymap.layers.geotiff import write_classes, write_heightmap, write_relief, write_roughness
+from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.tile_table import write_tiles
 
 
@@ -27,17 +27,6 @@ def largest_file(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, old)
 
 
-def test_file_appears_only_when_it_is_whole(tmp_path):
-    target = tmp_path / "a.txt"
-    with atomic(target) as temporary:
-        temporary.write_text("new")
-        assert not target.exists()
-        assert temporary.parent == tmp_path
-        assert temporary.suffix == ".txt"
-    assert target.read_text() == "new"
-    assert names(tmp_path) == ["a.txt"]
-
-
 def test_failure_keeps_the_old_file_and_leaves_no_scratch(tmp_path):
     target = tmp_path / "a.tif"
     target.write_text("old")
@@ -54,13 +43,6 @@ def test_failure_keeps_the_old_file_and_leaves_no_scratch(tmp_path):
     assert names(tmp_path) == ["a.tif"]
 
 
-def test_failure_to_write_names_the_file_and_what_to_do(tmp_path):
-    with pytest.raises(OutputError, match=r"cannot write .*a\.txt.*`out`"), atomic(tmp_path / "no" / "a.txt") as path:
-        path.write_text("x")
-    with pytest.raises(OutputError, match="broken pipe of a library"), atomic(tmp_path / "a", (KeyError,)):
-        raise KeyError("broken pipe of a library")
-
-
 def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
     target, side = tmp_path / "a.tif", tmp_path / "a.tif.aux.xml"
     side.write_text("statistics of other pixels")
@@ -75,10 +57,10 @@ def test_side_file_moves_along_and_a_stale_one_goes(tmp_path):
 
 
 WRITERS = {
-    "roughness.tif": lambda cost_map, path: write_roughness(CostTable.of(cost_map), path),
-    "class.tif": lambda cost_map, path: write_classes(CostTable.of(cost_map), path),
-    "heightmap.tif": lambda cost_map, path: write_heightmap(CostTable.of(cost_map), path),
-    "relief.tif": lambda cost_map, path: write_relief(CostTable.of(cost_map), path),
+    **{
+        name: lambda cost_map, path, name=name: write_raster(name, CostTable.of(cost_map), path)
+        for name in ("roughness.tif", "class.tif", "heightmap.tif", "relief.tif")
+    },
     "tiles.parquet": lambda cost_map, path: write_tiles(CostTable.of(cost_map), path),
     "cost.geojson": lambda cost_map, path: write_geojson(regions_of(cost_map), path, local=False),
     "cost.fgb": lambda cost_map, path: write_flatgeobuf(regions_of(cost_map), path),
@@ -158,21 +140,3 @@ def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, erro
         assert content(tmp_path) == OLD
     move_all_but(moves)
     assert content(tmp_path) == {"notes.txt": "mine", **NEW}
-
-
-def test_failure_while_writing_leaves_the_folder_as_it_was(tmp_path):
-    write_all(tmp_path, OLD)
-
-    def write_half():
-        with write_together(tmp_path, "run.json") as staged:
-            write_all(staged, {"a.tif": "half"})
-            raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError):
-        write_half()
-    assert content(tmp_path) == OLD
-    with (
-        pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"),
-        write_together(tmp_path / "no", "run.json"),
-    ):
-        pass

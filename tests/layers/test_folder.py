@@ -11,7 +11,7 @@ import rasterio
 from cost_maps import part_of
 
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import NO_CLASS, CostTable, Georeference
+from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import check_folder, software_versions, write_products
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
@@ -95,16 +95,6 @@ def test_every_layer_says_which_survey_vehicle_and_version_made_it(tmp_path, cos
         assert {key: entries.get(key) for key in wanted} == wanted, name
 
 
-def test_what_is_not_known_of_a_run_is_not_said(tmp_path, cost_map):
-    survey = {"name": "site", "checksum": None, "dates": None}
-    settings = {"rating": "ride", "compat": "paper"}  # the paper's classes have no limits of ride cost
-    write(cost_map, tmp_path, manifest=FULL_RUN | {"survey": survey, "settings": settings, "model": None})
-    absent = {"survey_checksum", "survey_header_dates", "texture_model", "class_limits_rad_per_m"}
-    for name, entries in said_by_layers(tmp_path).items():
-        assert not absent & set(entries), name
-        assert (entries["survey"], entries["rating"]) == ("site", "paper"), name
-
-
 @pytest.mark.slow
 def test_same_map_same_bytes_whatever_the_order_of_its_tiles(tmp_path, make_field):
     cost_map = make_field(150, 140, grid=Grid(3.0, 5))
@@ -144,40 +134,12 @@ def test_products_of_a_run_are_not_overwritten_unasked(tmp_path, name):
     assert (tmp_path / name).read_text() == "ours"
 
 
-def test_places_that_cannot_be_written(tmp_path):
-    (tmp_path / "file").write_text("x")
-    for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(OutputError, match=r"cannot write to the folder .*`out`"):
-            check_folder(place, overwrite=True)
-    (tmp_path / "out" / "class.tif").mkdir(parents=True)
-    with pytest.raises(OutputError, match="is not a file"):
-        check_folder(tmp_path / "out", overwrite=True)
-
-
 def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
     cost_map = make_field(4, 4, georeference=Georeference(None))
     with pytest.raises(BadInputError, match="`local=True`"):
         write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
     assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES) + len(VIEW_NAMES)
-
-
-def test_single_tile_and_nothing_known(tmp_path, make_map):
-    for name, cost_map in {
-        "one": make_map([110_000], [680_000], [2], [0]),
-        "unknown": make_map([110_000, 110_003], [680_000, 680_001], [NO_CLASS] * 2, [2, 4]),
-    }.items():
-        (tmp_path / name).mkdir()
-        write(cost_map, tmp_path / name)
-        assert (tmp_path / name / "run.json").exists()
-
-
-def test_overwriting_forgets_statistics_that_a_viewer_left(tmp_path, cost_map):
-    write(cost_map, tmp_path)
-    (tmp_path / "roughness.tif.aux.xml").write_text("<PAMDataset/>")
-    write(cost_map, tmp_path)
-    assert not (tmp_path / "roughness.tif.aux.xml").exists()
-    assert all((tmp_path / name).exists() for name in SIDES)
 
 
 class Steps:

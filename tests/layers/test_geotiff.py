@@ -1,15 +1,12 @@
 from dataclasses import replace
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 import rasterio
-from cost_maps import part_of
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
-from bumpymap.core.errors import OutputError
 from bumpymap.core.types import (
     BANDS,
     BARRED_TEXT,
@@ -27,29 +24,14 @@ from bumpymap.core.types import (
     Reason,
 )
 from bumpymap.layers import _cog
-from bumpymap.layers._cog import checksum, require_disk_space, require_intact, write_value_table
+from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
-from bumpymap.layers.geotiff import (
-    write_barred,
-    write_classes,
-    write_cost,
-    write_heightmap,
-    write_obstacles,
-    write_reasons,
-    write_relief,
-    write_roughness,
-)
+from bumpymap.layers.geotiff import write_raster
 from bumpytiles import Grid
 
 WRITERS = {
-    "roughness": lambda cost_map, *rest: write_roughness(CostTable.of(cost_map), *rest),
-    "class": lambda cost_map, *rest: write_classes(CostTable.of(cost_map), *rest),
-    "reason": lambda cost_map, *rest: write_reasons(CostTable.of(cost_map), *rest),
-    "cost": lambda cost_map, *rest: write_cost(CostTable.of(cost_map), *rest),
-    "barred": lambda cost_map, *rest: write_barred(CostTable.of(cost_map), *rest),
-    "obstacle": lambda cost_map, *rest: write_obstacles(CostTable.of(cost_map), *rest),
-    "heightmap": lambda cost_map, *rest: write_heightmap(CostTable.of(cost_map), *rest),
-    "relief": lambda cost_map, *rest: write_relief(CostTable.of(cost_map), *rest),
+    name: lambda cost_map, *rest, file=f"{name}.tif": write_raster(file, CostTable.of(cost_map), *rest)
+    for name in ("roughness", "class", "reason", "cost", "barred", "obstacle", "heightmap", "relief")
 }
 WEIGHTS = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
 US_FOOT = 1200 / 3937
@@ -144,16 +126,6 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     assert np.isfinite(everything).sum() == passable.sum()
 
 
-def test_barred_says_why_there_is_no_cost(rasters, cost_map):
-    with rasterio.open(rasters["barred"]) as file, rasterio.open(rasters["cost"]) as priced:
-        barred, cost = file.read(1), priced.read(1)
-        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
-        assert (file.nodata, file.colorinterp[0].name) == (NO_CLASS, "palette")
-    np.testing.assert_array_equal(sampled, cost_map.rule.barred(cost_map.columns()))
-    np.testing.assert_array_equal(np.isfinite(cost), barred == 0)
-    assert len(set(sampled)) >= 3
-
-
 def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     tiles, px = len(cost_map.class_id), cost_map.patches.grid.pixels
     rng = np.random.default_rng(3)
@@ -161,7 +133,7 @@ def test_obstacles_are_pixels_of_the_tiles(cost_map, tmp_path):
     share = np.mean(objects == OBSTACLE, axis=(1, 2)).astype(np.float32)
     share[5] = np.nan  # its free pixels are not known to be free
     stack = ObjectStack(objects, share, share, share, share)
-    write_obstacles(CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
+    write_raster("obstacle.tif", CostTable.of(replace(cost_map, objects=stack)), tmp_path / "obstacle.tif")
     with rasterio.open(tmp_path / "obstacle.tif") as file:
         pixels, index = file.read(1), file.index
         assert file.nodata == NO_CLASS
@@ -219,32 +191,6 @@ def test_gdal_finds_names_colours_and_true_counts_beside_a_raster_of_codes(raste
         assert sorted(path.rsplit("/", 1)[-1] for path in file.files) == [f"{name}.tif", f"{name}.tif.aux.xml"]
     rows = check_value_table(rasters[name], name, tmp_path / "seen.vrt")
     assert sum(int(row[1]) for row in rows) > 0
-
-
-@pytest.mark.parametrize("name", sorted(VALUES))
-def test_counts_are_those_of_the_whole_raster_when_it_is_made_in_several_windows(
-    tmp_path, make_field, monkeypatch, name
-):
-    monkeypatch.setattr("bumpymap.layers.geotiff.TILE_WINDOW", 16)
-    monkeypatch.setattr("bumpymap.layers.geotiff._WINDOW_PIXELS", 64)
-    monkeypatch.setattr("bumpymap.layers._cog.SMALL", 0)
-    WRITERS[name](make_field(70, 50, grid=Grid(3.0, 4)), tmp_path / f"{name}.tif")
-    check_value_table(tmp_path / f"{name}.tif", name, tmp_path / "seen.vrt")
-
-
-def test_counts_beyond_32_bits_are_real_numbers(tmp_path):
-    counts = np.bincount([2], [2**32], minlength=256).astype(np.int64)
-    write_value_table(tmp_path / "a.tif", CLASS_NAMES, CLASS_COLOURS, counts)
-    with rasterio.open(
-        tmp_path / "a.tif", "w", driver="GTiff", width=1, height=1, count=1, dtype="uint8", crs=32614,
-        transform=rasterio.Affine(3, 0, 0, 0, -3, 0),
-    ):  # fmt: skip
-        pass
-    root = ET.parse(tmp_path / "a.tif.aux.xml").getroot()  # noqa: S314 (ours)
-    table = root.find("PAMRasterBand/GDALRasterAttributeTable")
-    assert [field.findtext("Type") for field in table.findall("FieldDefn")] == ["0", "1", "2", "0", "0", "0", "0"]
-    _, _, rows = seen_by_gdal(tmp_path / "a.tif", tmp_path / "seen.vrt")
-    assert float(rows[2][1]) == 2**32
 
 
 def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
@@ -312,29 +258,6 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field, monkey
             assert (file.read(1) == NO_CLASS).all()
 
 
-@pytest.mark.parametrize("scratch", [0, 1 << 30], ids=["on disk", "in memory"])
-@pytest.mark.parametrize("known", [False, True], ids=["nothing known", "all smooth"])
-def test_large_areas_of_one_value_have_it_in_overviews_too(tmp_path, make_field, monkeypatch, scratch, known):
-    """Two patches of tiles far apart: blocks of the scratch raster between them hold nodata alone."""
-    monkeypatch.setattr(_cog, "SMALL", scratch)
-    cost_map = make_field(700, 700, grid=Grid(3.0, 1), holes=0.0, easy=True)
-    col, row = cost_map.patches.col - 110_000, cost_map.patches.row - 680_000
-    cost_map = part_of(cost_map, np.maximum(col, row) < 300 if known else np.maximum(col, row) % 690 < 10)
-    class_id = np.full(len(cost_map.class_id), 0 if known else NO_CLASS, np.uint8)
-    reason = np.full(len(class_id), Reason.OK if known else Reason.TOO_FEW_POINTS, np.uint8)
-    cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
-    for name in ("class", "barred", "reason"):
-        path = tmp_path / f"{name}.tif"
-        WRITERS[name](cost_map, path)
-        assert cog_validate(path, strict=True)[:2] == (True, [])
-        with rasterio.open(path) as file:
-            levels, values = len(file.overviews(1)), set(np.unique(file.read(1)).tolist())
-        assert levels > 0
-        for level in range(levels):
-            with rasterio.open(path, overview_level=level) as file:
-                assert set(np.unique(file.read(1)).tolist()) <= values, (name, level)
-
-
 def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=FEET)
     for name, write in WRITERS.items():
@@ -381,36 +304,6 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
         check_value_table(path, name, tmp_path / "seen.vrt")
 
 
-def test_far_corners_without_anything_between(tmp_path, make_map):
-    cost_map = make_map([-2, 500], [-3, 400], [0, 3], [0, 0])
-    for name, write in WRITERS.items():
-        write(cost_map, tmp_path / f"{name}.tif")
-    assert (tmp_path / "heightmap.tif").stat().st_size < 200_000
-    with rasterio.open(tmp_path / "heightmap.tif") as file:
-        assert (file.width, file.height) == (503 * 15, 404 * 15)
-        corner = file.read(1, window=rasterio.windows.Window(0, file.height - 15, 15, 15))
-        np.testing.assert_array_equal(corner, cost_map.patches.heights[0])
-    with rasterio.open(tmp_path / "class.tif") as file:
-        class_id = file.read(1)
-    with rasterio.open(tmp_path / "reason.tif") as file:
-        reason = file.read(1)
-    assert (class_id[-1, 0], class_id[0, -1], (class_id != NO_CLASS).sum()) == (0, 3, 2)
-    assert (reason == NO_CLASS).sum() == class_id.size - 2
-    for name in VALUES:
-        check_value_table(tmp_path / f"{name}.tif", name, tmp_path / f"{name}.vrt")
-
-
-@pytest.mark.parametrize("n", [1, 6])
-def test_nothing_but_unknown_tiles(tmp_path, make_map, n):
-    cost_map = make_map(range(n), [7] * n, [NO_CLASS] * n, [2] * n)
-    for name, write in WRITERS.items():
-        write(cost_map, tmp_path / f"{name}.tif")
-        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[0]
-    with rasterio.open(tmp_path / "roughness.tif") as file:
-        assert np.isnan(file.read(1)).all()
-        assert np.isfinite(file.read(BANDS.index(next(b for b in BANDS if b.name == "density")) + 1)).all()
-
-
 @pytest.mark.slow
 def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
     cost_map = make_field(300, 200, grid=Grid(3.0, 5))
@@ -443,23 +336,3 @@ def test_a_raster_that_lost_pixels_is_noticed(rasters, tmp_path):
     blank.close()
     with pytest.raises(OSError, match="disk may be full"):
         require_intact(tmp_path / "blank.tif", painted)
-
-
-def test_room_is_asked_for(tmp_path):
-    require_disk_space(tmp_path, 1)
-    with pytest.raises(OSError, match=r"1,?000000000\.0 GB are needed"):
-        require_disk_space(tmp_path, 10**18)
-
-
-def test_a_class_raster_without_its_names_is_a_failure(cost_map, tmp_path, monkeypatch):
-    write = Path.write_bytes
-
-    def full_disk(path, data):
-        if path.name.endswith(".aux.xml"):
-            raise OSError(28, "No space left on device")
-        return write(path, data)
-
-    monkeypatch.setattr(Path, "write_bytes", full_disk)
-    with pytest.raises(OutputError, match="No space left"):
-        WRITERS["class"](cost_map, tmp_path / "class.tif")
-    assert not list(tmp_path.iterdir())

@@ -6,11 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, CostTable
-from bumpymap.layers import describe_file, describe_input, software_versions, write_manifest
-from bumpymap.layers.manifest import complete_manifest
-from bumpymap.layers.summary import summarise
+from bumpymap.core.errors import BadInputError
+from bumpymap.layers import describe_file, describe_input, write_manifest
 
 
 @dataclass(frozen=True)
@@ -38,21 +35,6 @@ def test_anything_becomes_plain_json(tmp_path):
     }
 
 
-def complete(cost_map, run=None, files=()):
-    table = CostTable.of(cost_map)
-    return complete_manifest(run or {}, table, summarise(table), files)
-
-
-def test_a_record_keeps_what_the_run_knows(cost_map):
-    run = {"inputs": [{"path": "a.laz", "bytes": 7}], "settings": {"a": 1}, "versions": {"model": "7"}}
-    record = complete(cost_map, run, [{"path": "class.tif"}])
-    assert record["inputs"] == [{"path": "a.laz", "bytes": 7}]
-    assert record["settings"] == {"a": 1}
-    assert record["versions"]["model"] == "7"
-    assert record["files"] == [{"path": "class.tif"}]
-    assert (record["format"], record["version"]) == ("bumpymap-run", 1)
-
-
 def test_inputs_get_a_checksum_if_they_are_unchanged(tmp_path):
     survey = tmp_path / "survey.laz"
     survey.write_bytes(b"points" * 1000)
@@ -75,23 +57,3 @@ def test_a_file_that_grows_while_its_checksum_is_made_is_refused(tmp_path, monke
     monkeypatch.setattr(hashlib, "file_digest", grow)
     with pytest.raises(BadInputError, match="changed while"):
         describe_file(survey)
-
-
-def test_counts_by_class_and_reason(make_map):
-    cost_map = make_map(range(6), [0] * 6, [0, 0, 3, NO_CLASS, NO_CLASS, NO_CLASS], [0, 0, 0, 2, 5, 5])
-    counts = complete(cost_map)["counts"]
-    assert counts["by_class"] == dict(zip(CLASS_NAMES, [2, 0, 0, 1], strict=True))
-    assert counts["by_reason"] == {"too few points": 1, "outlier-only relief": 2}
-    assert (counts["tiles"], counts["classified"], counts["unknown"]) == (6, 3, 3)
-    assert counts["points"] == cost_map.patches.count.sum()
-
-
-def test_versions_of_what_has_a_say_in_the_numbers():
-    assert {"bumpymap", "gdal", "numba", "numpy", "onnxruntime", "proj", "python"} <= set(software_versions())
-
-
-def test_unreadable_input_and_unwritable_place(tmp_path):
-    with pytest.raises(BadInputError, match=r"gone\.laz"):
-        describe_file(tmp_path / "gone.laz")
-    with pytest.raises(OutputError, match="cannot write"):
-        write_manifest({}, tmp_path / "no" / "run.json")

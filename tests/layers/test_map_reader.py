@@ -1,16 +1,14 @@
-import copy
 from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rasterio
 from cost_maps import part_of
 from pyproj import CRS
-from route_maps import VEHICLE, bare_map, write_folder
+from route_maps import bare_map, write_folder
 
-from bumpymap.core import NO_TILE, BadInputError, Barred, Georeference
+from bumpymap.core import NO_TILE, Barred, Georeference
 from bumpymap.layers import open_map
 from bumpytiles import Grid, TileWindow
 
@@ -43,17 +41,6 @@ def same(first, second):
     return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in BANDS) and (
         np.array_equal(first.barred, second.barred)
     )
-
-
-def test_what_a_folder_says(folder):
-    found = open_map([folder])
-    assert found.window == TileWindow(110_000, 680_000, 50, 37)
-    assert found.grid == SMALL
-    assert (found.vehicle.name, found.vehicle.width_m, found.vehicle.speed_mps) == ("warthog", 1.38, 1.0)
-    assert (found.rule.ride_weight, found.rule.fail_weight, found.rule.drive_m) == (2.5, 300.0, 10.0)
-    assert found.calibration_id == "c0ffee"
-    assert found.georeference.crs.to_epsg() == 32614
-    assert found.manifests[0]["vehicle"] == VEHICLE
 
 
 def test_every_tile_lies_where_it_was_measured(folder, made):
@@ -90,26 +77,6 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
         pixels = np.s_[4 * top : 4 * (top + rows), 4 * left : 4 * (left + cols)]
         assert np.array_equal(found.heights(window), heights[pixels], equal_nan=True)
         assert np.array_equal(found.objects(window), objects[pixels])
-
-
-def test_pixels_are_those_of_the_rasters(folder):
-    found = open_map([folder])
-    with rasterio.open(folder / "heightmap.tif") as heights, rasterio.open(folder / "obstacle.tif") as objects:
-        assert np.array_equal(found.heights(found.window), heights.read(1), equal_nan=True)
-        assert np.array_equal(found.objects(found.window), objects.read(1))
-    far = TileWindow(0, 0, 2, 3)
-    assert np.isnan(found.heights(far)).all()
-    assert (found.objects(far) == 255).all()
-    assert (found.read(far).barred == NO_TILE).all()
-
-
-def test_bands_that_are_not_asked_for_take_no_memory(folder):
-    found = open_map([folder])
-    field, light = found.read(found.window), found.read(found.window, ("c_r_high", "p_fail"))
-    assert np.array_equal(light.c_r_high, field.c_r_high, equal_nan=True)
-    assert np.array_equal(light.p_fail, field.p_fail, equal_nan=True)
-    assert np.isnan(light.obstacle).all()
-    assert light.obstacle.strides == (0, 0)
 
 
 def test_a_map_in_sheets_reads_like_the_whole(made, folder, tmp_path):
@@ -158,10 +125,6 @@ def test_where_sheets_overlap_the_cautious_one_counts_in_any_order(sheets):
         assert np.array_equal(other.objects(window), pixels[1])
 
 
-def test_a_folder_given_twice_counts_once(folder):
-    assert len(open_map([folder, folder / ".." / folder.name]).sheets) == 1
-
-
 def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     unit = 1200 / 3937
     feet = Georeference(CRS.from_epsg(2229), unit, unit)
@@ -170,17 +133,6 @@ def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     assert found.window == TileWindow(655_000, 187_000, 6, 5)
     assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
     assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
-
-
-def test_a_map_without_a_crs_and_one_with_heights_above_a_datum(tmp_path, make_field):
-    """The rasters of the second carry a compound CRS; places depend on its horizontal part only."""
-    for name, crs in (("local", None), ("compound", CRS("EPSG:32614+5703"))):
-        made = make_field(4, 3, grid=SMALL, georeference=Georeference(crs))
-        found = open_map([write_folder(tmp_path / name, made)])
-        assert found.window == TileWindow(110_000, 680_000, 4, 3)
-        assert found.has_crs == (crs is not None)
-    assert found.georeference.crs.is_compound
-    assert found.to_lonlat(330_000.0, 2_040_000.0) == bare_map().to_lonlat(330_000.0, 2_040_000.0)
 
 
 def test_longitude_and_latitude_of_the_central_meridian():
@@ -192,13 +144,6 @@ def test_longitude_and_latitude_of_the_central_meridian():
     assert 18.0 < latitude[1] < 18.2
     back = place.from_lonlat(longitude, latitude)
     assert np.allclose(back, [[500_000.0, 500_000.0], [0.0, 2_000_000.0]], atol=1e-6)
-
-
-def test_without_a_crs_there_is_no_longitude():
-    place = bare_map(crs=None)
-    assert not place.has_crs
-    with pytest.raises(BadInputError, match="no CRS"):
-        place.to_lonlat(1.0, 2.0)
 
 
 def test_passage_in_fewer_pixels(folder, sheets):
@@ -246,19 +191,6 @@ def test_files_stay_open_for_as_long_as_wanted(folder):
 
 
 @has_descriptors
-def test_files_are_closed_after_an_error(folder):
-    found = open_map([folder])
-
-    def fail():
-        found.heights(found.window)
-        raise KeyError("stop")
-
-    with pytest.raises(KeyError, match="stop"), found.kept_open():
-        fail()
-    assert open_below(folder) == []
-
-
-@has_descriptors
 def test_of_many_sheets_few_are_open(make_field, tmp_path):
     folders = [
         write_folder(tmp_path / str(number), make_field(6, 4, grid=SMALL, west=110_000 + 6 * number, seed=number))
@@ -291,11 +223,3 @@ def test_threads_read_a_map_that_is_kept_open(folder, sheets):
         for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
             assert same(field, own)
             assert np.array_equal(passage, open_pixels)
-
-
-def test_a_map_that_is_kept_open_can_be_sent_to_another_process(folder):
-    found = open_map([folder])
-    with found.kept_open():
-        field = found.read(found.window)
-        other = copy.deepcopy(found)  # as pickle does it
-    assert same(other.read(found.window), field)

@@ -1,6 +1,5 @@
 """Outlines of adjacent areas have the same vertices along their borders."""
 
-import geopandas
 import numpy as np
 import pytest
 import shapely
@@ -9,12 +8,11 @@ from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
 from pyproj import CRS, Transformer
 
-import bumpymap
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import label
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve, shared_corners, trace_labels
-from bumpymap.layers.vector import GeoJsonCoordinates, polygons_in_wgs84, wgs84_transformer
+from bumpymap.layers.vector import GeoJsonCoordinates
 from bumpytiles import Grid, TileWindow
 
 US_FOOT = 1200 / 3937
@@ -30,24 +28,6 @@ CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1
 DIAGONALS = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2], [0, 2, 0]], np.uint8)
 RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
 BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
-
-
-def turns_or_meets(four):
-    """Whether the corner between four tiles ((nw, ne), (sw, se)) is more than a point of a straight border."""
-    (nw, ne), (sw, se) = four
-    borders = (nw != ne, ne != se, sw != se, nw != sw)  # north, east, south, west of the corner
-    return any(borders) and borders not in {(True, False, True, False), (False, True, False, True)}
-
-
-@settings(max_examples=100, deadline=None)
-@given(keys=KEYS)
-@example(keys=CHECKERS)
-@example(keys=DIAGONALS)
-def test_shared_corners_are_those_at_which_borders_turn_or_meet(keys):
-    around = np.pad(keys, 1)
-    expected = [[turns_or_meets(around[i : i + 2, j : j + 2]) for j in range(keys.shape[1] + 1)]
-                for i in range(keys.shape[0] + 1)]  # fmt: skip
-    assert shared_corners(around).tolist() == expected
 
 
 @settings(max_examples=100, deadline=None)
@@ -95,16 +75,6 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site,
         check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
 
 
-def test_points_along_a_side_are_the_same_in_both_directions():
-    # Around 0, where GEOS splits a side at other last bits when it is turned.
-    place = Placement(Georeference(CRS.from_epsg(3857)), Grid(), TileWindow(-300, 0, 600, 2))
-    to_degrees = wgs84_transformer(place)
-    for west in range(-200, 0, 3):
-        for length in range(100, 400, 7):
-            both = np.array([shapely.box(west, line, west + length, line + 1) for line in (0, 1)])
-            check_coverage(polygons_in_wgs84(both, place, to_degrees, decimals=15))
-
-
 @pytest.mark.parametrize("size", [1, 2, 3, 5])
 @settings(max_examples=20, deadline=None)
 @given(keys=KEYS.filter(np.any))
@@ -145,15 +115,3 @@ def test_both_sides_of_the_antimeridian_are_a_coverage(make_map, place, keys, st
     for side in (bounds[:, 0] > 0, bounds[:, 0] < 0):
         if side.any():
             check_coverage(parts[side])
-
-
-@pytest.mark.slow
-@pytest.mark.realdata
-@pytest.mark.parametrize(("survey", "crs"), [("godie_espacio.laz", "EPSG:32614"), ("bcts_adjoining", None)])
-def test_vectors_of_real_surveys_are_coverages_with_the_holes_of_the_tiles(survey, crs, shared_data, tmp_path):
-    layers = bumpymap.map_survey(shared_data / "surveys" / survey, out=tmp_path / "out", crs=crs)
-    tiles, flat = layers.tiles(), layers.regions()
-    globe = geopandas.read_file(layers.folder / "cost.geojson")
-    assert sorted(flat["region"]) == globe["region"].tolist()
-    for regions in (flat, globe):
-        check_coverage(regions.geometry.to_numpy(), holes_of_tiles(tiles["col"].to_numpy(), tiles["row"].to_numpy()))

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.core.types import CostTable, Georeference
+from bumpymap.core.types import Georeference
 from bumpymap.layers import MAX_TILES, check_extent
 from bumpymap.layers.placement import Placement
 from bumpytiles import Grid, TileWindow
@@ -31,12 +31,6 @@ def test_chunks_cover_the_raster_once(aligned, window, side):
         corners.append((cut.line, cut.column))
     assert (raster == 1).all()
     assert corners == sorted(corners)
-
-
-def test_far_apart_sites_are_refused_before_anything_is_laid_out(make_map):
-    far = make_map([0, 333_333], [0, 333_333], [0, 0], [0, 0])  # 1000 km
-    with pytest.raises(BadInputError, match=r"1,000\.0 km x 1,000\.0 km.*100,000,000 tiles.*separate runs"):
-        Placement.of(CostTable.of(far))
 
 
 def test_limits_hold_for_tiles_and_for_pixels():

@@ -94,32 +94,11 @@ def test_numbers_are_means_over_the_tiles(make_map):
     assert np.isnan(regions.hazard[:3]).all()
 
 
-def test_passable_and_impassable_tiles_of_one_class_are_never_one_region(make_map):
-    made = make_map([0, 1, 2], [0, 0, 0], [3, 3, 3], [0, 0, 0])
-    slope = np.array([10.0, 26.0, 10.0])  # the limit is 25
-    cost_map = replace(made, p_fail=np.zeros(3, np.float32), patches=replace(made.patches, slope=slope))
-    regions = regions_of(cost_map)
-    assert regions.tiles.tolist() == [1, 1, 1]
-    assert regions.passable.tolist() == [True, False, True]
-
-
 def joined(batches):
     """Outlines as text, and every column, of all regions in their order."""
     names = ("class_id", "reason", "tiles", "passable", "c_r", "c_r_low", "c_r_high", "p_fail", "hazard", "cost")
     columns = {name: np.concatenate([getattr(batch, name) for batch in batches]) for name in names}
     return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
-
-
-@pytest.mark.slow
-def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
-    table = CostTable.of(make_field(45, 30))
-    whole = joined(list(dissolve(table)))
-    for size in (1, 7, 100):
-        monkeypatch.setattr("bumpymap.layers.regions.BATCH", size)
-        batches = list(dissolve(table))
-        assert max(len(batch.tiles) for batch in batches) <= size
-        for name, values in joined(batches).items():
-            np.testing.assert_array_equal(values, whole[name])
 
 
 def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
@@ -143,16 +122,6 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     check_coverage(own, holes_of_tiles(patches.col, patches.row))
     for name, values in expected.items():
         np.testing.assert_array_equal(found[name], values)
-
-
-def test_regions_are_numbered_in_their_order(make_field, monkeypatch):
-    table = CostTable.of(make_field(45, 30))
-    monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)
-    monkeypatch.setattr("bumpymap.layers.regions.BATCH", 7)
-    batches = list(dissolve(table))
-    numbers = np.concatenate([batch.number for batch in batches])
-    assert len(batches) > 6
-    assert numbers.tolist() == list(range(1, sum(len(batch.tiles) for batch in batches) + 1))
 
 
 def only(cost_map, chosen):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 import rasterio
 from cost_maps import make_field, part_of
-from rio_cogeo import cog_validate
 
 from bumpymap.core.types import CostTable
 from bumpymap.layers import geotiff
-from bumpymap.layers.geotiff import write_relief
+from bumpymap.layers.geotiff import write_raster
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 
@@ -25,7 +24,7 @@ def thin(cost_map, share, seed=1):
 
 
 def written(cost_map, path, **options):
-    write_relief(CostTable.of(cost_map), path, **options)
+    write_raster("relief.tif", CostTable.of(cost_map), path, **options)
     with rasterio.open(path) as file:
         return file.read(1)
 
@@ -93,20 +92,9 @@ def test_a_part_is_filled_from_beyond_its_edge(tmp_path):
     whole = written(cost_map, tmp_path / "whole.tif")
     window = TileWindow(0, 0, 2 * BLOCK_TILES, BLOCK_TILES)
     part = replace(table, tiles=table.tiles.part(window))
-    write_relief(part, tmp_path / "part.tif", None, table.tiles)
-    write_relief(part, tmp_path / "alone.tif")
+    write_raster("relief.tif", part, tmp_path / "part.tif", None, table.tiles)
+    write_raster("relief.tif", part, tmp_path / "alone.tif")
     same = whole[48:96, 96:192]
     with rasterio.open(tmp_path / "part.tif") as one, rasterio.open(tmp_path / "alone.tif") as other:
         np.testing.assert_array_equal(one.read(1), same)
         assert not np.array_equal(other.read(1), same, equal_nan=True)
-
-
-def test_a_sparse_map_has_the_same_pixels(tmp_path, monkeypatch):
-    cost_map = thin(make_field(40, 30, holes=0.95), 0.05)
-    dense = written(cost_map, tmp_path / "dense.tif")
-    monkeypatch.setattr("bumpymap.layers._cog._SPARSE_FROM", 0)
-    np.testing.assert_array_equal(written(cost_map, tmp_path / "sparse.tif"), dense)
-    assert np.isfinite(dense).any()
-    with rasterio.open(tmp_path / "sparse.tif") as file:
-        assert file.block_shapes == [(128, 128)]
-    assert cog_validate(tmp_path / "sparse.tif", strict=True)[0]

@@ -47,12 +47,6 @@ def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
         open_map([first, north])
 
 
-def test_layers_of_an_earlier_version_are_refused(small, tmp_path):
-    old = copy_folder(small, tmp_path / "old", vehicle=None)
-    with pytest.raises(BadInputError, match=r"earlier version.*Map the survey again, with `overwrite=True`"):
-        open_map([old])
-
-
 def test_what_is_no_complete_run_is_refused(small, tmp_path):
     with pytest.raises(UsageError, match="no folder"):
         open_map([])
@@ -106,12 +100,3 @@ def test_a_damaged_manifest_is_refused(small, tmp_path, key):
     folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
     with pytest.raises(BadInputError, match=r"run\.json is damaged"):
         open_map([folder])
-
-
-def test_a_survey_or_another_folder_is_told_to_be_mapped_first(tmp_path):
-    survey = tmp_path / "site.laz"
-    survey.touch()
-    with pytest.raises(BadInputError, match=r"site\.laz is a file\. Give the folder that `bumpymap map` wrote"):
-        open_map([survey])
-    with pytest.raises(BadInputError, match=r"not that of a map\. Give the folder that `bumpymap map` wrote"):
-        open_map([tmp_path])

@@ -66,10 +66,3 @@ def test_strips_do_not_change_the_summary(make_field, monkeypatch):
     monkeypatch.setattr("bumpymap.layers.summary.STRIP", 1)
     for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
         np.testing.assert_array_equal(found, expected)
-
-
-def test_a_map_without_tiles_of_many_points_judges_none(make_map):
-    cost_map = make_map([0, 1], [0, 0], [NO_CLASS, NO_CLASS], [2, 2])
-    cost_map.patches.count[:] = 1
-    summary = summarise(CostTable.of(cost_map))
-    assert (summary.judged, summary.layered, summary.tall) == (0, 0, 0)

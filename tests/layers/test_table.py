@@ -18,7 +18,6 @@ from bumpymap.core.types import (
     SIDES,
     TEXTURES,
     CostTable,
-    Georeference,
     Reason,
 )
 from bumpymap.layers.tile_table import write_tiles
@@ -76,34 +75,6 @@ def test_geopandas_reads_every_value_back(written, cost_map):
     assert frame["reason_text"].tolist() == [REASON_TEXT[Reason(code)] for code in patches.reason[order]]
 
 
-def test_texture_is_the_most_probable_one(written, cost_map):
-    frame = geopandas.read_parquet(written)
-    known = frame["class"].notna()
-    best = frame.loc[known, [f"p_{texture}" for texture in TEXTURES]].idxmax(axis=1).str.removeprefix("p_")
-    assert (frame.loc[known, "texture"] == best).all()
-    assert frame.loc[~known, "texture"].isna().all()
-    assert set(best) == set(TEXTURES)
-
-
-def test_unknown_numbers_are_null_not_nan(written, cost_map):
-    table = pq.read_table(written)
-    unknown = int((cost_map.class_id == NO_CLASS).sum())
-    for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "texture", "p_flat", "class"):
-        assert table[name].null_count == unknown > 0
-    assert not np.isnan(table["c_r"].drop_null().to_numpy()).any()
-    assert table["heights"].null_count == 0
-
-
-def test_geometry_is_the_tile(written, cost_map):
-    frame = geopandas.read_parquet(written)
-    assert frame.geometry.is_valid.all()
-    assert (frame.area == 9.0).all()
-    corner = frame.bounds
-    np.testing.assert_array_equal(corner["minx"], frame["col"] * 3.0)
-    np.testing.assert_array_equal(corner["maxy"], (frame["row"] + 1) * 3.0)
-    assert all(box.exterior.is_ccw for box in frame.geometry)
-
-
 def test_geo_metadata(written, cost_map):
     geo = json.loads(pq.read_schema(written).metadata[b"geo"])
     assert (geo["version"], geo["primary_column"]) == ("1.1.0", "geometry")
@@ -148,19 +119,6 @@ def test_a_reader_with_a_box_skips_row_groups(tmp_path, make_field):
     assert [part.row_groups[0].id for part in fragment.split_by_row_group(meets)] == needed
 
 
-def test_feet_and_no_crs(tmp_path, make_field):
-    foot = 1200 / 3937
-    feet = make_field(9, 9, west=130_000, south=60_000, georeference=Georeference(CRS.from_epsg(2271), foot, foot))
-    write_tiles(CostTable.of(feet), tmp_path / "feet.parquet")
-    frame = geopandas.read_parquet(tmp_path / "feet.parquet")
-    assert frame.crs.to_epsg() == 2271
-    assert (frame.area * foot**2).to_numpy() == pytest.approx(9.0, rel=1e-6)
-    assert frame["z_min"].min() == feet.patches.z_min.min()  # heights stay metres
-    write_tiles(CostTable.of(make_field(9, 9, georeference=Georeference(None))), tmp_path / "local.parquet")
-    assert geopandas.read_parquet(tmp_path / "local.parquet").crs is None
-    assert json.loads(pq.read_schema(tmp_path / "local.parquet").metadata[b"geo"])["columns"]["geometry"]["crs"] is None
-
-
 @pytest.mark.slow
 def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     cost_map = make_field(1500, 40, west=-7, south=5, grid=Grid(3.0, 1))
@@ -192,10 +150,3 @@ def test_wide_maps_come_strip_by_strip_whatever_the_packs(tmp_path, make_field):
     twin = CostTable(table.georeference, table.rule, TileTable(table.tiles.grid, packs))
     write_tiles(twin, tmp_path / "two.parquet")
     assert (tmp_path / "one.parquet").read_bytes() == (tmp_path / "two.parquet").read_bytes()
-
-
-def test_map_of_unknown_tiles_only(tmp_path, make_map):
-    write_tiles(CostTable.of(make_map([1, 2], [3, 3], [NO_CLASS] * 2, [2, 5])), tmp_path / "t.parquet")
-    frame = geopandas.read_parquet(tmp_path / "t.parquet")
-    assert frame["class"].isna().all()
-    assert frame["reason"].tolist() == [2, 5]

@@ -11,7 +11,7 @@ from route_maps import write_folder
 import bumpymap
 from bumpymap.core import BadInputError
 from bumpymap.layers import describe_file, tile_table
-from bumpymap.views import write_reports
+from bumpymap.views import write_report
 
 
 @pytest.fixture(name="folder")
@@ -46,7 +46,7 @@ def pool_fixture():
 def test_more_rows_than_the_run_counts_are_refused_before_they_are_read(folder, pool):
     replace_table(folder, repeated(folder, 10_000))
     pa.set_memory_pool(pool)
-    for read in (lambda: write_reports([folder]), bumpymap.open(folder).tiles):
+    for read in (lambda: write_report(folder), bumpymap.open(folder).tiles):
         with pytest.raises(BadInputError, match=r"tiles\.parquet holds [\d,]+ rows, and run\.json counts \d+ tiles"):
             read()
     assert pool.max_memory() < 1 << 20
@@ -59,10 +59,10 @@ def test_a_row_group_larger_than_a_run_writes_is_refused(folder):
     (folder / "run.json").write_text(json.dumps(record), encoding="utf-8")
     replace_table(folder, table, row_group_size=len(table))
     with pytest.raises(BadInputError, match=r"a group of [\d,]+ rows; at most 65,536 are read at once"):
-        write_reports([folder])
+        write_report(folder)
 
 
 def test_rows_that_do_not_fit_into_memory_are_refused(folder, monkeypatch):
     monkeypatch.setattr(tile_table, "free_memory", lambda: 1000)
     with pytest.raises(BadInputError, match=r"tiles\.parquet takes .* of memory, and .* are free"):
-        write_reports([folder])
+        write_report(folder)

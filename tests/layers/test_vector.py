@@ -214,25 +214,6 @@ def test_without_crs_only_local_coordinates_are_written(tmp_path, make_field):
     assert globe.total_bounds.tolist() == flat.total_bounds.tolist()
 
 
-def test_crs_without_a_place_on_earth(tmp_path, make_field):
-    site = CRS.from_wkt('ENGCRS["mine grid",EDATUM["mine"],CS[Cartesian,2],'
-                        'AXIS["x",east],AXIS["y",north],LENGTHUNIT["metre",1]]')  # fmt: skip
-    regions = regions_of(make_field(5, 5, georeference=Georeference(site)))
-    with pytest.raises(BadInputError, match=r"mine grid.*no known relation.*`local=True`"):
-        write_geojson(regions, tmp_path / "cost.geojson", local=False)
-    write_geojson(regions, tmp_path / "cost.geojson", local=True)
-    assert "local_coordinates" in json.loads((tmp_path / "cost.geojson").read_text())
-    write_flatgeobuf(regions, tmp_path / "cost.fgb")
-    assert [geopandas.read_file(tmp_path / name).crs.name for name in ("cost.geojson", "cost.fgb")] == ["mine grid"] * 2
-
-
-def test_local_coordinates_in_feet_say_so(tmp_path, make_field):
-    regions = regions_of(make_field(5, 5, georeference=Georeference(None, US_FOOT, US_FOOT)))
-    write_geojson(regions, tmp_path / "cost.geojson", local=True)
-    crs = geopandas.read_file(tmp_path / "cost.geojson").crs
-    assert crs.axis_info[0].unit_conversion_factor == pytest.approx(US_FOOT, rel=1e-12)
-
-
 def test_coordinates_outside_of_the_crs(tmp_path, make_field):
     regions = regions_of(make_field(5, 5, west=300_000_000, south=300_000_000))
     with pytest.raises(BadInputError, match=r"outside the area where its CRS.*`force_crs="):
@@ -255,14 +236,3 @@ def test_regions_fed_bit_by_bit_make_the_same_files(tmp_path, make_field, monkey
     for kind in ("geojson", "fgb"):
         assert (tmp_path / f"whole.{kind}").read_bytes() == (tmp_path / f"bits.{kind}").read_bytes()
     assert len(list(tmp_path.iterdir())) == 4
-
-
-def test_large_flatgeobuf_goes_straight_to_its_file(tmp_path, make_field, monkeypatch):
-    regions = regions_of(make_field(30, 20))
-    write_flatgeobuf(regions, tmp_path / "memory.fgb")
-    monkeypatch.setattr("bumpymap.layers.vector.IN_MEMORY", 0)
-    write_flatgeobuf(regions, tmp_path / "straight.fgb")
-    (tmp_path / "a!b").mkdir()
-    write_flatgeobuf(regions, tmp_path / "a!b" / "straight.fgb")
-    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "straight.fgb").read_bytes()
-    assert (tmp_path / "memory.fgb").read_bytes() == (tmp_path / "a!b" / "straight.fgb").read_bytes()

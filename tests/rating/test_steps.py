@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-import steps_in_numpy
 from walls import PIXELS, TILE_SIZE, Wall, crossed, mosaic
 
 from bumpymap.rating import find_steps
@@ -92,25 +91,6 @@ def test_a_kerb_stands_out_from_noise(noise):
     heights = mosaic(Wall(8 * noise, 6.02, 6, 3), 4)
     found = find_steps(heights + rng.normal(0, noise, heights.shape), PIXELS)
     np.testing.assert_allclose(found.border[:, 0, EAST], 8 * noise, rtol=0.25)
-
-
-@pytest.mark.parametrize("unknown", [0.0, 0.1, 0.5, 0.9, 1.0])
-@pytest.mark.parametrize("step", [0.0, 0.01])
-def test_compiled_code_follows_the_definition(unknown, step):
-    """On rolling ground with walls and ridges; a step between heights makes many of them equal."""
-    rng = np.random.default_rng(11)
-    heights = 0.1 * rng.normal(0, 0.01, (75, 105)).cumsum(axis=0).cumsum(axis=1)
-    heights[:, 50:] += 0.3
-    heights[np.arange(75), 18 + np.arange(75) // 3] += 0.4
-    heights[60] += 0.3
-    heights[rng.random(heights.shape) < unknown] = np.nan
-    heights[15:30, 45:60] = np.nan
-    if step:
-        heights = np.round(heights / step) * step
-    expected = steps_in_numpy.find_steps(heights, PIXELS)
-    found = find_steps(heights, PIXELS)
-    for name, values in expected.items():
-        np.testing.assert_allclose(getattr(found, name), values, rtol=1e-5, atol=1e-7, err_msg=name)
 
 
 def test_two_blocks_find_the_same_bits_for_the_border_that_they_share():

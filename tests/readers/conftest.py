@@ -1,11 +1,9 @@
 """Point cloud files with hand-counted points, written on the spot."""
 
-import io
 import struct
 from pathlib import Path
 
-import laspy
-import lazrs
+import las_files
 import numpy as np
 import pytest
 from pyproj import CRS
@@ -36,29 +34,24 @@ class LasMaker:
         self.folder = folder
 
     def write(
-        self, name="a.las", points=POINTS, *, version="1.2", fmt=1, scale=0.001, offset=(500000.0, 4000000.0, 0.0),
-        classes=None, withheld=None, wkt=None, epsg=None, geokeys=None, wkt_bit=None, evlr_wkt=None,
+        self, name="a.las", points=POINTS, *, classes=None, withheld=None, wkt=None, epsg=None, geokeys=None,
+        wkt_bit=None, evlr_wkt=None, **how,
     ):  # fmt: skip
         """A file of the points; ``epsg`` and ``geokeys`` make GeoTIFF keys, ``wkt`` a WKT record."""
-        header = laspy.LasHeader(version=version, point_format=fmt)
-        header.scales, header.offsets = np.broadcast_to(scale, 3).astype(float), np.array(offset, float)
         keys = dict(geokeys or {}) | ({1024: 1, 3072: epsg} if epsg else {})
-        if keys:
-            words = [1, 1, 0, len(keys)] + [word for key in sorted(keys) for word in (key, 0, 1, keys[key])]
-            header.vlrs.append(laspy.VLR("LASF_Projection", 34735, "", np.array(words, "<u2").tobytes()))
-        if wkt is not None:
-            header.vlrs.append(laspy.VLR("LASF_Projection", 2112, "", wkt.encode() + b"\0"))
-        header.global_encoding.wkt = bool(wkt) if wkt_bit is None else wkt_bit
-        las = laspy.LasData(header)
-        las.x, las.y, las.z = np.asarray(points, float).T
-        if classes is not None:
-            las.classification = classes
-        if withheld is not None:
-            las.withheld = withheld
-        if evlr_wkt is not None:
-            las.evlrs = laspy.vlrs.vlrlist.VLRList([laspy.VLR("LASF_Projection", 2112, "", evlr_wkt.encode() + b"\0")])
+        columns = {"classification": classes, "withheld": withheld}
         path = self.folder / name
-        las.write(path)
+        path.write_bytes(
+            las_files.las_bytes(
+                points,
+                records=[*[las_files.geokeys(keys)] * bool(keys), *(las_files.wkt(one) for one in (wkt,) if one)],
+                extended=[las_files.wkt(one) for one in (evlr_wkt,) if one],
+                wkt_bit=bool(wkt) if wkt_bit is None else wkt_bit,
+                compress=name.endswith(".laz"),
+                **{column: values for column, values in columns.items() if values is not None},
+                **how,
+            )
+        )
         return path
 
     @staticmethod
@@ -76,98 +69,16 @@ class LazMaker:
     @staticmethod
     def pack(path: Path, chunk=None, counts=None) -> Path:
         """LAZ with chunks of ``chunk`` points, or of ``counts`` points each."""
-        with laspy.open(path) as file:
-            header, points = file.header, file.read().points.array
-        record = lazrs.LazVlr.new_for_compression(
-            header.point_format.id, header.point_format.num_extra_bytes, counts is not None
-        ).record_data()
-        if chunk is not None:
-            record = record[:12] + struct.pack("<I", chunk) + record[16:]
-        stream = io.BytesIO()
-        compressor = lazrs.LasZipCompressor(stream, lazrs.LazVlr(record))
-        if counts is None:
-            compressor.compress_many(points.view(np.uint8))
-        for part in np.split(points, np.cumsum(counts)[:-1]) if counts is not None else ():
-            compressor.compress_many(part.view(np.uint8))
-            compressor.finish_current_chunk()
-        compressor.done()
-        data = stream.getvalue()
-        start = LazMaker.points_at(path, [len(record)])
-        (table,) = struct.unpack_from("<q", data)
-        return LazMaker.join(path, [(b"laszip encoded", 22204, record)], struct.pack("<q", table + start) + data[8:])
-
-    @staticmethod
-    def points_at(path: Path, lengths) -> int:
-        """Where points start once records of such lengths are added."""
-        return struct.unpack_from("<I", path.read_bytes(), 96)[0] + sum(54 + length for length in lengths)
-
-    @staticmethod
-    def join(path: Path, records, data: bytes) -> Path:
-        """A compressed file: the header and records of ``path``, new records before them, other data."""
-        head = bytearray(path.read_bytes())
-        size, start, count = struct.unpack_from("<HII", head, 94)
-        new = b"".join(
-            struct.pack("<H16sHH32s", 0, user, number, len(body), b"") + body for user, number, body in records
-        )
-        struct.pack_into("<II", head, 96, start + len(new), count + len(records))
-        head[104] |= 0x80
         out = path.with_suffix(".laz")
-        out.write_bytes(bytes(head[:size]) + new + bytes(head[size:start]) + data)
+        out.write_bytes(las_files.packed(path.read_bytes(), chunk, counts))
         return out
 
     @staticmethod
-    def octree(path: Path, levels=3, seed=0, page_levels=None) -> Path:
-        """COPC: every point goes to the node around it on a random level. Pages begin below ``page_levels``."""
-        with laspy.open(path) as file:
-            header, las = file.header, file.read()
-        half = float((header.maxs - header.mins).max()) / 2 + 1
-        middle = (header.maxs + header.mins) / 2
-        level = np.random.default_rng(seed).integers(0, levels + 1, len(las.points))
-        cell = np.column_stack([las.x, las.y, las.z]) - (middle - half)
-        cell = (cell // (2 * half / 2**level)[:, None]).astype(int)
-        keys, node = np.unique(np.column_stack([level, cell]), axis=0, return_inverse=True)
-        fmt, extra = header.point_format.id, header.point_format.num_extra_bytes
-        record = lazrs.LazVlr.new_for_compression(fmt, extra, True).record_data()
-        stream = io.BytesIO()
-        compressor = lazrs.LasZipCompressor(stream, lazrs.LazVlr(record))
-        compressor.reserve_offset_to_chunk_table()
-        start = LazMaker.points_at(path, [160, len(record)])
-        entries = []
-        # In the file the nodes stand in another order than in space.
-        for key in np.random.default_rng(seed + 1).permutation(len(keys)):
-            points = las.points.array[node.ravel() == key]
-            before = stream.tell()
-            compressor.compress_many(points.view(np.uint8))
-            compressor.finish_current_chunk()
-            entries.append([*keys[key].tolist(), start + before, stream.tell() - before, len(points)])
-        compressor.done()
-        data = bytearray(stream.getvalue())
-        struct.pack_into("<q", data, 0, struct.unpack_from("<q", data)[0] + start)
-        pages = LazMaker.pages(entries, page_levels, start + len(data) + 60)
-        info = struct.pack("<5d2Q2d11Q", *middle, half, 1.0, start + len(data) + 60, len(pages[0]), 0, 0, *[0] * 11)
-        body = b"".join(pages)
-        evlr = struct.pack("<H16sHQ32s", 0, b"copc", 1000, len(body), b"") + body
-        out = LazMaker.join(path, [(b"copc", 1, info), (b"laszip encoded", 22204, record)], bytes(data) + evlr)
-        LasMaker.patch(out, 235, "<QI", start + len(data), 1)
-        return out.rename(out.with_suffix(".copc.laz"))
-
-    @staticmethod
-    def pages(entries, page_levels, start):
-        """Pages of the hierarchy: the first, and one for each node at ``page_levels`` with all below it."""
-        pack = struct.Struct("<4iQ2i").pack
-        top = [entry for entry in entries if page_levels is None or entry[0] < page_levels]
-        below = {}
-        for entry in entries if page_levels is not None else ():
-            if entry[0] >= page_levels:
-                key = tuple(value >> (entry[0] - page_levels) for value in entry[1:4])
-                below.setdefault(key, []).append(entry)
-        place = start + 32 * (len(top) + len(below))
-        further = []
-        for key, held in below.items():
-            top.append([page_levels, *key, place, 32 * len(held), -1])
-            further.append(b"".join(pack(*entry) for entry in held))
-            place += 32 * len(held)
-        return [b"".join(pack(*entry) for entry in top), *further]
+    def octree(path: Path, **how) -> Path:
+        """COPC, see `las_files.octree`."""
+        out = path.with_suffix(".copc.laz")
+        out.write_bytes(las_files.octree(path.read_bytes(), **how))
+        return out
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import laspy
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
-from pypcd4 import Encoding, PointCloud
+from survey_kinds import KINDS, write_kind
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import Chunk, PointStats, ReadOptions, open_survey, reopen_survey
@@ -77,53 +77,17 @@ def test_chunks_are_what_laspy_reads(las, laz, batches, table, version, fmt, pac
     assert len(chunks) > 3
 
 
-def text_ply(folder, rows):
-    path = folder / "a.ply"
-    head = "ply\nformat ascii 1.0\nelement vertex %d\nproperty double x\nproperty double y\nproperty double z\n"
-    lines = "\n".join(" ".join(f"{value!r}" for value in row) for row in rows.tolist())
-    path.write_text(head % len(rows) + "end_header\n" + lines + "\n")
-    return path
-
-
-def binary_ply(folder, rows):
-    path = folder / "b.ply"
-    head = "ply\nformat binary_big_endian 1.0\nelement vertex %d\nproperty double x\nproperty double y\n"
-    path.write_bytes((head % len(rows) + "property double z\nend_header\n").encode() + rows.astype(">f8").tobytes())
-    return path
-
-
-def pcd(folder, rows, encoding):
-    path = folder / f"{encoding.value}.pcd"
-    PointCloud.from_points([*rows.T], [*"xyz"], [np.float64] * 3).save(str(path), encoding)
-    return path
-
-
-KINDS = ["las", "chunks", "octree", "text ply", "binary ply", *Encoding]
-
-
-def of_kind(kind, las, laz):
-    rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3)
-    if kind == "text ply":
-        return text_ply(las.folder, rows)
-    if kind == "binary ply":
-        return binary_ply(las.folder, rows)
-    if isinstance(kind, Encoding):
-        return pcd(las.folder, rows, kind)
-    path = survey(las, count=400, fmt=7)
-    return laz.pack(path, 30) if kind == "chunks" else laz.octree(path) if kind == "octree" else path
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS, ids=str)
-def test_any_order_of_chunks_of_any_size_gives_the_same_points(las, laz, batches, table, kind):
-    path = of_kind(kind, las, laz)
-    reader = open_survey(path)
+@pytest.mark.parametrize("kind", KINDS)
+def test_any_order_of_chunks_of_any_size_gives_the_same_points(tmp_path, batches, table, kind):
+    rows = np.round(np.random.default_rng(5).uniform(0, 100, (400, 3)), 3) + CORNER
+    reader = open_survey(write_kind(kind, tmp_path, rows))
     whole = batches(reader)
     rng = np.random.default_rng(1)
     for points in (1, 64, 399, 10_000):
         order = rng.permutation(len(reader.chunks(points)))
         mixed = batches(reader, points, order)
-        if kind != "octree":  # its nodes come as they stand in the file, inside a chunk
+        if kind != "copc":  # its nodes come as they stand in the file, inside a chunk
             assert np.array_equal(table([mixed[i] for i in np.argsort(order)]), table(whole))
         assert np.array_equal(in_order(table(mixed)), in_order(table(whole)))
         assert merged(mixed) == merged(whole)
@@ -168,7 +132,7 @@ def test_records_that_reads_cut_are_whole_again(las, batches, table, monkeypatch
 @settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     integers=st.lists(st.tuples(*[st.integers(-(2**31), 2**31 - 1)] * 3), min_size=1, max_size=9),
-    scale=st.floats(1e-7, 1.0) | st.floats(-1.0, -1e-7) | st.sampled_from([1e303, -1e303]),
+    scale=st.floats(1e-7, 1.0) | st.floats(-1.0, -1e-7),
     offset=st.floats(-1e7, 1e7),
     unit=st.sampled_from([1.0, 0.3048, 1200 / 3937]),
     marks=st.lists(st.tuples(st.sampled_from([0, 2, 7, 18]), st.sampled_from([0, 4])), min_size=9, max_size=9),
@@ -181,18 +145,14 @@ def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, mar
     records[:, :12] = words.view(np.uint8)
     records[:, 16], records[:, 15] = np.array(marks)[: len(words)].T
     scaling = Scaling((scale,) * 3, (offset,) * 3, (unit,) * 3)
-    with np.errstate(over="ignore"):
-        expected = np.round(words * np.float64(scale) + offset, 8) * unit
-        box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
+    expected = np.round(words * np.float64(scale) + offset, 8) * unit
+    box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
     pieces = (records[:cut], records[cut:])
     rules = record_rules(layered=True, line=0, scaling=scaling, bounds=box)
     lines = LineRules(measure=False, corrections=())
     batch = convert_records(pieces, Chunk(0, 5, len(words)), rules, scaling, lines)
     stats = batch.stats
-    finite = np.isfinite(expected).all(axis=1)
     assert stats.points == len(words)
-    assert stats.not_finite == (~finite).sum()
-    assert stats.first_not_finite == (-1 if finite.all() else 5 + int(finite.argmin()))
     x, y, z = expected.T
     assert (stats.west, stats.south, stats.east, stats.north) == (x.min(), y.min(), x.max(), y.max())
     assert stats.highest == np.abs(z).max()

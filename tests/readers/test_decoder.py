@@ -69,29 +69,6 @@ def test_a_child_decodes_what_this_process_decodes(survey, child, monkeypatch, c
     assert pid_of(child) != os.getpid()
 
 
-def test_a_child_loads_none_of_our_libraries():
-    code = (
-        "import sys; sys.path += sys.argv[1:]; import _decoder_child as d; d._fields(); "
-        "print({'numpy', 'bumpymap', 'site'} & set(sys.modules))"
-    )
-    places = [Path(decoder.__file__).parent, Path(pytest.importorskip("lazrs").__file__).parents[1]]
-    ran = subprocess.run([sys.executable, "-I", "-S", "-c", code, *places], capture_output=True, text=True, check=True)
-    assert ran.stdout == "set()\n"
-
-
-def test_a_child_that_is_gone_between_chunks_is_replaced(survey, child):
-    path = survey()
-    expected = records(open_survey(path))
-    reader = open_survey(path)
-    first = pid_of(child)
-    found = []
-    for chunk in reader.chunks(700):
-        found.append(reader.fetch(chunk).copy())
-        kill(child)
-    assert all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))
-    assert first != pid_of(child)
-
-
 def test_a_file_that_kills_the_decoder_is_refused_and_the_next_is_read(survey, child, monkeypatch):
     bad, good = survey("bad.las"), survey("good.las")
     expected = records(open_survey(good))
@@ -147,23 +124,6 @@ def test_an_interrupt_in_the_middle_leaves_no_answer_for_the_next(survey, child,
     monkeypatch.undo()
     monkeypatch.setattr(decoder, "current", child)
     assert all(np.array_equal(a, b) for a, b in zip(records(reader), expected, strict=True))
-
-
-def test_threads_share_a_child(survey, child):
-    paths = [survey(f"{seed}.las", seed) for seed in range(4)]
-    expected = [records(open_survey(path)) for path in paths]
-    found = {}
-
-    def work(index):
-        found[index] = records(open_survey(paths[index]), 700)
-
-    threads = [threading.Thread(target=work, args=(index,)) for index in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for index, tables in enumerate(expected):
-        assert all(np.array_equal(a, b) for a, b in zip(found[index], tables, strict=True))
 
 
 def test_chunks_that_are_requested_at_once_are_decoded_by_several_children(survey, child, monkeypatch):

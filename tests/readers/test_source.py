@@ -7,6 +7,7 @@ import threading
 import numpy as np
 import pytest
 from range_server import serving
+from survey_kinds import KINDS, write_kind
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.readers import find_surveys, identity, is_url, open_survey, source
@@ -37,28 +38,15 @@ def server(tmp_path):
         yield found
 
 
-def kinds(las, laz):
-    plain = las.write("a.las", classes=las.classes, withheld=las.withheld, version="1.4", fmt=6)
-    yield plain
-    yield laz.pack(las.write("b.las", version="1.4", fmt=6), 2)
-    yield laz.octree(las.write("d.las", version="1.4", fmt=6))
-    head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    text = las.folder / "e.ply"
-    text.write_text(head + "1 2 3\n4 5 6\n")
-    yield text
-    binary = las.folder / "f.ply"
-    binary.write_bytes(head.replace("ascii", "binary_little_endian").encode() + np.arange(6, dtype="<f4").tobytes())
-    yield binary
-
-
-def test_a_url_gives_the_points_of_the_file(las, laz, read, memory):
-    for path in kinds(las, laz):
-        url = memory(path.name, path.read_bytes())
-        for where in (url, path.as_uri()):
-            reader = open_survey(where)
-            assert all(np.array_equal(a, b) for a, b in zip(read(reader, 2), read(open_survey(path), 2), strict=True))
-            assert reader.info.path == where
-            assert reader.info.size_bytes == path.stat().st_size
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_url_gives_the_points_of_the_file(tmp_path, read, memory, kind):
+    points = np.round(np.random.default_rng(4).uniform(0, 100, (50, 3)), 3) + np.array([500_000, 4_000_000, 0])
+    path = write_kind(kind, tmp_path, points)
+    for where in (memory(path.name, path.read_bytes()), path.as_uri()):
+        reader = open_survey(where)
+        assert all(np.array_equal(a, b) for a, b in zip(read(reader, 7), read(open_survey(path), 7), strict=True))
+        assert reader.info.path == where
+        assert reader.info.size_bytes == path.stat().st_size
 
 
 def test_points_come_from_the_web_by_ranges(las, laz, read, server):
@@ -138,11 +126,11 @@ def test_a_server_that_gives_other_bytes(las, server):
         read_range(f"{address}/{path.name}", 100, 50)
 
 
-def test_a_web_page_is_asked_for_links_and_nothing_else_is(server, tmp_path):
+def test_a_url_of_a_web_server_is_a_file_whatever_its_name(server, tmp_path):
     address, handler = server
     (tmp_path / "survey").write_bytes(bytes(1_000_000))
     assert find_surveys([f"{address}/survey"]) == [f"{address}/survey"]
-    assert handler.sent < 1000
+    assert handler.sent == 0
 
 
 @pytest.mark.parametrize("remote", [False, True])

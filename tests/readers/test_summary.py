@@ -78,7 +78,7 @@ def test_a_sample_is_of_whole_tiles_and_close_to_all(las, monkeypatch):
     monkeypatch.setattr(module, "MOST_PIXELS", 5000)
     sampled = stats(path, settings)
     summary = sampled.summary()
-    assert sampled.all_pixels.step >= 8
+    assert sampled.all_points.pixels.step >= 8
     share, exact = (s.unknown[Reason.TOO_MANY_HOLES] / s.tiles for s in (summary, whole))
     assert share != exact
     assert share == pytest.approx(exact, abs=0.1)

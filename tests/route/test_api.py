@@ -53,11 +53,6 @@ def test_a_reach_is_a_dataset(layers):
     assert set(bumpymap.map_reach(layers, pair(20.5, 8.5), minutes=0.5).data_vars) == {"cost", "minutes"}
 
 
-def test_a_map_is_exported(layers, tmp_path):
-    done = layers.export(tmp_path / "nav2", to="nav2")
-    assert {"map.yaml", "map.pgm"} <= {path.name for path in done.files}
-
-
 def test_a_map_in_sheets_gives_the_same_way(layers, tmp_path):
     whole = site()
     middle = WEST + 9

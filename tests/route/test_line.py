@@ -51,15 +51,6 @@ def test_along_a_border_the_dearer_tile_counts(turned):
     assert np.isinf(line_cost(cost, line))
 
 
-def test_through_corners_of_four_tiles_only_two_count():
-    cost = np.arange(1, 26, dtype=np.float32).reshape(5, 5)
-    line = np.array([[0.5, 0.5], [4.5, 4.5]])
-    pieces = trace(cost, line)
-    np.testing.assert_array_equal(pieces.row, np.arange(5))
-    np.testing.assert_array_equal(pieces.col, np.arange(5))
-    np.testing.assert_allclose(pieces.length, np.sqrt(2) * np.array([0.5, 1, 1, 1, 0.5]), rtol=1e-12)
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_through_corners_and_along_borders_turned_lines_cost_the_same(seed):
     """Corners at whole and half tiles: every special case of borders, in all turns of the map."""
@@ -88,13 +79,6 @@ def test_on_the_edge_of_the_window_the_tile_inside_is_traced():
         trace(cost, np.array([[1.0, 1.0], [1.0, 4.01]]))
 
 
-def test_a_line_without_length_has_no_pieces():
-    cost = np.ones((3, 4), np.float32)
-    for line in (np.array([[1.0, 1.0], [1.0, 1.0]]), np.array([[1.5, 0.3]]), np.empty((0, 2))):
-        assert len(trace(cost, line).row) == 0
-        assert line_cost(cost, line) == 0.0
-
-
 @pytest.mark.parametrize("margin", [0.0, 0.2, 0.45])
 def test_clear_is_what_shapely_measures(margin):
     """Lines whose ends keep the margin, on random maps."""
@@ -116,13 +100,6 @@ def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
     assert not is_clear(cost, np.array([[2.0, 2.0], [3.9, 4.0], [2.0, 6.0]]), 0.4)  # in the middle of a line
     assert is_clear(cost, np.array([[3.999, 4.2], [3.5, 4.5]]), 0.4)
     assert not is_clear(cost, np.array([[3.9, 4.2], [4.1, 4.5], [3.5, 4.5]]), 0.0)
-
-
-def test_outside_the_window_all_is_closed():
-    cost = np.ones((4, 4), np.float32)
-    assert np.isinf(line_cost(cost, np.array([[2.0, 2.0], [2.0, 4.1]])))
-    assert not is_clear(cost, np.array([[2.0, 2.0], [0.3, 2.0], [0.3, 3.0]]), 0.4)
-    assert is_clear(cost, np.array([[2.0, 2.0], [0.41, 2.0], [0.41, 3.0]]), 0.4)
 
 
 @pytest.mark.parametrize("line", [np.zeros(4), np.zeros((3, 3)), np.array([[0.0, np.nan], [1.0, 1.0]])])

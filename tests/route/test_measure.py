@@ -8,8 +8,8 @@ import shapely
 from tile_maps import TileMap
 
 from bumpymap.core import Barred
-from bumpymap.route import measure
-from bumpymap.route.ground import cost_of
+from bumpymap.route import CostSettings, ground, measure
+from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import measure_way
 
 SIZE = 3.0
@@ -20,9 +20,9 @@ def random_map(rows=30, cols=40, seed=0):
     return TileMap(rng.gamma(2.0, 0.1, (rows, cols)), p_fail=rng.random((rows, cols)) * 0.4)
 
 
-def measured(site, corners, **choice):
+def measured(site, corners, **settings):
     line = np.array([site.at(*corner) for corner in corners])
-    return measure_way(site, line, line[[0, -1]], lambda tiles: cost_of(tiles, **choice))
+    return measure_way(CostGround(site, CostSettings(**settings), 10**6), line, line[[0, -1]])
 
 
 def lengths_by_shapely(site, corners):
@@ -57,7 +57,8 @@ def test_stretches_do_not_change_the_figures(monkeypatch):
     corners = np.random.default_rng(1).uniform((1, 1), (59, 299), (6, 2))
     whole = measured(site, corners)
     site.windows.clear()
-    monkeypatch.setattr(measure, "_STRETCH_TILES", 7)
+    for room in (measure, ground):
+        monkeypatch.setattr(room, "_STRETCH_TILES", 7)
     parts = measured(site, corners)
     assert max(max(window.rows, window.cols) for window in site.windows) <= 11
     for name in parts.figures.__dataclass_fields__:
@@ -84,7 +85,7 @@ def test_unknown_ground_has_a_length_and_no_ride():
     barred = np.zeros((4, 20), np.uint8)
     barred[:, 5:9] = Barred.UNKNOWN
     site = TileMap(np.full((4, 20), 0.2), barred)
-    found = measured(site, [(1.5, 0.5), (1.5, 19.5)], unknown_cost=10.0)
+    found = measured(site, [(1.5, 0.5), (1.5, 19.5)], unknown=10.0)
     figures = found.figures
     assert figures.unknown_m == pytest.approx(4 * SIZE)
     assert figures.c_r_mean == pytest.approx(0.2, rel=1e-6)
@@ -92,33 +93,3 @@ def test_unknown_ground_has_a_length_and_no_ride():
     unknown = np.isnan(found.profile.c_r)
     np.testing.assert_allclose(found.profile.distance[unknown].min(), 4.5 * SIZE, atol=1.0)
     assert unknown.sum() == pytest.approx(4 * 3, abs=1)
-
-
-def test_heights_of_gaps_are_unknown_and_do_not_climb():
-    def height(east, north):
-        inside = (east > 160_005 * SIZE) & (east < 160_008 * SIZE)
-        return np.where(inside, np.nan, 100.0) + 0.0 * north
-
-    found = measured(TileMap(np.full((3, 20), 0.1), height=height), [(1.5, 1.0), (1.5, 19.0)])
-    assert np.isnan(found.profile.z).any()
-    assert found.figures.climb_m == found.figures.descent_m == 0.0
-
-
-def test_the_profile_ends_where_the_way_ends_at_its_cost():
-    site = random_map(seed=5)
-    found = measured(site, [(2.2, 3.3), (20.1, 8.8), (11.0, 30.7)])
-    profile, figures = found.profile, found.figures
-    assert profile.distance[0] == 0.0
-    assert profile.distance[-1] == pytest.approx(figures.length_m, rel=1e-9)
-    assert profile.cost[0] == 0.0
-    assert profile.cost[-1] == pytest.approx(figures.cost_m, rel=1e-9)
-    assert (np.diff(profile.cost) > 0).all()
-    assert np.diff(profile.distance).max() <= 1.0 + 1e-9
-    np.testing.assert_allclose([profile.easting[-1], profile.northing[-1]], site.at(11.0, 30.7))
-
-
-def test_a_way_of_no_length_costs_nothing():
-    found = measured(random_map(), [(2.5, 2.5), (2.5, 2.5)])
-    assert found.figures.length_m == found.figures.cost_m == found.figures.seconds == 0.0
-    assert found.figures.detour == 1.0
-    assert found.figures.p_arrives == 1.0

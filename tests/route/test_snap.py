@@ -28,11 +28,6 @@ def usable(site, row, col, snap=0.0, **areas):
     return tuple(found), point
 
 
-def test_an_open_point_stays_where_it_is():
-    found, point = usable(SnapMap(Barred.SLOPE), 12.5, 14.43)
-    assert found == point
-
-
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -57,15 +52,6 @@ def test_the_message_says_what_closes_the_tile_and_where_to_go(code, words):
     assert found == pytest.approx(near, abs=0.02)
     with pytest.raises(BadInputError, match="m away"):
         usable(site, 12.5, 10.5, snap=10.0)
-
-
-def test_the_nearest_of_all_open_pixels_is_found_however_far_it_is():
-    site = SnapMap(Barred.SLOPE, opened=(19, 29))
-    site.barred[0, 0] = Barred.NO
-    found, point = usable(site, 11.2, 13.1, snap=100.0)
-    free = np.argwhere(site.passage(site.window)) + 0.5
-    places = np.array([site.at(*(each / site.grid.pixels)) for each in free])
-    assert np.hypot(*np.subtract(found, point)) == pytest.approx(np.hypot(*(places - point).T).min(), abs=1e-6)
 
 
 def test_areas_that_the_user_closed_and_no_open_tile_at_all(monkeypatch):

@@ -1,7 +1,5 @@
 """Ways past stones, on made-up maps with closed tiles of all kinds, against a plain search over pixels."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 import shapely
@@ -9,7 +7,7 @@ from route_oracles import cheapest_on_pixels
 from tile_maps import TileMap
 
 from bumpymap.core import Barred, RouteVehicle
-from bumpymap.route.ground import CostGround, stretches
+from bumpymap.route.ground import CostGround
 from bumpymap.route.measure import way_cost
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
@@ -47,20 +45,9 @@ def test_a_way_touches_nothing_and_is_there_wherever_a_search_over_pixels_finds_
         assert back is None
         return
     np.testing.assert_array_equal(line, back[::-1])
-    assert way_cost(site, line, ground.of_field) <= 1.03 * best
+    assert way_cost(ground, line) <= 1.03 * best
     way = shapely.LineString(line)
     along = shapely.get_coordinates(shapely.line_interpolate_point(way, np.arange(0.0, way.length, 0.01)))
     apart = np.hypot(*(along[:, None] - stone_centres(site)).T).min(axis=0)
     assert apart.min() > 0.5 * site.vehicle.width_m - 0.01
     assert ground.is_clear(line)
-
-
-@pytest.mark.parametrize("points", [2, 40, 20_000])
-def test_stretches_of_a_line_are_short_and_hang_together(points):
-    line = np.random.default_rng(points).normal(0.0, 2.0, (points, 2)).cumsum(axis=0)
-    parts = list(stretches(line, 5.0))
-    assert max(np.ptp(part, axis=0).max() for part in parts) <= 5.0 + 1e-9
-    assert all(np.array_equal(one[-1], other[0]) for one, other in pairwise(parts))
-    joined = np.concatenate([parts[0], *(part[1:] for part in parts[1:])])
-    assert np.isin(line @ (1, 1j), joined @ (1, 1j)).all()
-    assert np.hypot(*np.diff(joined, axis=0).T).sum() == pytest.approx(np.hypot(*np.diff(line, axis=0).T).sum())

@@ -28,11 +28,6 @@ def stops(layers, **settings):
     return find_stops(CostGround(open_map([layers]), config.cost, 10**7), config)
 
 
-def test_a_snap_of_any_length_looks_at_the_map_alone(layers):
-    found = stops(layers, start=place(10.5, 15.5), snap=1e7)
-    assert found.points[0] == pytest.approx(np.array([(WEST + 15) * 3.0 - 0.1, (SOUTH + ROWS - 10.5) * 3.0]))
-
-
 def test_a_point_beside_the_map_is_moved_onto_it(layers):
     outside = place(10.5, -0.5)
     with pytest.raises(BadInputError, match="outside the map"):

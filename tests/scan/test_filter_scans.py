@@ -1,8 +1,6 @@
 """The filter method on whole scans: what a run loads, and the real scans of three sensors with nothing set."""
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -25,20 +23,6 @@ def turned(scan, angle):
 
 def classes(scan):
     return point_classes(scan, classify_filter(polar_sectors(scan)))
-
-
-@pytest.mark.slow
-def test_classing_a_scan_loads_neither_the_compiler_nor_the_workshops():
-    code = (
-        "import sys, numpy as np; from bumpymap.core import Scan; from bumpymap.scan import classify_filter, "
-        "polar_sectors; r = np.random.default_rng(1);"
-        "p = r.uniform(-30, 30, (20000, 3)).astype('f4'); p[:, 2] = -1.5;"
-        "c = classify_filter(polar_sectors(Scan(p))); assert (c.class_id == 0).sum() > 100; print(*sys.modules)"
-    )
-    for _ in range(2):  # the first may have to compile
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert not {"numba", "sklearn", "skimage", "torch", "open3d", "pandas", "onnxruntime"} & loaded
 
 
 @pytest.mark.realdata

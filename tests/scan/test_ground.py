@@ -166,16 +166,6 @@ def test_ground_is_the_same_in_other_buffers_and_with_another_heading():
     assert (other.point_ground == first.point_ground).mean() > 0.995
 
 
-def test_without_ground_first_every_point_is_measured_and_nothing_is_known_of_heights():
-    xy = rings(6)
-    stack = stack_of(xy, plane(xy), ground_only=False)
-    assert stack.point_ground[stack.point_sector >= 0].all()
-    assert np.isnan(stack.point_height).all()
-    assert (stack.ground_count == stack.count).all()
-    assert not stack.obstacle.any()
-    assert not stack.things.any()
-
-
 @pytest.mark.realdata
 @pytest.mark.parametrize(("name", "least"), [("marv/marv.npz", 35), ("tradr/tradr.npz", 30), ("husky_oru", 60)])
 def test_low_robots_find_the_ground_around_them(shared_data, name, least):

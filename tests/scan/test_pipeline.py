@@ -1,6 +1,5 @@
 """A scan run from Python: what it writes, what it leaves when it ends early, and the map of a drive."""
 
-import errno
 import hashlib
 import json
 import os
@@ -20,7 +19,6 @@ from scipy.spatial.transform import Rotation
 from bumpymap.core import PolarSettings, Robot, point_classes
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
-from bumpymap.layers.scan_frame import write_polygons
 from bumpymap.readers import read_scan
 from bumpymap.scan import classify_filter, polar_sectors
 from bumpymap.scan.config import ScanConfig
@@ -216,23 +214,17 @@ def test_poses_that_change_during_the_run_are_not_recorded_as_those_that_were_us
     assert not (config.out / "scan.json").exists()
 
 
-@pytest.mark.parametrize("suffix", [".label", ".csv"])
-def test_a_file_of_labels_is_an_input(drive, tmp_path, suffix):
+def test_a_file_of_labels_is_an_input(drive, tmp_path):
     frames = tmp_path / "frames"
     frames.mkdir()
     shutil.copy(drive / "frames" / "0.bin", frames / "0.BIN")
     labels = np.full((frames / "0.BIN").stat().st_size // 16, 40, "<u4")
     labels.tofile(frames / "0.label")
-    (tmp_path / "own.csv").write_text("id,class\n40,0\n", encoding="utf-8")
-    config = ScanConfig(
-        (frames,), tmp_path / "out", labels=str(tmp_path / "own.csv"), method="filter", products=("table",)
-    )
+    config = ScanConfig((frames,), tmp_path / "out", method="filter", products=("table",))
     scan_frames(config)
     assert scan_frames(config).already_done
-    (tmp_path / "own.csv").write_text("id,class\n40,1\n", encoding="utf-8") if suffix == ".csv" else np.full_like(
-        labels, 48
-    ).tofile(frames / "0.label")
-    with pytest.raises(OutputError, match=rf"\{suffix} has changed since"):
+    np.full_like(labels, 48).tofile(frames / "0.label")
+    with pytest.raises(OutputError, match=r"\.label has changed since"):
         scan_frames(config)
 
 
@@ -307,9 +299,7 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     for other, words in (
         (replace(config, robot=Robot(1.0)), "robot.radius_m was 0.5, is 1.0"),
         (replace(config, frames=(frames / "0.bin",)), "1.bin was an input, but is not given now"),
-        (replace(config, compat="paper"), "compat was none, is paper"),
         (replace(config, poses=drive / "poses.txt"), "poses.txt is given now, but was not an input"),
-        (replace(config, labels="rellis"), "labels was not given, is rellis"),
     ):
         with pytest.raises(
             OutputError, match=f"(?s)already holds a complete run.*{re.escape(words)}.*`overwrite=True`"
@@ -319,27 +309,6 @@ def test_a_complete_run_of_something_else_says_what_differs(drive, tmp_path):
     with pytest.raises(OutputError, match=r"0\.bin has changed since"):
         scan_frames(config)
     assert checksums(tmp_path / "out") == before
-
-
-@pytest.mark.slow
-def test_a_full_disk_keeps_the_frames_that_are_finished(drive, mapped, tmp_path, monkeypatch, done_frames):
-    out = tmp_path / "out"
-    config = replace(mapped[2], out=out)
-
-    def full(name, *rest):
-        if name == "1":
-            raise OSError(errno.ENOSPC, "No space left on device")
-        write_polygons(name, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.scan_frame.write_polygons", full)
-        with pytest.raises(OutputError, match="No space left") as failed:
-            scan_frames(config)
-    assert failed.value.__notes__ == ["Run the same again to continue from the finished frames."]
-    done_frames.clear()
-    scan_frames(config)
-    assert done_frames == ["1"]
-    assert checksums(out)["sectors.parquet"] == checksums(mapped[0])["sectors.parquet"]
 
 
 @pytest.mark.slow
@@ -353,7 +322,7 @@ def test_a_failure_of_the_map_leaves_the_frames_and_the_next_run_maps(
         raise OutputError("No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("bumpymap.layers.folder.write_roughness", full)
+        patch.setattr("bumpymap.layers.folder.write_raster", full)
         with pytest.raises(OutputError, match="No space left") as failed:
             scan_frames(config)
     assert failed.value.__notes__ == [
@@ -382,20 +351,6 @@ def test_products_that_are_links_are_replaced_and_not_followed(drive, mapped, tm
     assert inodes(mine) == before
     assert not [path for path in out.rglob("*") if path.is_symlink()]
     assert checksums(out)["map/class.tif"] == checksums(mapped[0])["map/class.tif"]
-
-
-def test_a_rerun_needs_a_word_and_leaves_no_products_of_the_one_before(drive, mapped, tmp_path):
-    out = tmp_path / "out"
-    config = ScanConfig((drive / "frames",), out, poses=drive / "poses.txt", method="filter")
-    scan_frames(config)
-    before = checksums(out)
-    assert scan_frames(config).already_done
-    with pytest.raises(OutputError, match="overwrite=True"):
-        scan_frames(replace(config, products=("table",)))
-    assert checksums(out) == before
-    paths = (drive / "frames" / "1.bin",)
-    scan_frames(ScanConfig(paths, out, overwrite=True, products=(), pictures=3, method="filter"))
-    assert files(out) == ["frames/1.png", "scan.json"]
 
 
 def test_bad_frames_are_skipped_with_a_word_and_the_poses_of_the_others_stay_theirs(drive, tmp_path, caplog):
@@ -472,14 +427,11 @@ def test_frames_of_one_stem_keep_their_own_files(drive, tmp_path):
     ("settings", "words"),
     [
         ({"crs": "EPSG:32614"}, "add `poses="),
-        ({"vehicle": "warthog", "compat": "paper"}, "leave out `compat='paper'`"),
         ({"products": ("tables",)}, "polygons, table, cloud"),
         ({"products": ("picture",)}, "Pictures of frames are drawn with `pictures`"),
         ({"products": ()}, "give one or more"),
         ({"threads": 0}, "`threads` is 0"),
-        ({"method": "learned", "compat": "paper"}, "options of one"),
-        ({"method": "filter", "model": "a.onnx"}, "options of one"),
-        ({"model": "a.onnx", "compat": "paper"}, "options of one"),
+        ({"method": "filter", "model": "a.onnx"}, "give one of them"),
     ],
 )
 def test_settings_that_do_not_go_together(tmp_path, settings, words):

@@ -141,7 +141,5 @@ def test_settings_that_contradict_the_vehicle():
         bumpymap.ScanClassifier(vehicle="warthog", polar={"belly_m": 0.1})
     with pytest.raises(UsageError, match="contradict"):
         bumpymap.ScanClassifier(vehicle="warthog", calibration="c.json")
-    with pytest.raises(UsageError, match="compat='paper'"):
-        bumpymap.ScanClassifier(vehicle="warthog", compat="paper")
     with pytest.raises(UsageError, match="unknown setting wheels"):
         bumpymap.ScanClassifier(wheels=4)

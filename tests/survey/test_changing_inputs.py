@@ -160,7 +160,7 @@ def test_ranges_that_workers_read_of_several_versions_are_no_file(survey):
             raise error
 
         checkpoints = Mock(early=[], load_results=list)
-        collector = ResultCollector([reader], [len(seen)], checkpoints, refuse, skip_bad=False)
+        collector = ResultCollector([reader], [len(seen)], checkpoints, refuse)
         for number, place in enumerate(seen):
             own = stats if number == 0 else PointStats()
             collector.add(ReadResult(((0, number, number + 1),), {0: own}, seen={} if place is None else {0: place}))

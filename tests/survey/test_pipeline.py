@@ -147,22 +147,6 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert inodes(layers) == before
 
 
-def test_layers_of_an_earlier_version_are_not_called_damaged(layers, survey, tmp_path):
-    """It wrote fewer files, and none of those it wrote is missing."""
-    out = tmp_path / "out"
-    shutil.copytree(layers, out)
-    record = json.loads((out / "run.json").read_text())
-    later = ("item.json", "reason.tif")
-    record["files"] = [file for file in record["files"] if file["path"] not in later]
-    (out / "run.json").write_text(json.dumps(record))
-    for name in later:
-        (out / name).unlink()
-    refused = run("map", survey, "--out", out)
-    assert refused.exit_code == 3
-    assert "of an earlier version of bumpymap, which did not write item.json, reason.tif" in refused.output
-    assert "--overwrite" in refused.output
-
-
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
     """An input that was touched or copied is the same; its bytes decide."""
     out = tmp_path / "out"
@@ -250,70 +234,6 @@ def test_without_a_crs_the_user_is_told_what_to_pass(site, tmp_path):
         assert raster.crs is None
     assert run("map", file, "--out", tmp_path / "given", "--crs", "EPSG:32614").exit_code == 0
     assert pyogrio.read_info(tmp_path / "given" / "cost.fgb")["crs"] == "EPSG:32614"
-
-
-def bad_files(folder, survey):
-    good = survey.read_bytes()
-    files = {
-        "picture.laz": b"\x89PNG\r\n\x1a\n" + bytes(500),
-        "empty.laz": b"",
-        "notes.ply": b"not a point cloud\n",
-        "cut.laz": good[: len(good) // 2],
-        "header_only.las": good[:375],
-        "format.las": good[:104] + bytes([99]) + good[105:],
-        "missing.laz": None,
-    }
-    for name, content in files.items():
-        if content is not None:
-            (folder / name).write_bytes(content)
-    write_las(folder / "no_points.las", [], [], [])
-    write_las(folder / "degrees.laz", [-99.1, -99.2], [19.1, 19.2], [1.0, 2.0], crs="EPSG:4326", offset=(0, 0, 0))
-    for value, name in ((np.nan, "nan.ply"), (np.inf, "infinite.ply")):
-        points = np.zeros((50, 3), "<f8")
-        points[7, 2] = value
-        head = b"ply\nformat binary_little_endian 1.0\nelement vertex 50\nproperty double x\nproperty double y\n"
-        (folder / name).write_bytes(head + b"property double z\nend_header\n" + points.tobytes())
-    lying = bytearray(
-        write_las(folder / "lying.las", [500_001.0] * 50, [4_000_002.0] * 50, np.arange(50.0)).read_bytes()
-    )
-    lying[179:187] = np.float64(4e9).tobytes()  # max x
-    (folder / "lying.las").write_bytes(lying)
-    return [*files, "no_points.las", "degrees.laz", "nan.ply", "infinite.ply", "lying.las"]
-
-
-def test_bad_input_gives_one_clear_message_and_leaves_nothing(survey, tmp_path):
-    for name in bad_files(tmp_path, survey):
-        out = tmp_path / "layers" / name
-        extra = ["--local"] if name.endswith(".ply") else []
-        result = run("map", tmp_path / name, "--out", out, *extra)
-        assert result.exit_code == 3, (name, result.output)
-        assert name in result.output, result.output
-        assert "Traceback" not in result.output
-        assert result.output.count("Error: ") == 1, result.output
-        assert not out.exists() or list(out.iterdir()) == []
-
-
-def test_bad_files_among_good_ones(survey, layers, tmp_path):
-    for name in bad_files(tmp_path, survey):
-        if name.endswith(("missing.laz", "degrees.laz")):
-            (tmp_path / name).unlink(missing_ok=True)
-    (tmp_path / survey.name).write_bytes(survey.read_bytes())
-    refused = run("map", tmp_path, "--out", tmp_path / "out", "--crs", "EPSG:32614")
-    assert refused.exit_code == 3
-    result = run("map", tmp_path, "--out", tmp_path / "out", "--crs", "EPSG:32614", "--skip-bad")
-    assert result.exit_code == 4, result.output
-    assert "cut.laz" in result.output
-    assert layers_of(tmp_path / "out") == layers_of(layers)
-    assert len(json.loads((tmp_path / "out" / "run.json").read_text())["skipped"]) == 10
-
-
-def test_a_settings_file_can_say_it_all(layers, survey, tmp_path):
-    file = tmp_path / "site.toml"
-    file.write_text(f'surveys = ["{survey}"]\nout = "layers"\n')
-    assert run("map", "--config", file).exit_code == 0
-    assert layers_of(tmp_path / "layers") == layers_of(layers)
-    assert run("map", "--config", file, "--out", tmp_path / "elsewhere").exit_code == 0
-    assert (tmp_path / "elsewhere" / "class.tif").exists()
 
 
 def test_sites_far_apart_are_refused_before_they_are_measured(tmp_path, monkeypatch):

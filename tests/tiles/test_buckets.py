@@ -88,20 +88,6 @@ def test_points_on_grids_of_files_can_be_spilled(tmp_path, offsets, together):
     assert flat(again.blocks()) == flat(plain.blocks())
 
 
-def test_what_is_not_final_can_be_dropped(tmp_path):
-    good, bad = survey(2, 500), survey(3, 1500)
-    buckets = TileBuckets(GRID, MemoryLimits(26 * 200, 10_000, tmp_path))
-    lot = 0
-    for chunk in chunks(good, 100):
-        add(buckets, chunk, lot)
-        lot += 1
-    buckets.final = lot
-    for number, chunk in enumerate(chunks(bad, 100)):
-        add(buckets, chunk, lot + number)
-    buckets.drop_from(lot)
-    assert flat(buckets.blocks()) == in_memory(good)
-
-
 def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
     west, east = survey(4, 800, 40.0), survey(5, 800, 40.0)
     east = (east[0] + 480.0, *east[1:])
@@ -138,11 +124,6 @@ def test_points_are_freed_when_all_blocks_of_their_chunk_are_done():
     assert sorted(found) == expected
     assert buckets.is_empty
     assert buckets.keys() == []
-    east, *others = survey(8, 10)
-    buckets.add(east + 960.0, *others)
-    assert len(buckets) > 0
-    buckets.drop_from(0)
-    assert buckets.is_empty
 
 
 def test_one_tile_too_large_for_memory_says_so(tmp_path):

@@ -25,12 +25,6 @@ def test_an_edge_belongs_to_the_tile_that_begins_there(i, size):
     assert grid.index(np.nextafter(edge, -np.inf))[0] == i - 1
 
 
-def test_edges_of_three_metre_tiles_to_the_last_bit():
-    edges = np.array([-3.0, 0.0, 3.0, 4_000_000 * 3.0])
-    assert Grid().index(edges).tolist() == [-1, 0, 1, 4_000_000]
-    assert Grid().index(np.nextafter(edges, -np.inf)).tolist() == [-2, -1, 0, 3_999_999]
-
-
 def test_bounds_of_a_tile_and_of_a_window():
     grid = Grid(tile_size=3.0, pixels=15)
     assert grid.bounds(2, -1) == Bounds(6.0, -3.0, 9.0, 0.0)

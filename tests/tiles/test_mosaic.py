@@ -104,13 +104,6 @@ def test_a_window_of_a_mosaic_is_a_window_of_all_tiles(chosen, col, row, cols, r
     assert found["value"].tolist() == [list(tile) for tile in expected]
 
 
-def test_a_mosaic_without_tiles_is_refused():
-    with pytest.raises(ValueError, match="at least one tile"):
-        TileTable(Grid(), [])
-    with pytest.raises(ValueError, match="at least one tile"):
-        TileTable.of(Grid(), columns_of([]))
-
-
 def test_blocks_without_tiles_do_not_count(tmp_path):
     pack = write(tmp_path / "a", {(0, 0): columns_of([(1, 2)]), (9, 9): columns_of([])})
     table = TileTable(Grid(), [pack])
@@ -132,13 +125,6 @@ def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, 
     assert corners == sorted(corners)
     assert sorted(held) == sorted((c, r) for c, r in chosen if col <= c < col + cols and row <= r < row + rows)
     assert table.holds(window) >= bool(held)
-
-
-@given(tiles, st.integers(-45, 45), st.integers(-45, 45))
-def test_a_block_holds_what_it_has(chosen, col, row):
-    table = TileTable.of(Grid(), columns_of(sorted(chosen)))
-    block = TileWindow(col * BLOCK_TILES, row * BLOCK_TILES, BLOCK_TILES, BLOCK_TILES)
-    assert table.holds(block) == ((row, col) in {(r // BLOCK_TILES, c // BLOCK_TILES) for c, r in chosen})
 
 
 def test_the_same_tile_twice_is_refused():

@@ -98,14 +98,6 @@ def test_the_second_run_gives_the_same_and_compiles_nothing(place):
 
 
 @pytest.mark.later
-def test_where_no_process_can_be_started_it_compiles_in_its_own(place):
-    first = run(place, "import sys; sys.executable = ''\n" + RUN)
-    assert first.startswith(NUMBERS)
-    assert first.endswith("True")
-    assert run(place) == first.replace("True", "False")
-
-
-@pytest.mark.later
 def test_settings_of_the_current_folder_do_not_count(place):
     """numba reads a file of them, and would compile for another processor or none."""
     (place / "surveys").mkdir()
@@ -143,15 +135,6 @@ def test_a_damaged_file_is_made_anew(place):
         assert kept(place).read_bytes()[:64] == whole[:64]
 
 
-@pytest.mark.later
-def test_without_a_place_for_the_cache_it_compiles_every_time(place):
-    (place / "no folder").write_text("")
-    first, second = run(place, cache="no folder"), run(place, cache="no folder")
-    assert first == second
-    assert first.startswith(NUMBERS)
-    assert first.endswith("True")
-
-
 @pytest.fixture(scope="module")
 def forged(tmp_path_factory):
     """Code of another source that says it is that of ``SOURCE``, its name, and what each of the two prints."""
@@ -176,10 +159,6 @@ def planted(place, forged):
 
 def numbers(said):
     return said.rpartition(" ")[0]
-
-
-def test_nothing_but_who_may_write_it_tells_planted_code_from_true(place, planted, forged):
-    assert run(place) == forged[3] != forged[2]
 
 
 def foreign(path):

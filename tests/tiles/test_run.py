@@ -42,8 +42,3 @@ def test_a_failure_is_raised_and_ends_the_work():
     with pytest.raises(RuntimeError, match="three"):
         list(run_blocks(fail_at_three, range(1000), 2))
     assert len(started) < 20
-
-
-def test_no_workers_is_refused():
-    with pytest.raises(ValueError, match="workers"):
-        list(run_blocks(square, [1], 0))

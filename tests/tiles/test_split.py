@@ -118,18 +118,6 @@ def test_points_on_the_grid_of_their_file_give_the_bits_of_points_in_metres(seed
     assert flatten(scaled.blocks()) == flatten(metres.blocks())
 
 
-def test_scaled_points_far_apart_are_grouped_too():
-    points = scaled_survey(1, 50, Scaling((1e6, 1e6, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)))
-    grouped = group_scaled_points(GRID, points)
-    assert grouped.scaling is None
-    assert len(grouped) == 50
-
-
-def test_no_scaled_points_are_no_blocks():
-    nothing = np.empty(0, np.int32)
-    assert group_scaled_points(GRID, ScaledPoints(nothing, nothing, nothing, nothing > 0, SCALING)).keys == []
-
-
 @given(st.integers(-(1 << 31), (1 << 31) - 1), st.sampled_from([0.01, 0.001, 1e-7, -0.25, 3.0]), st.floats(-1e7, 1e7))
 def test_a_coordinate_has_the_bits_of_numpy(integer, scale, offset):
     scaling = Scaling((1.0, scale, 1.0), (0.0, offset, 0.0), (1.0, 0.3048006096, 1.0))

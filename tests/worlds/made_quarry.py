@@ -1,30 +1,20 @@
-"""The sample survey: a synthetic quarry with relief in closed form, flown over by a drone, as files.
-
-    python tests/worlds/made_quarry.py --out sample_data
+"""The site of the sample survey: a synthetic quarry with relief in closed form.
 
 Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
 of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
 surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
 the distance from the core in metres: zero or less inside.
-
-The flight has overlapping lines of zigzag sweeps, noise, crowns and errors, and points in the order of flight.
 """
 
-import datetime as dt
-from argparse import ArgumentParser
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
-import laspy
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS
 
-from bumpymap.core import write_vertices
 from bumpytiles import Bounds
 
 Floats = NDArray[np.float64]
@@ -380,10 +370,6 @@ class Tree:
     """m."""
     radius: float
     """Radius of the crown, m."""
-    height: float
-    """Top above the ground at the trunk, m."""
-    is_conifer: bool
-    """True: a cone almost down to the ground; False: an ellipsoid on a trunk."""
 
 
 def plant(
@@ -396,9 +382,8 @@ def plant(
     chosen: list[Tree] = []
     for x, y in candidates.tolist():
         radius = float(rng.uniform(1.3, 2.7))
-        tree = Tree(
-            corner[0] + x, corner[1] + y, radius, radius * float(rng.uniform(2.3, 3.2)), bool(rng.random() < 0.4)
-        )
+        rng.random(2)  # height and kind of the tree, which only its points tell
+        tree = Tree(corner[0] + x, corner[1] + y, radius)
         clear = all(
             np.hypot(tree.easting - other.easting, tree.northing - other.northing) > radius + other.radius + 0.5
             for other in chosen
@@ -410,40 +395,15 @@ def plant(
     return tuple(chosen)
 
 
-def crown_over(trees: Iterable[Tree], easting: Floats, northing: Floats) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return top and bottom (n,) of the crown above each position, m above the foot, and its tree; NaN, -1 without."""
-    top, bottom = np.full(easting.shape, np.nan), np.full(easting.shape, np.nan)
-    which = np.full(easting.shape, -1, dtype=np.int64)
-    for number, tree in enumerate(trees):
-        distance = np.hypot(easting - tree.easting, northing - tree.northing) / tree.radius
-        under = distance < 1.0
-        share = distance[under]
-        which[under] = number
-        if tree.is_conifer:
-            top[under], bottom[under] = tree.height * (1.0 - 0.85 * share), 0.1 * tree.height
-        else:
-            half = 0.36 * tree.height
-            bulge = half * np.sqrt(1.0 - share**2)
-            top[under], bottom[under] = tree.height - half + bulge, tree.height - half - bulge
-    return top, bottom, which
+def is_under_tree(trees: Iterable[Tree], easting: Floats, northing: Floats) -> NDArray[np.bool_]:
+    """Return True under the crown of a tree."""
+    return np.any([np.hypot(easting - tree.easting, northing - tree.northing) < tree.radius for tree in trees], axis=0)
 
 
 Zone = Literal[
-    "transition",
-    "floor",
-    "meadow",
-    "bank",
-    "rubble",
-    "stockpile",
-    "pond",
-    "pad",
-    "step",
-    "ramp",
-    "road",
-    "washboard",
-    "ruts",
-    "outside",
-]
+    "transition", "floor", "meadow", "bank", "rubble", "stockpile", "pond", "pad", "step", "ramp", "road", "washboard",
+    "ruts", "outside",
+]  # fmt: skip
 ZONES: tuple[Zone, ...] = get_args(Zone)
 """'transition' is the blend between two surfaces; 'outside' is beyond the site."""
 EPSG = 32632
@@ -505,7 +465,7 @@ class QuarrySite:
             )
             within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
             west, south = west[within], south[within]
-        clear = np.all(crown_over(self.trees, easting[within], northing[within])[2] < 0, axis=(1, 2))
+        clear = ~np.any(is_under_tree(self.trees, easting[within], northing[within]), axis=(1, 2))
         return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
 
 
@@ -551,189 +511,3 @@ def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
         paint(zone, core & (x >= west) & (x <= east), core & (x > west - 4.0) & (x < east + 4.0))
     paint("outside", (x < 0.0) | (x >= EAST_WEST) | (y < 0.0) | (y >= NORTH_SOUTH))
     return code
-
-
-SCALE = 0.001
-"""Coordinates are whole millimetres."""
-NOISE_SIGMA = 0.008
-"""Standard deviation of the normal noise of ground heights, m. Horizontal positions have no noise."""
-STRAYS = 8
-"""Number of unflagged outliers, tens of metres above (5) or below (3) the ground."""
-NOISE_POINTS = 60
-"""Number of points of class 7, metres off the ground."""
-WITHHELD_POINTS = 40
-"""Number of points with the withheld flag, decimetres to metres off the ground."""
-
-_LINES = 6
-_HALF_SWATH = 13.0
-_FLIGHT_HEIGHT = 40.0
-_CANOPY_SHARE = 0.7
-_PULSE_SECONDS = 1e-5
-_FEWEST = 1000
-UNASSIGNED, GROUND, TREE, NOISE = 1, 2, 5, 7
-
-
-Points = dict[str, NDArray[Any]]
-"""The columns of a survey, (n,) each in the order of flight: easting, northing, upward [m, in the millimetre steps of
-the file], classification, withheld, is_stray (far off, but not flagged in the file), line from 1, gps_time [s]."""
-
-
-def sample_survey(site: QuarrySite, density: float = 100.0) -> Points:
-    """Simulate a survey flight of ``density`` points per square metre, which varies by a factor of about three."""
-    lines = [_fly_line(site, number, density) for number in range(_LINES)]
-    return _add_errors({name: np.concatenate([line[name] for line in lines]) for name in lines[0]}, site.seed)
-
-
-def is_true_ground(points: Points) -> NDArray[np.bool_]:
-    """Return True (n,) where the height is that of the relief, within the noise."""
-    return (points["classification"] == GROUND) & ~points["withheld"] & ~points["is_stray"]
-
-
-def _fly_line(site: QuarrySite, number: int, density: float) -> Points:
-    """Return the points of one flight line."""
-    area = site.bounds
-    rng = np.random.default_rng((site.seed, 200 + number))
-    easting, northing, pulse = _sweep(rng, site.bounds, number, density)
-    ground_noise = NOISE_SIGMA * rng.standard_normal(easting.size)
-    crown_draw, crown_depth = rng.random(easting.size), rng.exponential(0.5, easting.size)
-    easting, northing = _quantised(easting, site.bounds.west), _quantised(northing, site.bounds.south)
-    keep = (easting >= area.west) & (easting < area.east) & (northing >= area.south) & (northing < area.north)
-    keep &= ~site.is_water(easting, northing) & (rng.random(easting.size) > 0.01)
-    easting, northing = easting[keep], northing[keep]
-    canopy, is_tree = _canopy(site, easting, northing, crown_draw[keep], crown_depth[keep])
-    upward = np.where(is_tree, canopy, site.height(easting, northing) + ground_noise[keep])
-    none = np.zeros(easting.size, dtype=np.bool_)
-    return {
-        "easting": easting,
-        "northing": northing,
-        "upward": _quantised(upward, 0.0),
-        "classification": np.where(is_tree, TREE, GROUND).astype(np.uint8),
-        "withheld": none,
-        "is_stray": none,
-        "line": np.full(easting.size, number + 1, dtype=np.uint16),
-        "gps_time": 60.0 * number + _PULSE_SECONDS * pulse[keep],
-    }
-
-
-def _sweep(
-    rng: np.random.Generator, box: Bounds, number: int, density: float
-) -> tuple[Floats, Floats, NDArray[np.int64]]:
-    """Return the positions at which the pulses of a line hit the ground inside the site, in the order of the pulses.
-
-    The drone's speed varies by a quarter, it rolls a little, and its start and end points vary; odd lines fly west.
-    """
-    width, pitch = box.east - box.west, (box.north - box.south) / _LINES
-    swept = 2.0 * _HALF_SWATH * _LINES - 2.0 * (_HALF_SWATH - pitch / 2.0)
-    spacing = 1.0 / np.sqrt(density * (box.north - box.south) / swept)
-    sweeps, pulses = int(width / spacing), int(2.0 * _HALF_SWATH / spacing)
-    pulse = np.arange(sweeps * pulses)
-    sweep, within = np.divmod(pulse, pulses)
-    along = pulse / pulses * spacing
-    along = along + 1.5 * np.sin(2.0 * np.pi * (along / 40.0 + rng.random()))
-    angle = np.arctan(_HALF_SWATH / _FLIGHT_HEIGHT) * (2.0 * (within + 0.5) / pulses - 1.0) * (1 - 2 * (sweep % 2))
-    roll = np.radians(0.6) * np.sin(2.0 * np.pi * (along / 23.0 + rng.random()))
-    x = along + 0.25 * spacing * rng.standard_normal(pulse.size)
-    y = pitch * (number + 0.5) + _FLIGHT_HEIGHT * np.tan(angle + roll)
-    y += 0.25 * spacing * rng.standard_normal(pulse.size)
-    start, end = 1.5 * rng.random(2) * (1.0, -1.0) + (0.0, width)
-    inside = (x >= start) & (x < end) & (y >= 0.0) & (y < box.north - box.south)
-    if number % 2:
-        x = width - x
-    return box.west + x[inside], box.south + y[inside], pulse[inside]
-
-
-def _canopy(
-    site: QuarrySite, easting: Floats, northing: Floats, draw: Floats, depth: Floats
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Return heights of crown points (n,) m, and True (n,) for pulses that stop in a crown."""
-    top, bottom, tree = crown_over(site.trees, easting, northing)
-    is_tree = (tree >= 0) & (draw < _CANOPY_SHARE)
-    trunk = np.array([(t.easting, t.northing) for t in site.trees])
-    foot = site.height(trunk[:, 0], trunk[:, 1])
-    return foot[tree] + np.maximum(top - depth, bottom), is_tree
-
-
-def _add_errors(points: Points, seed: int) -> Points:
-    """Move some ground points off the ground: unflagged outliers, class 7, withheld."""
-    rng = np.random.default_rng((seed, 300))
-    ground = np.flatnonzero(points["classification"] == GROUND)
-    chosen = rng.choice(ground, STRAYS + NOISE_POINTS + WITHHELD_POINTS, replace=False)
-    stray, noise, withheld = np.split(chosen, (STRAYS, STRAYS + NOISE_POINTS))
-    upward, classification, is_stray, is_withheld = (
-        points[name] for name in ("upward", "classification", "is_stray", "withheld")
-    )
-    upward[stray[:5]] += rng.uniform(18.0, 60.0, 5)
-    upward[stray[5:]] -= rng.uniform(12.0, 40.0, STRAYS - 5)
-    classification[stray[::2]] = UNASSIGNED
-    is_stray[stray] = True
-    upward[noise] += rng.uniform(3.0, 25.0, noise.size) * rng.choice((-1.0, 1.0), noise.size)
-    classification[noise] = NOISE
-    upward[withheld] += rng.uniform(0.3, 3.0, withheld.size) * rng.choice((-1.0, 1.0), withheld.size)
-    is_withheld[withheld] = True
-    points["upward"] = _quantised(upward, 0.0)
-    return points
-
-
-def _quantised(value: Floats, origin: float) -> Floats:
-    """Round to the file's resolution and return the exact float that a reader of the file computes."""
-    return np.rint((value - origin) / SCALE) * SCALE + origin
-
-
-_FLOWN_ON = dt.date(2024, 5, 14)
-_FIRST_PULSE = 3.994e8
-"""GPS time of the first pulse, on that day, minus 1e9 s."""
-
-
-def part_of(points: Points) -> Points:
-    """Return the points of the PLY file: washboard, floor and a corner of the pad, without noise and withheld."""
-    east, north = points["easting"] - _CORNER[0], points["northing"] - _CORNER[1]
-    within = (east >= 48.0) & (east < 69.0) & (north >= 27.0) & (north < 48.0)
-    within &= ~points["withheld"] & (points["classification"] != NOISE)
-    return {name: column[within] for name, column in points.items()}
-
-
-def write_laz(points: Points, path: Path) -> None:
-    """Write LAZ 1.4, point format 6, CRS as WKT; the offset is the corner of the site."""
-    header = laspy.LasHeader(version="1.4", point_format=6)
-    header.scales, header.offsets = np.full(3, SCALE), np.array([*_CORNER, 0.0])
-    header.creation_date = _FLOWN_ON
-    header.system_identifier = "bumpymap QuarrySite"
-    header.generating_software = "bumpymap.sample"
-    header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
-    header.add_crs(CRS.from_epsg(EPSG))
-    survey = laspy.LasData(header)
-    survey.x, survey.y, survey.z = points["easting"], points["northing"], points["upward"]
-    survey.classification = points["classification"]
-    survey.withheld = points["withheld"].astype(np.uint8)
-    survey.return_number = survey.number_of_returns = np.ones(points["line"].size, dtype=np.uint8)
-    survey.point_source_id = points["line"]
-    survey.gps_time = _FIRST_PULSE + points["gps_time"]
-    with path.open("w+b") as stream:
-        survey.write(stream, do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
-
-
-def write_ply(points: Points, path: Path) -> None:
-    """Write binary little-endian PLY: x, y, z as double, classification as uchar."""
-    columns = [points[name] for name in ("easting", "northing", "upward", "classification")]
-    kinds = [("x", "<f8"), ("y", "<f8"), ("z", "<f8"), ("classification", "u1")]
-    vertex = np.empty(columns[0].size, dtype=kinds)
-    for (name, _), column in zip(kinds, columns, strict=True):
-        vertex[name] = column
-    with path.open("w+b") as stream:
-        write_vertices(vertex, [f"EPSG:{EPSG}, metres"], stream)
-
-
-def main() -> None:
-    """Write quarry.laz and quarry_part.ply."""
-    parser = ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write to")
-    parser.add_argument("--seed", type=int, default=1, metavar="N", help="determines the site [default: 1]")
-    given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    points = sample_survey(QuarrySite(given.seed))
-    write_laz(points, given.out / "quarry.laz")
-    write_ply(part_of(points), given.out / "quarry_part.ply")
-
-
-if __name__ == "__main__":
-    main()

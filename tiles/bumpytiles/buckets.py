@@ -94,8 +94,6 @@ class TileBuckets:
         self.packs: list[Pack] = list(packs)
         self.done: set[BlockKey] = set()
         """Blocks whose points are no longer needed."""
-        self.final: int | None = None
-        """Chunks before this number can no longer be dropped; None: no chunk can. A pack never mixes both kinds."""
         self._chunks: dict[_WaitingChunk, None] = {}
         """Those in memory, oldest first."""
         self._by_block: dict[BlockKey, list[_WaitingChunk]] = {}
@@ -184,14 +182,6 @@ class TileBuckets:
             del chunk.places[key]
             if not chunk.places:
                 self._drop([chunk])
-
-    def drop_from(self, first: int) -> None:
-        """Drop the points of chunk ``first`` and all later ones, which must not be final."""
-        self.wait()
-        self._drop([chunk for chunk in self._chunks if chunk.number >= first])
-        for pack in [pack for pack in self.packs if pack.meta["first"] >= first]:
-            self.packs.remove(pack)
-            pack.path.unlink(missing_ok=True)
 
     def _drop(self, chunks: Iterable[_WaitingChunk]) -> None:
         """Forget chunks."""
@@ -305,17 +295,16 @@ class TileBuckets:
                 yield PointPart(read, None if numbers is None else Scaling.of(numbers))
 
     def _oldest(self) -> list[_WaitingChunk]:
-        """Choose the oldest chunks, about half of the limit: all of a number, of one grid, and final or not, each."""
+        """Choose the oldest chunks, about half of the limit: all of a number, of one grid."""
         chosen: list[_WaitingChunk] = []
-        is_final, held, scaling = False, 0, None
+        held = 0
         for chunk in self._chunks:
-            same = self.final is None or chunk.number < self.final
             full = self.limits is not None and held >= self.limits.waiting_bytes // 2
             other = chosen and chunk.number != chosen[-1].number
-            if chosen and (is_final != same or (other and (full or chunk.points.scaling != scaling))):
+            if other and (full or chunk.points.scaling != chosen[-1].points.scaling):
                 break
             chosen.append(chunk)
-            is_final, held, scaling = same, held + chunk.points.size_bytes, chunk.points.scaling
+            held += chunk.points.size_bytes
         return chosen
 
 

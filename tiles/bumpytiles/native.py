@@ -130,7 +130,7 @@ class Kernel(Generic[P]):
     def _ready(self) -> Callable[..., None]:
         code = self.load()
         if code is None and self.can_keep():
-            _children.compile(self.plain.__module__)
+            _compile_beside()
             code = self.load()
         if code is None:
             code = self.compile()
@@ -476,7 +476,7 @@ def compile_modules(*modules: str) -> None:
 def compile_loaded() -> None:
     """Compile what the cache has not of the kernels that are loaded, before other processes need them."""
     if all(each.can_keep() for kernels in _kernels.values() for each in kernels):
-        _children.compile(*_kernels)
+        _compile_beside()
 
 
 def compile_packages(*packages: str) -> bool:
@@ -493,7 +493,7 @@ def compile_packages(*packages: str) -> bool:
     kernels = [each for name in names for each in _kernels[name]]
     if not all(each.can_keep() for each in kernels):
         return False
-    _children.compile(*names)
+    _compile_beside()
     return all(each.load() is not None for each in kernels)
 
 
@@ -510,62 +510,54 @@ def compiling_reports(report: Callable[[int, int], None]) -> Iterator[None]:
         _reports.remove(report)
 
 
-class _Children:
-    """Processes that compile all kernel modules at once, started when one of them is needed; a thread follows each."""
-
-    def __init__(self) -> None:
-        self._lock = threading.RLock()
-        self._threads: dict[str, threading.Thread | None] = {}
-        """By module; None: it has nothing to compile, or no thread can be started."""
-        self._done = self._total = 0
-
-    def compile(self, *modules: str) -> None:
-        """Return when kernel modules have been compiled, or cannot be compiled in this way."""
-        with self._lock:
-            new = {name: own for name, own in _kernels.items() if name not in self._threads}
-            missing = {name: [each for each in own if each.load() is None] for name, own in new.items()}
-            # How long it takes goes with the bytes of bytecode.
-            size = {
-                name: sum(len(called.__code__.co_code) for each in own for called in each.called)
-                for name, own in missing.items()
-            }
-            shares: list[list[str]] = [[] for _ in range(os.cpu_count() or 1)]
-            for name in sorted(filter(size.get, size), key=lambda name: -size[name]):
-                min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
-            self._threads |= dict.fromkeys(new)
-            for share in filter(None, shares):
-                kernels = sum(len(missing[name]) for name in share)
-                follower = threading.Thread(target=self._follow, args=(share, kernels), daemon=True, name="compiling")
-                with suppress(RuntimeError):
-                    follower.start()
-                    self._count(kernels, 0)
-                    self._threads |= dict.fromkeys(share, follower)
-            threads = {thread for thread in map(self._threads.get, modules) if thread is not None}
-        for thread in threads:
-            thread.join()
-
-    def _follow(self, modules: list[str], kernels: int) -> None:
-        """Compile modules in a child, and count its kernels as it compiles them."""
-        child = _start(modules)
-        for _ in range(kernels):
-            if child is not None and child.stdout is not None:
-                child.stdout.read(1)  # returns at once when the child has ended
-            self._count(0, 1)
-        if child is not None:
-            child.wait()
-
-    def _count(self, kernels: int, done: int) -> None:
-        with self._lock:
-            self._total += kernels
-            self._done += done
-            for report in _reports:
-                report(self._done, self._total)
-        if kernels > 0 and not _reports:
-            plural = "s" * (kernels > 1)
-            _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", kernels, plural)
+_compiling_beside = threading.Lock()
+_tried: set[str] = set()
+"""Modules that were compiled beside this process, or had nothing to compile."""
 
 
-_children = _Children()
+def _compile_beside() -> None:
+    """Compile the loaded kernel modules in other processes, as many as there are cores; one may fail."""
+    from selectors import EVENT_READ, DefaultSelector
+
+    with _compiling_beside:
+        missing = {
+            name: [each for each in own if each.load() is None] for name, own in _kernels.items() if name not in _tried
+        }
+        _tried.update(missing)
+        # How long it takes goes with the bytes of bytecode.
+        size = {
+            name: sum(len(called.__code__.co_code) for each in own for called in each.called)
+            for name, own in missing.items()
+        }
+        shares: list[list[str]] = [[] for _ in range(os.cpu_count() or 1)]
+        for name in sorted(filter(size.get, size), key=lambda name: -size[name]):
+            min(shares, key=lambda share: sum(size[held] for held in share)).append(name)
+        children = [child for child in map(_start, filter(None, shares)) if child is not None]
+        if not children:
+            return
+        total, done = sum(map(len, missing.values())), 0
+        if not _reports:
+            plural = "s" * (total > 1)
+            _log.warning("compiling %d numerical kernel%s, once; this takes many seconds", total, plural)
+        _report(done, total)
+        with DefaultSelector() as pipes:
+            for child in children:
+                pipes.register(child.stdout or -1, EVENT_READ, child)
+            while pipes.get_map():
+                for pipe, _ in pipes.select():
+                    if told := len(os.read(pipe.fd, total)):
+                        done += told
+                        _report(done, total)
+                    else:
+                        pipes.unregister(pipe.fileobj)
+                        pipe.data.communicate()
+        if done < total:  # a child died: this process compiles what it needs
+            _report(total, total)
+
+
+def _report(done: int, total: int) -> None:
+    for report in _reports:
+        report(done, total)
 
 
 def _start(modules: list[str]) -> subprocess.Popen[bytes] | None:

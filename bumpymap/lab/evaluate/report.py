@@ -1,8 +1,8 @@
-"""Write the reports of evaluations: Markdown, JSON, and plots of the drives over a survey."""
+"""Write the reports of evaluations: Markdown and JSON."""
 
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import pairwise
 from pathlib import Path
@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from bumpymap.core import CLASS_NAMES, UsageError, atomic
+from bumpymap.core import CLASS_NAMES, atomic
 from bumpymap.lab.evaluate.agreement import Comparison
 from bumpymap.lab.evaluate.scans import DEVIATION, RANGE_M, Accuracy, ScanFindings
-from bumpymap.lab.evaluate.survey_trial import ComparedPatches, Findings
+from bumpymap.lab.evaluate.survey_trial import Findings
 
 REPORT = "report.md"
 _NONE = "-"
@@ -69,27 +69,16 @@ def plain_record(value: Any) -> Any:
     return value
 
 
-def require_matplotlib() -> None:
-    """Raise UsageError if matplotlib is not installed, so that a long evaluation does not fail at its end."""
-    try:
-        import matplotlib  # noqa: F401, ICN001 (only a test of availability)
-    except ImportError as error:
-        raise UsageError(
-            "evaluate draws its pictures with matplotlib, which is not installed; pip install 'bumpymap[sim]'"
-        ) from error
-
-
 def write_report(findings: Findings, out: Path) -> list[Path]:
-    """Write the plots, ``report.json`` and ``report.md`` of a survey, in this order."""
-    pictures, found = _draw(findings, out), findings.comparison
+    """Write ``report.json`` and ``report.md`` of a survey, in this order."""
+    found = findings.comparison
     classes = [*_class_lines(findings.classes), ""] if findings.classes else []
     sections = [
         section("Statistics of the classes", "The paper's Table I, over all classified tiles.", classes),
-        section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found, pictures)),
+        section(f"Predicted and driven: {findings.vehicle['vehicle']}", _method(found), _driven(found)),
     ]
     text = report_text("Can the map be trusted?", [*_opening(findings), *_conclusion(findings)], sections)
-    files = write_document(out, text, "bumpymap-evaluation", asdict(findings))
-    return [*files, *(out / name for name in pictures)]
+    return write_document(out, text, "bumpymap-evaluation", asdict(findings))
 
 
 _PAPER_CLASSES = (
@@ -158,7 +147,7 @@ def _class_lines(classes: Mapping[str, dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _driven(found: Comparison, pictures: tuple[str, str]) -> list[str]:
+def _driven(found: Comparison) -> list[str]:
     confusions = [
         line
         for name, own in found.agreement.items()
@@ -174,14 +163,10 @@ def _driven(found: Comparison, pictures: tuple[str, str]) -> list[str]:
     return [
         *_predictor_lines(found),
         *_against_plain(found),
-        f"![Predicted against driven C_r]({pictures[0]})",
-        "",
         *confusions,
         "Failed drives by predicted `p_fail`, in bins of width 0.2; all patches have the same weight:",
         "",
         *table(("rating", "mean p_fail of the bin", "share of drives that failed", "patches"), failures),
-        f"![Predicted against driven failures]({pictures[1]})",
-        "",
     ]
 
 
@@ -190,12 +175,17 @@ def _predictor_lines(found: Comparison) -> list[str]:
     rows = []
     for name, own in found.agreement.items():
         ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
-        shares = (own.median_error, own.fitted_error)
         held = percent(own.coverage["held"]) if own.coverage else _NONE
         auc = [number(own.fail[kind]) if own.fail else _NONE for kind in ("auc", "auc_below_limit")]
-        row = [f"`{name}`", *ranks, *map(percent, shares), number(own.median_ratio), *map(percent, own.steps.values())]
+        row = [
+            f"`{name}`",
+            *ranks,
+            percent(own.median_error),
+            number(own.median_ratio),
+            *map(percent, own.steps.values()),
+        ]
         rows.append([*row, held, *auc])
-    header = ("predictor", "Spearman", "1 - Spearman", "median error", "fitted to these", "median predicted / driven")
+    header = ("predictor", "Spearman", "1 - Spearman", "median error", "median predicted / driven")
     more = ("same class", "one off", "two or more off", "80 % interval contains it", "p_fail AUC", "within slope limit")
     return table((*header, *more), rows)
 
@@ -217,8 +207,7 @@ def _method(found: Comparison) -> str:
         f"As some drives over a patch fail and others do not, no p_fail can reach an AUC above {found.auc_most:.3f}, "
         f"or above {found.auc_most_below_limit:.3f} within the slope limit. Plain "
         "predictors get C_r from their best monotone fit to the drives over the other patches, which a map does not "
-        "have; *fitted to these* is the error if the fit includes the patch itself. The drives run on the measured "
-        "relief and contain its noise; `ride` predicts the ground without noise."
+        "have. The drives run on the measured relief and contain its noise; `ride` predicts the ground without noise."
     )
 
 
@@ -229,64 +218,6 @@ def _against_plain(found: Comparison) -> list[str]:
         return []
     ratios = [f"{lack[name] / lack[best]:.2f} times for `{name}`" for name in lack if name not in _PLAIN]
     return [f"1 - Spearman relative to that of the best plain predictor, `{best}`: {', '.join(ratios)}.", ""]
-
-
-_COLOUR = {"ride": "#2a7f62", "table": "#c77c11"}
-
-
-def _draw(findings: Findings, out: Path) -> tuple[str, str]:
-    """Draw predicted against driven C_r, and failures; return the names of the files."""
-    plain = "".join(letter if letter.isalnum() else "_" for letter in findings.vehicle["vehicle"])
-    return (
-        _save(out / f"driven_{plain}.png", _scatter, len(findings.patches.verdicts), findings.patches),
-        _save(out / f"failures_{plain}.png", _reliability, 1, findings.comparison),
-    )
-
-
-def _save(path: Path, paint: Callable[..., None], panels: int, *what: Any) -> str:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5 * panels, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
-    paint(figure.subplots(1, panels, squeeze=False)[0], *what)
-    with atomic(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
-    return path.name
-
-
-def _scatter(axes: Any, patches: ComparedPatches) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    good = patches.driven.comparable
-    driven = patches.driven.c_r[good]
-    for axis, (name, whole) in zip(axes, patches.verdicts.items(), strict=True):
-        verdict = whole.take(good)
-        below, above = verdict.c_r - verdict.c_r_low, verdict.c_r_high - verdict.c_r
-        axis.errorbar(driven, verdict.c_r, [below, above], fmt="none", ecolor="0.8", elinewidth=0.7, zorder=1)
-        axis.scatter(driven, verdict.c_r, s=10, color=_COLOUR[name], zorder=2)
-        if len(driven):
-            ends = [min(driven.min(), verdict.c_r.min()) * 0.8, max(driven.max(), verdict.c_r.max()) * 1.25]
-            axis.plot(ends, ends, color="0.4", linewidth=0.8)
-            axis.set(xlim=ends, ylim=ends, xscale="log", yscale="log")
-            for side in (axis.xaxis, axis.yaxis):  # plain numbers: 0.1, 0.2, 0.5, 1
-                side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-                side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-                side.set_minor_locator(NullLocator())
-        axis.set(xlabel="driven C_r [rad/m]", ylabel="predicted C_r [rad/m], 80 % interval")
-        axis.set_title(f"{name}: {len(driven)} patches", loc="left")
-
-
-def _reliability(axes: Any, found: Comparison) -> None:
-    axis = axes[0]
-    axis.plot([0, 1], [0, 1], color="0.6", linewidth=0.8)
-    for name, own in found.agreement.items():
-        if own.fail:
-            bins = [one for one in own.fail["reliability"] if one["patches"]]
-            x, y = [one["predicted"] for one in bins], [one["share_failed"] for one in bins]
-            axis.plot(x, y, "o-", color=_COLOUR[name], label=f"{name}, AUC {own.fail['auc']:.3f}")
-    axis.set(xlabel="predicted p_fail", ylabel="share of drives that failed", xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
-    axis.legend(frameon=False)
 
 
 _PAPER_ACCURACY = 0.8324

@@ -23,8 +23,9 @@ from bumpymap.core import (
     SectorStack,
 )
 from bumpymap.lab.evaluate.agreement import confusion
+from bumpymap.lab.label_sets import LabelSet, label_set, require_label_set, tell_label_set
 from bumpymap.lab.settings import ScanEvaluateSettings
-from bumpymap.readers import LabelSet, label_set, read_scan, require_label_set, tell_label_set
+from bumpymap.readers import read_scan
 from bumpymap.scan import ScanModel, StripeModel, classify_filter, classify_learned, polar_sectors
 
 Floats = NDArray[np.float64]
@@ -241,21 +242,6 @@ class ScanFindings:
     """Method -> points of obstacles in sectors called free; empty without labels."""
 
 
-def read_frames(frames: Sequence[Path], labels: LabelSet | None = None) -> Iterator[Scan]:
-    """Read scans one after another.
-
-    Raises
-    ------
-    BadInputError
-        The labels of a scan are not those of ``labels``.
-    """
-    for frame in frames:
-        scan = read_scan(frame)
-        if labels is not None and scan.label is not None:
-            require_label_set(scan.label, labels, str(frame))
-        yield scan
-
-
 def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     """Return the label set of frames: the one that is named, or else the one that fits the ids of their labels.
 
@@ -273,7 +259,7 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     Raises
     ------
     BadInputError, UsageError
-        As from `label_set` and `tell_label_set`; a set is named and no frame has labels.
+        As from `label_set`, `require_label_set` and `tell_label_set`; a set is named and no frame has labels.
     """
     found = [read_scan(frame).label for frame in frames[:: -(-len(frames) // _LOOKED_AT)]]
     there = [label for label in found if label is not None]
@@ -283,7 +269,9 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
                 f"`labels` is '{name}', but {frames[0]} has no labels. They are in NAME.label beside NAME.bin, in "
                 "a folder labels next to its folder, or in a field named label of a PLY or PCD file"
             )
-        return label_set(name)
+        known = label_set(name)
+        require_label_set(np.concatenate(there), known, str(frames[0]))
+        return known
     return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
 
 

@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import pairwise, product
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -19,17 +20,17 @@ from numpy.typing import NDArray
 
 from bumpymap.core import CLASS_NAMES, TEXTURES, BumpymapError
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import PatchDrives
-from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
+from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
+from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, Progress, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
-from bumpymap.lab.simulate.plan import driven_library, library_ground, library_record, run_job
-from bumpymap.lab.worlds.terrains import Terrain
-from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, Vehicle
+from bumpymap.lab.simulate.motion_fit import MotionRecord, fit_motion, motion_jobs, run_motion
+from bumpymap.lab.simulate.plan import driven_library, library_record, library_terrain
+from bumpymap.lab.simulate.refit import crossing_jobs, fit_steps, refit, run_crossing
+from bumpymap.lab.worlds.terrains import KINDS
+from bumpymap.rating import MAX_FAILED_SHARE, Calibration, DrivenTerrain, make_textures
 
-FitRide = Callable[[Vehicle, Sequence[Terrain], Sequence[DrivenTerrain]], dict[str, Any]]
-"""Fits a ride model to driven terrains: `fit_ride`."""
-FitThin = Callable[[Vehicle, Sequence[Terrain], dict[str, Any], float], dict[str, Any]]
-"""Fits a model of thin surveys to a ride model: `fit_thin_surveys`."""
+_LIBRARY_STREAM = len(TEXTURES)
+"""First number of the random streams of library drives; no texture has this index."""
 _RULE = (
     "natural breaks (exact one-dimensional k-means, 4 groups) of the mean C_r of terrains; terrain mix: the kinds of "
     "the terrain library alike, heights uniform in their logarithm, half of the slopes up to 8 degrees and half up to "
@@ -38,14 +39,62 @@ _RULE = (
 )
 
 
-def summarise(
-    settings: CalibrationSettings,
-    results: Mapping[Key, PatchDrives],
-    command: str = "",
-    fit: FitRide | None = None,
-    fit_thin: FitThin | None = None,
-) -> Calibration:
-    """Compute a calibration from the drives of all jobs (key of a job -> its drives); see `calibrate_vehicle`."""
+def calibration_jobs(settings: CalibrationSettings) -> list[DriveJob]:
+    """Return all drives of a calibration: the table cell by cell, the library kind by kind, crossings, other speeds.
+
+    Each cell of the table follows the paper: one of four textures, scaled to a height range.
+    """
+    table = product(range(len(TEXTURES)), range(len(settings.z_range)), range(settings.patches))
+    library = product(KINDS, range(settings.terrains))
+    return [
+        *(DriveJob(("table", *place), settings.starts) for place in table),
+        *(DriveJob(("library", *place), settings.terrain_starts) for place in library),
+        *crossing_jobs(settings.profile),
+        *motion_jobs(settings),
+    ]
+
+
+def run_job(settings: CalibrationSettings, job: DriveJob) -> PatchDrives | MotionRecord:
+    """Make the ground of a job and drive over it.
+
+    Ground and starts have their own random streams, derived from the seed and the job's key, so the result does not
+    depend on the process or on earlier jobs.
+    """
+    purpose, *place = job.key
+    if purpose == "crossing":
+        return run_crossing(settings, job)
+    if purpose == "motion":
+        return run_motion(settings, job)
+    if purpose == "table":
+        texture, z, patch = map(int, place)
+        stream: tuple[int, ...] = (texture, z, patch)
+        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
+        form = make_textures(TEXTURES[texture], 1, rng, settings.pixels)[0]
+        heights = form.astype(np.float64) * settings.z_range[z]
+    else:
+        kind, index = str(place[0]), int(place[1])
+        stream = (_LIBRARY_STREAM, KINDS.index(kind), index)
+        heights = library_terrain(settings, kind, index).heights
+    effort = Effort.fixed(job.starts)
+    return drive_patch(
+        settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
+    )
+
+
+def calibration_journal(path: Path, settings: CalibrationSettings) -> Journal[PatchDrives | MotionRecord]:
+    """Return the progress file of a calibration."""
+
+    def read(own: dict[str, Any]) -> PatchDrives | MotionRecord:
+        return PatchDrives.read(own) if "outcome" in own else MotionRecord.read(own)
+
+    return Journal(path, settings.to_dict(), read)
+
+
+def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command: str = "") -> Calibration:
+    """Compute table and classes of a calibration from the drives of its jobs (key of a job -> its drives).
+
+    ``command`` is the command line that makes the file again.
+    """
     table = [
         [
             [results["table", texture, z, patch] for patch in range(settings.patches)]
@@ -65,8 +114,6 @@ def summarise(
     a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
     record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
     record["library"] = library_record(driven)
-    ground = library_ground(settings, driven) if fit else []
-    ride = fit(settings.profile, ground, driven) if fit else None
     return Calibration(
         vehicle=record.pop("vehicle"),
         tile_size=settings.tile_size,
@@ -79,8 +126,6 @@ def summarise(
         drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell)),
         class_limits=limits,
         class_c_r=(a, b, c, d),
-        ride=ride,
-        thin=fit_thin(settings.profile, ground, ride, limits[0]) if fit_thin and ride else None,
         settings=record,
     )
 
@@ -106,8 +151,8 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
     if len(set(crossable)) < len(CLASS_NAMES):
         raise BumpymapError(
             f"the vehicle crosses {len(crossable)} of {len(driven)} terrains of the library; classes need at least "
-            f"{len(CLASS_NAMES)} with different C_r. Check its profile for a wrong number with bumpymap calibrate "
-            "--check, or drive more terrains"
+            f"{len(CLASS_NAMES)} with different C_r. Check its profile for a wrong number, such as a moment of inertia "
+            "or a damping coefficient, or drive more terrains"
         )
     breaks = natural_breaks(np.array(crossable, dtype=np.float64), len(CLASS_NAMES))
     low, middle, high = (round(limit, 3) for limit in breaks)
@@ -161,7 +206,7 @@ def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
 
 
 def seconds_of_a_drive(settings: CalibrationSettings) -> float:
-    """Return the time that one drive of a calibration takes one process, s, measured on one drive of each kind.
+    """Return the time that one drive takes one process, s, measured on one drive of the table and of the library.
 
     Raises
     ------
@@ -169,11 +214,11 @@ def seconds_of_a_drive(settings: CalibrationSettings) -> float:
         The extra ``sim`` is not installed.
     """
     require_dart()
-    kinds = {type(job): job for job in settings.jobs()}  # the last job of each
+    last = {job.key[0]: job for job in calibration_jobs(settings)}
     begin = perf_counter()
-    for job in kinds.values():
-        run_job(settings, replace(job, starts=1))
-    return (perf_counter() - begin) / len(kinds)
+    for purpose in ("table", "library"):
+        run_job(settings, replace(last[purpose], starts=1))
+    return (perf_counter() - begin) / 2
 
 
 def calibrate_vehicle(
@@ -181,25 +226,21 @@ def calibrate_vehicle(
     progress: Progress | None = None,
     *,
     workers: int = 1,
-    journal: Journal | None = None,
+    journal: Journal[PatchDrives | MotionRecord] | None = None,
     discard_other: bool = False,
     command: str = "",
-    fit: FitRide | None = None,
-    fit_thin: FitThin | None = None,
 ) -> Calibration:
-    """Drive a vehicle over synthetic terrain and summarise the ride cost of each kind of ground.
+    """Drive a vehicle over synthetic terrain, summarise the ride cost of each kind of ground and fit the models.
 
     Parameters
     ----------
     settings : CalibrationSettings
-    progress, workers, journal, discard_other
+    progress, workers, discard_other
         See `drive_jobs`.
+    journal : Journal, optional
+        As from `calibration_journal`.
     command : str
         Command line that makes the file again; stored in the calibration.
-    fit : callable, optional
-        Fits the ride model to the drives over the terrain library; without it the calibration has no ride model.
-    fit_thin : callable, optional
-        Fits the model of thin surveys to the ride model; without it the calibration has none.
 
     Returns
     -------
@@ -208,10 +249,11 @@ def calibrate_vehicle(
     require_dart()
     results = drive_jobs(
         partial(run_job, settings),
-        list(settings.jobs()),
+        calibration_jobs(settings),
         progress,
         workers=workers,
         journal=journal,
         discard_other=discard_other,
     )
-    return summarise(settings, results, command, fit, fit_thin)
+    made = refit(summarise(settings, results, command))
+    return replace(made, steps=fit_steps(made, results), motion=fit_motion(settings, results).to_record())

@@ -6,7 +6,7 @@ cost of the BumpyPatch paper, here with omega_y in the body frame.
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,6 +197,11 @@ class PatchDrives:
     outcome: tuple[Outcome, ...]
     c_r: tuple[float | None, ...]
     """rad/m; None unless completed."""
+
+    @classmethod
+    def read(cls, own: dict[str, Any]) -> "PatchDrives":
+        """Read the fields of a journal."""
+        return cls(tuple(own["outcome"]), tuple(own["c_r"]))
 
     @property
     def completed(self) -> list[float]:

@@ -4,33 +4,26 @@ Every start over the terrain library is driven at every speed, so that what a te
 what the speed does. The rates of pitch and roll are those of an on-board gyroscope, sampled as for C_r. The vertical
 velocity of the chassis' centre of mass is recorded at every time step; its weighted acceleration is computed in the
 frequency domain from the start of the vehicle on, so that the filter has settled before the measurement begins.
-
-``python -m bumpymap.lab.simulate.motion_fit FILE...`` drives and adds ``motion`` to calibration files.
 """
 
 import math
-import sys
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
-from importlib.metadata import version
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import atomic
-from bumpymap.lab.settings import CalibrationSettings, LibraryJob
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, drive_strip, follow
-from bumpymap.lab.simulate.jobs import JobJournal, Progress, drive_jobs
-from bumpymap.lab.simulate.model import DartVehicle, Pose, require_dart
-from bumpymap.lab.simulate.plan import calibrated_settings, library_terrain, six_digits
+from bumpymap.lab.simulate.jobs import DriveJob, Key
+from bumpymap.lab.simulate.model import DartVehicle, Pose
+from bumpymap.lab.simulate.plan import library_terrain, six_digits
 from bumpymap.lab.simulate.ride_fit import relief_and_slope
 from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
-    Calibration,
     MotionFit,
     MotionModel,
     MotionOperator,
@@ -132,26 +125,8 @@ _STREAM = 102
 """Number of the random stream of these drives."""
 
 
-@dataclass(frozen=True, slots=True)
-class MotionEffort:
-    """How much is driven."""
-
-    terrains: int = 6
-    """Terrains of each kind of the library."""
-    starts: int = 2
-    """Starts on each terrain."""
-    ratios: tuple[float, ...] = (0.5, 1.0, 2.0)
-    """Speeds of each start over the profile's."""
-
-    @classmethod
-    def of(cls, settings: CalibrationSettings) -> "MotionEffort":
-        """Return the effort of a calibration: a quarter of its terrains, and of its drives over each."""
-        return cls(max(2, settings.terrains // 4), max(1, settings.terrain_starts // 4))
-
-    @property
-    def total(self) -> int:
-        """Number of all drives."""
-        return sum(job.starts for job in motion_jobs(self))
+SPEED_RATIOS = (0.5, 1.0, 2.0)
+"""Speeds of each start over the profile's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,35 +153,24 @@ class MotionRecord:
         return cls(*(tuple(tuple(row) for row in fields[name]) for name in cls.__slots__))
 
 
-def motion_jobs(effort: MotionEffort) -> list[LibraryJob]:
+def motion_jobs(settings: CalibrationSettings) -> list[DriveJob]:
     """Return all jobs: the terrains of the library, index by index, so that a part of them has all kinds."""
-    drives = effort.starts * len(effort.ratios)
-    return [LibraryJob(kind, index, drives, "motion") for index in range(effort.terrains) for kind in KINDS]
+    drives = settings.motion_starts * len(SPEED_RATIOS)
+    return [DriveJob(("motion", kind, index), drives) for index in range(settings.motion_terrains) for kind in KINDS]
 
 
-def run_motion(settings: CalibrationSettings, effort: MotionEffort, job: LibraryJob) -> MotionRecord:
+def run_motion(settings: CalibrationSettings, job: DriveJob) -> MotionRecord:
     """Drive over a terrain; every start has its own random stream, derived from the seed and the job."""
-    profile = settings.profile
-    heights = library_terrain(settings, job.kind, job.index).heights
-    ground = PatchGround.from_heights(heights, settings.tile_size)
+    profile, kind, index = settings.profile, str(job.key[1]), int(job.key[2])
+    ground = PatchGround.from_heights(library_terrain(settings, kind, index).heights, settings.tile_size)
     made = []
-    for number in range(effort.starts):
-        stream = (_STREAM, KINDS.index(job.kind), job.index, number)
+    for number in range(settings.motion_starts):
+        stream = (_STREAM, KINDS.index(kind), index, number)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
         easting, northing, turn = rng.random(3).tolist()
         start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
-        made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in effort.ratios])
+        made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in SPEED_RATIOS])
     return MotionRecord.of(made)
-
-
-def motion_journal(path: Path, settings: CalibrationSettings, effort: MotionEffort) -> JobJournal[MotionRecord]:
-    """Return the journal of such drives."""
-    versions = {name: version(name) for name in ("dartpy", "numpy")}
-    profile = settings.profile.to_dict()
-    about = {"seed": settings.seed, "tile_size": settings.tile_size, "pixels": settings.pixels, "vehicle": profile}
-    effort_record = {name: value for name, value in asdict(effort).items() if name != "terrains"}
-    plain = {**about, "effort": {k: list(v) if isinstance(v, tuple) else v for k, v in effort_record.items()}}
-    return JobJournal(path, plain | {"versions": versions}, MotionRecord.read)
 
 
 Floats = NDArray[np.float64]
@@ -216,59 +180,35 @@ _LEAST_C_R = 0.002
 """Below this, the simulation's contacts are felt as much as the ground, rad/m."""
 
 
-def add_motion(
-    calibration: Calibration,
-    progress: Progress | None = None,
-    *,
-    effort: MotionEffort | None = None,
-    workers: int = 1,
-    journal: JobJournal[MotionRecord] | None = None,
-    discard_other: bool = False,
-) -> Calibration:
-    """Return a calibration with ``motion`` added or made again, for its own vehicle, seed and tiles.
-
-    Terrains that are in the journal (of `motion_journal`) are not driven again; see `drive_jobs`.
-    """
-    settings, effort = calibrated_settings(calibration), effort or MotionEffort()
-    require_dart()
-    driven = drive_jobs(
-        partial(run_motion, settings, effort),
-        motion_jobs(effort),
-        progress,
-        workers=workers,
-        journal=journal,
-        discard_other=discard_other,
-    )
-    records = [driven[job.key] for job in motion_jobs(effort)]
+def fit_motion(settings: CalibrationSettings, driven: Mapping[Key, Any]) -> MotionModel:
+    """Fit the model to the drives of `motion_jobs` (key of a job -> its record)."""
+    records = [driven[job.key] for job in motion_jobs(settings)]
     means = np.array([[getattr(record, name) for name in QUANTITIES] for record in records], np.float64).mean(axis=2)
     # As they are recorded, so that a later fit to the record gives the same bits.
     recorded = [[list(map(six_digits, row)) for row in one] for one in means.swapaxes(1, 2).tolist()]
-    means = np.array(recorded, np.float64)
-    return replace(calibration, motion=fit_motion(settings, effort, means).to_record())
+    return fit_means(settings, np.array(recorded, np.float64))
 
 
-def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Floats) -> MotionModel:
+def fit_means(settings: CalibrationSettings, means: Floats) -> MotionModel:
     """Fit the model to drives over the library; terrains where a drive failed are left out.
 
     Parameters
     ----------
     settings : CalibrationSettings
-    effort : MotionEffort
     means : array (terrains, speeds, 3)
         Means over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where a drive failed.
     """
-    jobs, own = motion_jobs(effort), effort.ratios.index(1.0)
+    jobs, own = motion_jobs(settings), SPEED_RATIOS.index(1.0)
     c_r = means[:, own, 0]
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
-    terrains = [
-        library_terrain(settings, job.kind, job.index) for job, wanted in zip(jobs, used, strict=True) if wanted
-    ]
+    places = [job.key[1:] for job, wanted in zip(jobs, used, strict=True) if wanted]
+    terrains = [library_terrain(settings, str(kind), int(index)) for kind, index in places]
     vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
     relief, _ = relief_and_slope(terrains)
-    speeds = tuple(ratio * speed for ratio in effort.ratios)
+    speeds = tuple(ratio * speed for ratio in SPEED_RATIOS)
     motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
     pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
-    log_speed, c_r = np.log(np.array(effort.ratios)), c_r[used]
+    log_speed, c_r = np.log(np.array(SPEED_RATIOS)), c_r[used]
     ranges = [(float(f"{np.log(each).min():.6g}"), float(f"{np.log(each).max():.6g}")) for each in (pitch, c_r)]
     terms, plain = motion_terms(motions, pitch, log_speed, ranges[0]), plain_terms(c_r, log_speed, ranges[1])
     wanted = np.log(means[used] / c_r[:, None, None])
@@ -279,8 +219,8 @@ def fit_motion(settings: CalibrationSettings, effort: MotionEffort, means: Float
     origin = {
         "terrains": len(jobs),
         "used": int(used.sum()),
-        "starts": effort.starts,
-        "ratios": list(effort.ratios),
+        "starts": settings.motion_starts,
+        "ratios": list(SPEED_RATIOS),
         "seed": settings.seed,
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],
     }
@@ -301,14 +241,3 @@ def _least_squares(terms: Floats, wanted: Floats) -> tuple[tuple[float, ...], fl
     rounded = tuple(float(f"{value:.6g}") for value in found)
     left = values - flat @ np.array(rounded)
     return rounded, float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}")
-
-
-if __name__ == "__main__":
-    for path in map(Path, sys.argv[1:]):
-        calibration = Calibration.load(path)
-        effort = MotionEffort()
-        journal = motion_journal(path.with_name(f"{path.name}.motion.jsonl"), calibrated_settings(calibration), effort)
-        made = add_motion(calibration, effort=effort, journal=journal)
-        with atomic(path) as temporary:
-            temporary.write_text(made.to_json(), encoding="utf-8")
-        journal.remove()

@@ -1,9 +1,7 @@
-"""The drive jobs of a calibration, and its record of the drives. A job depends only on the settings.
+"""The terrain library of a calibration: ground of many kinds with a wide range of heights and slopes, and its drives.
 
-There are two kinds of jobs. Each cell of the table follows the paper: one of four textures, scaled to a height range.
-The ride model is fitted to the terrain library: ground of many kinds with a wide range of heights and slopes. Of the
-library, a calibration stores the drives, not the ground, which follows from the seed. A ride model can therefore be
-fitted again from the file, without driving and with the same bits.
+A calibration stores the drives, not the ground, which follows from the seed. A ride model can therefore be fitted again
+from the file, without driving and with the same bits.
 """
 
 import math
@@ -11,14 +9,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from typing import Any
 
-import numpy as np
-
-from bumpymap.core import TEXTURES, BadInputError
-from bumpymap.lab.settings import CalibrationSettings, LibraryJob, TableJob
-from bumpymap.lab.simulate.drive import Effort, PatchDrives, drive_patch
+from bumpymap.core import BadInputError
+from bumpymap.lab.settings import CalibrationSettings
+from bumpymap.lab.simulate.drive import PatchDrives
 from bumpymap.lab.simulate.jobs import Key
 from bumpymap.lab.worlds.terrains import KINDS, Terrain, make_terrain
-from bumpymap.rating import Calibration, DrivenTerrain, Vehicle, make_textures
+from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 
 __all__ = [
     "calibrated_settings",
@@ -28,11 +24,7 @@ __all__ = [
     "library_terrain",
     "library_terrains",
     "read_library",
-    "run_job",
 ]
-
-_LIBRARY_STREAM = len(TEXTURES)
-"""First number of the random streams of library drives; no texture has this index."""
 
 
 def calibrated_settings(calibration: Calibration) -> CalibrationSettings:
@@ -55,26 +47,6 @@ def library_terrain(settings: CalibrationSettings, kind: str, index: int) -> Ter
         slope_limit_deg=settings.profile.slope_limit_deg,
         tile_size=settings.tile_size,
         pixels=settings.pixels,
-    )
-
-
-def run_job(settings: CalibrationSettings, job: TableJob | LibraryJob) -> PatchDrives:
-    """Make the ground of a job and drive over it.
-
-    Ground and starts have their own random streams, derived from the seed and the job's indices, so the result does not
-    depend on the process or on earlier jobs.
-    """
-    if isinstance(job, TableJob):
-        stream: tuple[int, ...] = (job.texture, job.z, job.patch)
-        rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-        patch = make_textures(TEXTURES[job.texture], 1, rng, settings.pixels)[0]
-        heights = patch.astype(np.float64) * settings.z_range[job.z]
-    else:
-        stream = (_LIBRARY_STREAM, KINDS.index(job.kind), job.index)
-        heights = library_terrain(settings, job.kind, job.index).heights
-    effort = Effort.fixed(job.starts)
-    return drive_patch(
-        settings.profile, heights, settings.tile_size, settings.seed, effort, settings.drive, stream=stream
     )
 
 

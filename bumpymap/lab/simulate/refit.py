@@ -16,7 +16,6 @@ import math
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -27,7 +26,7 @@ from numpy.typing import NDArray
 from bumpymap.core import UsageError, atomic
 from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
-from bumpymap.lab.simulate.jobs import Journal, Key, Progress, drive_jobs
+from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
 from bumpymap.lab.simulate.terrain import fit_plane
@@ -69,54 +68,30 @@ class WallGround:
         return np.broadcast_to(self.rise * share, np.broadcast_shapes(easting.shape, northing.shape)).copy()
 
 
-@dataclass(frozen=True, slots=True)
-class CrossingJob:
-    """Crossings of one wall at one angle in one direction."""
-
-    height: float
-    """m."""
-    angle: int
-    """Number of the angle."""
-    up: bool
-    starts: int = 1
-
-    @property
-    def key(self) -> Key:
-        """Name of the job in a journal."""
-        return ("crossing", repr(self.height), self.angle, int(self.up))
-
-
-def crossing_jobs(profile: Vehicle) -> list[CrossingJob]:
-    """Return all crossings of a vehicle: by height, angle and direction."""
+def crossing_jobs(profile: Vehicle) -> list[DriveJob]:
+    """Return all crossings of a vehicle: of one wall at one angle in one direction each."""
     return [
-        CrossingJob(height, angle, up)
+        DriveJob(("crossing", repr(height), angle, int(up)), 1)
         for height in _heights(profile, _HEIGHTS)
         for angle in range(len(_ANGLES_DEG))
         for up in (True, False)
     ]
 
 
-def run_crossing(settings: CalibrationSettings, job: CrossingJob) -> PatchDrives:
+def run_crossing(settings: CalibrationSettings, job: DriveJob) -> PatchDrives:
     """Drive once over a wall; the start has its own random stream, derived from the seed and the job."""
-    number = _heights(settings.profile, _HEIGHTS).index(job.height)
-    stream = (_STREAM, number, job.angle, int(job.up))
+    height, angle, up = float(job.key[1]), int(job.key[2]), int(job.key[3])
+    stream = (_STREAM, _heights(settings.profile, _HEIGHTS).index(height), angle, up)
     rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-    ground = WallGround(job.height if job.up else -job.height, settings.profile.wheel.radius_m / 6)
-    made = cross(settings, ground, math.radians(_ANGLES_DEG[job.angle]), rng.random(2))
+    ground = WallGround(height if up else -height, settings.profile.wheel.radius_m / 6)
+    made = cross(settings, ground, math.radians(_ANGLES_DEG[angle]), rng.random(2))
     return PatchDrives((made.outcome,), (made.c_r if made.outcome == "completed" else None,))
 
 
-def add_steps(
-    calibration: Calibration,
-    progress: Progress | None = None,
-    *,
-    workers: int = 1,
-    journal: Journal | None = None,
-    discard_other: bool = False,
-) -> Calibration:
-    """Return a calibration with ``steps`` added or made again, for its own vehicle, seed and tiles.
+def fit_steps(calibration: Calibration, driven: Mapping[Key, Any]) -> dict[str, Any]:
+    """Return the ``steps`` of a calibration with a ride model, as plain JSON: rated tiles, and shares of crossings.
 
-    Crossings that are in the journal are not driven again; see `drive_jobs`.
+    Shares have a row for each height and a column for each angle. ``driven`` holds the drives of `crossing_jobs`.
 
     Raises
     ------
@@ -124,27 +99,16 @@ def add_steps(
         The calibration holds no ride model.
     """
     settings = calibrated_settings(calibration)
-    tiles = _rated_tiles(calibration, settings)
-    driven = drive_jobs(
-        partial(run_crossing, settings),
-        crossing_jobs(settings.profile),
-        progress,
-        workers=workers,
-        journal=journal,
-        discard_other=discard_other,
+    heights = _heights(settings.profile, _HEIGHTS)
+    up, down = (
+        [
+            [driven["crossing", repr(height), angle, way].failed for angle in range(len(_ANGLES_DEG))]
+            for height in heights
+        ]
+        for way in (1, 0)
     )
-    record = {"tile": tiles, "crossing": _crossings(settings.profile, driven), "seed": settings.seed}
-    return replace(calibration, steps=record)
-
-
-def _crossings(profile: Vehicle, driven: Mapping[Key, PatchDrives]) -> dict[str, Any]:
-    """Return the shares of failed crossings as plain JSON: a row for each height, a column for each angle."""
-    heights = _heights(profile, _HEIGHTS)
-    shares = [
-        [[driven[CrossingJob(height, angle, up).key].failed for angle in range(len(_ANGLES_DEG))] for height in heights]
-        for up in (True, False)
-    ]
-    return {"height": list(heights), "angle_deg": list(_ANGLES_DEG), "fail_up": shares[0], "fail_down": shares[1]}
+    crossing = {"height": list(heights), "angle_deg": list(_ANGLES_DEG), "fail_up": up, "fail_down": down}
+    return {"tile": _rated_tiles(calibration, settings), "crossing": crossing, "seed": settings.seed}
 
 
 def _rated_tiles(calibration: Calibration, settings: CalibrationSettings) -> dict[str, list[float]]:

@@ -109,46 +109,6 @@ class PatchGround:
 
 
 @dataclass(frozen=True, slots=True)
-class PlaneGround:
-    """A plane through the origin."""
-
-    gradient: tuple[float, float]
-    """Slope to the east and to the north, m/m."""
-    extent: float = 1.0
-    spacing: float = 0.5
-
-    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
-        """Heights of points, m."""
-        return self.gradient[0] * easting + self.gradient[1] * northing
-
-
-@dataclass(frozen=True, slots=True)
-class SineGround:
-    """Sine waves along the easting, constant along the northing."""
-
-    amplitude: float
-    """m."""
-    wavelength: float
-    """m."""
-    gradient: tuple[float, float] = (0.0, 0.0)
-
-    @property
-    def extent(self) -> float:
-        """One wave, m."""
-        return self.wavelength
-
-    @property
-    def spacing(self) -> float:
-        """A fortieth of the wavelength, m."""
-        return self.wavelength / 40
-
-    def height(self, easting: _Floats, northing: _Floats) -> _Floats:
-        """Heights of points, m."""
-        waves = self.amplitude * np.sin(2 * np.pi / self.wavelength * easting)
-        return np.broadcast_to(waves, np.broadcast_shapes(easting.shape, northing.shape)).astype(np.float64)
-
-
-@dataclass(frozen=True, slots=True)
 class Strip:
     """The ground within ``half_width`` of a straight path, extended by ``half_width`` at both ends; m and radians."""
 

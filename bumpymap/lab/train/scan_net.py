@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from bumpymap.core import CLASSES, PolarSettings
+from bumpymap.lab.label_sets import LABEL_SETS
 from bumpymap.lab.settings import ScanNetSettings, ScanTrainSettings
 from bumpymap.lab.train.model_files import (
     EpochData,
@@ -29,7 +30,6 @@ from bumpymap.lab.train.model_files import (
 )
 from bumpymap.lab.train.scan_sectors import ScanProgress, Sectors, draw_epoch, folder_frames, folder_sectors
 from bumpymap.lab.train.textures import predict
-from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import CHANNELS, MEASURES, SECTOR_VERSION
 
 __all__ = ["make_scan_model"]

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, PolarSettings, Scan
-from bumpymap.readers import LABEL_SETS, find_frames, read_scan
+from bumpymap.lab.label_sets import LABEL_SETS
+from bumpymap.readers import find_frames, read_scan
 from bumpymap.scan import MEASURES, network_input, polar_sectors
 
 GRIDS = (

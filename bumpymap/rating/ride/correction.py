@@ -231,8 +231,7 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     if int(good.sum()) < _MIN_PATCHES:
         raise BumpymapError(
             f"the vehicle completed its drives on {int(good.sum())} of {len(good)} terrains; a ride model needs "
-            f"at least {_MIN_PATCHES}. Look for a wrong number in its profile (bumpymap calibrate --check), or drive "
-            "more terrains"
+            f"at least {_MIN_PATCHES}. Look for a wrong number in its profile, or drive more terrains"
         )
     log_g = np.log(driven.rides.pitch_change[good])
     rides = Rides(*(getattr(driven.rides, name)[good] for name in Rides.__dataclass_fields__))

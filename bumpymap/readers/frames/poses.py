@@ -1,93 +1,50 @@
-"""The pose of the sensor at each frame, from a file of poses.
+"""The pose of the sensor at each frame, from a file of poses: KITTI, TUM, or CSV with a header.
 
 Poses and frames that both have times are matched by time: the poses may have another rate, and are interpolated. Others
 must be as many as the frames, in the same order.
 """
 
+import csv
 import logging
+import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, FrameSource, PoseTrack
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, Frame, PoseTrack
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
-from bumpymap.readers.frames.pose_files import (
-    calib_beside,
-    in_lidar_frame,
-    read_pose_file,
-    refuse_wrong_frame,
-    seconds_of_names,
-    seconds_of_words,
-)
-from bumpymap.readers.frames.raw import read_start
 from bumpymap.readers.frames.read import find_frames
+from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
 from bumpymap.readers.source import open_source
 
 __all__ = ["FramePoses", "files_beside_poses", "place_sources", "read_poses"]
 
-_TIMES_NAMES = ("times.txt", "timestamps.txt")
-
-
-def frame_times(frames: Sequence[Path], folders: Sequence[Path]) -> tuple[NDArray[np.float64] | None, str]:
-    """Return the times of frames, (n,) s, None if they are unknown, and where they are from.
-
-    Parameters
-    ----------
-    frames : sequence of Path
-    folders : sequence of Path
-        Where a list of times may be.
-
-    Raises
-    ------
-    BadInputError
-        A list of times is not one, or has another number of times than its sequence has frames.
-    """
-    named = seconds_of_names([frame.stem for frame in frames])
-    if named is not None:
-        return named, "the names of the frames"
-    listed = find_times(folders)
-    if listed is not None and len({frame.parent for frame in frames}) == 1:
-        times = read_times(listed)
-        sequence = {file.name: number for number, file in enumerate(find_frames([frames[0].parent]))}
-        if len(times) != len(sequence):
-            raise BadInputError(
-                f"{listed} holds {len(times):,} times, but {frames[0].parent} {len(sequence):,} frames; there must be "
-                "one line per frame. Copy both again, or remove the list"
-            )
-        return times[[sequence[frame.name] for frame in frames]], str(listed)
-    starts = []
-    for frame in frames:
-        start = None if frame.suffix.lower() == ".bin" else read_start(frame)
-        if start is None:
-            return None, ""
-        starts.append(start)
-    return np.array(starts), "the times of their points"
-
-
-def find_times(folders: Sequence[Path]) -> Path | None:
-    """Return the first list of times in some folders; None if there is none."""
-    files = (folder / name for folder in folders for name in _TIMES_NAMES)
-    return next((file for file in files if file.is_file()), None)
-
-
-def read_times(path: Path) -> NDArray[np.float64]:
-    """Read a list of times, one per line: numbers in s, or dates. Raises BadInputError if it is none."""
-    with open_source(path) as stream:
-        lines = stream.read().decode("utf-8-sig", "replace").splitlines()
-    times = seconds_of_words([line for line in lines if line.strip()])
-    if times is None:
-        raise BadInputError(f"{path} is not a list of times: a line must be a number of seconds, or a date with time")
-    return times
-
-
 _log = logging.getLogger(__name__)
 
+_EPOCH = ((1e8, 1e10, 1.0), (1e11, 1e13, 1e-3), (1e14, 1e16, 1e-6), (1e17, 1e19, 1e-9))
+"""From, to, unit in seconds: times since 1970 (from 1973 on) tell their unit by their size."""
+_STAMP = re.compile(r"(?<!\d)(?:(\d{9,10})([._])(\d{1,9})|(\d{13}|\d{16}|\d{19}))(?!\d)")
+_WHOLE = re.compile(r"(?<!\d)\d{10}(?!\d)")
+_PLACE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+_MATRIX = tuple(f"t{row}{column}" for row in range(3) for column in range(4))
+_TIME = ("time", "stamp", "timestamp", "t", "sec", "secs", "seconds", "__time", "%time")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanosecs")
+_SYNONYMS = {"tx": "x", "ty": "y", "tz": "z"}
+_FORMATS = "Poses are KITTI (12 numbers), TUM (8: time, x, y, z, qx, qy, qz, qw), or CSV with a header"
+_CALIB, _TIMES = "calib.txt", "times.txt"
 _POINT_FOLDERS = (*POINT_FOLDERS, "data")
 """Folders of frames inside of a sequence, which holds the files beside them."""
+_STEP_M, _LEAST_WAY_M = 0.5, 3.0
+"""Way after which the direction of motion is measured; shorter drives do not tell their frame."""
+_MOST_ALONG_Z, _CAMERA_ALONG_Z = 0.3, 0.7
+"""Share of the way along z: at most this for a LiDAR, at least this for a camera."""
+_LEAST_UP = 0.3
+"""Least mean of the z axes' upward component: the mean tilt of a sensor is below 72 degrees."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,11 +54,22 @@ class FramePoses:
     poses: NDArray[np.float64]
     """(n, 4, 4) transforms from the sensor frame to the world frame, m."""
     motions: tuple[PoseTrack | None, ...]
-    """(n,) poses around each frame, at times relative to the frame's; None if the poses have no times."""
+    """(n,) poses around each frame, at times relative to the frame's; None if poses or frames have no times."""
     matched_by: Literal["time", "order"]
     """How poses and frames were matched."""
     calib: Path | None
     """The ``calib.txt`` by which poses of a camera were turned into those of the LiDAR; None if they were not."""
+
+
+class _PoseFile(NamedTuple):
+    """The poses of a file."""
+
+    times: NDArray[np.float64] | None
+    """(n,) s, as in the file; None if it has none."""
+    poses: NDArray[np.float64]
+    """(n, 4, 4) transforms from the sensor frame to the world frame, m."""
+    is_kitti: bool = False
+    """True if the file is in the format of KITTI, whose own poses are those of a camera."""
 
 
 def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | None = None) -> FramePoses:
@@ -110,7 +78,7 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
     Parameters
     ----------
     path : Path
-        KITTI, TUM or CSV. KITTI's ``calib.txt`` and ``times.txt`` beside it are used.
+        KITTI, TUM or CSV. KITTI's ``calib.txt`` beside it or beside the frames is used.
     frames : sequence of Path
         Files of scans.
     known : (n,) float64, optional
@@ -122,30 +90,28 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
         The file cannot be read or holds invalid poses; the poses are those of a camera; they cannot be matched with the
         frames, or do not cover their times.
     """
-    file = read_pose_file(path)
-    folders = _folders(path, frames)
-    poses, calib = file.poses, calib_beside(folders)
-    turned = None if calib is None else in_lidar_frame(poses, calib, is_kitti=file.is_kitti)
-    if turned is None:
-        calib = None
-    else:
-        poses = turned
-        _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)
-    refuse_wrong_frame(path, poses)
-    times = _times_beside(path, len(poses), len(frames)) if file.times is None else file.times
-    track = None if times is None else _track(path, times, poses)
-    source = "their messages"
-    if known is None and track is not None:
-        known, source = frame_times(frames, folders)
-    if track is None or times is None or known is None:
-        _require_same_count(path, len(poses), len(frames), with_times=track is not None)
-        motions = (None,) * len(frames) if track is None or times is None else _motions(track, times)
-        return FramePoses(poses, motions, "order", calib)
-    _require_cover(path, track, known, source)
-    return FramePoses(track.at(known), _motions(track, known), "time", calib)
+    file = _read_file(path)
+    poses, calib = _in_lidar_frame(path, file, _beside(_CALIB, path, frames))
+    times, source = known, "their messages"
+    if known is None and file.times is not None:
+        times, source = _frame_times(frames, _beside(_TIMES, path, frames))
+    if file.times is not None and times is not None:
+        track = _track(path, file.times, poses)
+        _require_cover(path, track, times, source)
+        motions = tuple(track.around(time, SCAN_S) for time in times.tolist())
+        return FramePoses(track.at(times), motions, "time", calib)
+    if len(poses) != len(frames):
+        advice = "Does the file belong to another drive, or are frames missing?"
+        if file.times is not None:
+            advice = "Its poses have times, but the frames have none: give them times.txt, or time stamps as names"
+        raise BadInputError(
+            f"{path} holds {len(poses):,} poses, but there are {len(frames):,} frames; there must be one pose per "
+            f"frame, in order of time. {advice}"
+        )
+    return FramePoses(poses, (None,) * len(frames), "order", calib)
 
 
-def place_sources(path: Path, sources: Sequence[FrameSource]) -> tuple[FramePoses, list[FrameSource]]:
+def place_sources(path: Path, sources: Sequence[Frame]) -> tuple[FramePoses, list[Frame]]:
     """Read the pose of each frame, see `read_poses`; return them, and the sources with them."""
     messages = [source.message for source in sources if source.message is not None]
     known = np.array([message.stamp_ns for message in messages]) * 1e-9 if messages else None
@@ -155,33 +121,73 @@ def place_sources(path: Path, sources: Sequence[FrameSource]) -> tuple[FramePose
 
 
 def files_beside_poses(path: Path, frames: Sequence[Path]) -> list[Path]:
-    """List the files that are read together with a file of poses: ``calib.txt`` and lists of times."""
-    folders = _folders(path, frames)
-    found = {calib_beside(folders), find_times([path.parent]), find_times(folders)}
-    return sorted(file for file in found if file is not None)
+    """List the files that are read together with a file of poses: ``calib.txt`` and ``times.txt``."""
+    return [file for name in (_CALIB, _TIMES) if (file := _beside(name, path, frames)) is not None]
 
 
-def _folders(path: Path, frames: Sequence[Path]) -> list[Path]:
-    """Return the folders of the sequence and of the poses."""
+def _beside(name: str, path: Path, frames: Sequence[Path]) -> Path | None:
+    """Return a file in the folder of the frames, in that of their sequence, or beside the poses; None without one."""
     of_frames = [frame.parent for frame in frames[:1]]
     of_sequence = [folder.parent for folder in of_frames if folder.name in _POINT_FOLDERS]
-    return [*of_frames, *of_sequence, path.parent]
+    files = (folder / name for folder in (*of_frames, *of_sequence, path.parent))
+    return next((file for file in files if file.is_file()), None)
 
 
-def _times_beside(path: Path, poses: int, frames: int) -> NDArray[np.float64] | None:
-    """Return the times of poses without times of their own, from the list beside them."""
-    listed = find_times([path.parent])
-    if listed is None:
-        return None
-    times = read_times(listed)
-    if len(times) == poses:
-        return times
-    if poses != frames:
+def _frame_times(frames: Sequence[Path], listed: Path | None) -> tuple[NDArray[np.float64] | None, str]:
+    """Return the times of frames, (n,) s, None if they are unknown, and where they are from."""
+    named = seconds_of_names([frame.stem for frame in frames])
+    if named is not None:
+        return named, "the names of the frames"
+    if listed is None or len({frame.parent for frame in frames}) != 1:
+        return None, ""
+    with open_source(listed) as stream:
+        lines = stream.read().decode("utf-8-sig", "replace").split("\n")
+    times = _seconds([line for line in lines if line.strip()])
+    sequence = {file.name: number for number, file in enumerate(find_frames([frames[0].parent]))}
+    if times is None or len(times) != len(sequence):
         raise BadInputError(
-            f"{path} holds {poses:,} poses and {listed} {len(times):,} times, for {frames:,} frames; there must be one "
-            "time for each pose, or one pose for each frame"
+            f"{listed} is no list of times of the {len(sequence):,} frames in {frames[0].parent}; it must have one "
+            "line per frame, with a number of seconds. Copy both again, or remove the list"
         )
-    return None
+    return times[[sequence[frame.name] for frame in frames]], str(listed)
+
+
+def _seconds(words: Sequence[str]) -> NDArray[np.float64] | None:
+    """Return times, (n,) s, of which those since 1970 tell their unit by their size; None if any is no number."""
+    try:
+        numbers = np.array([float(word) for word in words])
+    except ValueError:
+        return None
+    if not len(numbers) or not np.isfinite(numbers).all():
+        return None
+    return numbers * _unit_of(numbers)
+
+
+def _unit_of(numbers: NDArray[np.float64]) -> float:
+    middle = float(np.median(numbers))
+    return next((unit for least, most, unit in _EPOCH if least <= middle < most), 1.0)
+
+
+def seconds_of_names(names: Sequence[str]) -> NDArray[np.float64] | None:
+    """Return the times in the names of files, (n,) s since 1970; None if any has none.
+
+    A time is seconds with a fraction (``1666877643.267394304``), seconds and nanoseconds (``1666877643_267394304``), or
+    one number in s, ms, us or ns.
+    """
+    matches = [match for name in names if (match := _STAMP.search(name) or _WHOLE.search(name)) is not None]
+    if not names or len(matches) < len(names):
+        return None
+    parts = [match.group(3) if match.re is _STAMP and match.group(3) else "" for match in matches]
+    separated = {match.group(2) for match, part in zip(matches, parts, strict=True) if part}
+    if separated and len(separated) + (not all(parts)) > 1:
+        return None
+    if separated == {"_"}:  # a whole number of ms, us or ns, perhaps without its zeros in front
+        digits = next(size for size in (3, 6, 9) if max(map(len, parts)) <= size)
+        times = np.array([int(m.group(1)) + int(m.group(3)) / 10**digits for m in matches])
+    else:
+        times = np.array([float(match.group()) for match in matches])
+        times = times * _unit_of(times)
+    return times if (times > _EPOCH[0][0]).all() else None
 
 
 def _track(path: Path, times: NDArray[np.float64], poses: NDArray[np.float64]) -> PoseTrack:
@@ -196,41 +202,158 @@ def _track(path: Path, times: NDArray[np.float64], poses: NDArray[np.float64]) -
     return PoseTrack(times[first], poses[first])
 
 
-def _motions(track: PoseTrack, times: NDArray[np.float64]) -> tuple[PoseTrack, ...]:
-    return tuple(track.around(time, SCAN_S) for time in times.tolist())
-
-
-def _require_same_count(path: Path, poses: int, frames: int, *, with_times: bool) -> None:
-    if poses == frames:
-        return
-    advice = "Does the file belong to another drive, or are frames missing?"
-    if with_times:
-        advice = "Its poses have times, but the frames have none: give them times.txt, or names that are time stamps"
-    raise BadInputError(
-        f"{path} holds {poses:,} poses, but there are {frames:,} frames; there must be one pose per frame, in order of "
-        f"time. {advice}"
-    )
-
-
 def _require_cover(path: Path, track: PoseTrack, times: NDArray[np.float64], source: str) -> None:
     """Refuse frames without a pose."""
     missing = ~track.covers(times)
     if not missing.any():
         return
-    first, last = float(track.times[0]), float(track.times[-1])
-    spans = (
-        f"the poses of {path} span {first:.3f} to {last:.3f} s, the frames {times.min():.3f} to {times.max():.3f} s "
-        f"(from {source})"
-    )
-    if times.max() < first - NEAREST_S or times.min() > last + NEAREST_S:
-        raise BadInputError(
-            f"no frame has a pose: {spans}. Do they belong to different drives, or to different clocks? Give both the "
-            "same clock; or, with one pose per frame in order, leave out the times of the poses (12 numbers a line)"
-        )
-    lost = int(missing.sum())
-    outside = int(((times < first) | (times > last))[missing].sum())
     raise BadInputError(
-        f"{lost:,} of {len(times):,} frames have no pose within {NEAREST_S} s: {outside:,} lie outside of the time of "
-        f"the poses, {lost - outside:,} in gaps of more than {LONGEST_GAP_S} s; {spans}. Leave these frames out, the "
-        f"first is number {int(missing.argmax()):,} (counted from 0), or complete the poses"
+        f"{int(missing.sum()):,} of {len(times):,} frames have no pose, the first is number {int(missing.argmax()):,} "
+        f"(counted from 0): there is none within {NEAREST_S} s, nor are there two at most {LONGEST_GAP_S} s apart. The "
+        f"poses of {path} span {track.times[0]:.3f} to {track.times[-1]:.3f} s, the frames {times.min():.3f} to "
+        f"{times.max():.3f} s (from {source}). Leave these frames out, complete the poses, or give both the same clock"
     )
+
+
+def _read_file(path: Path) -> _PoseFile:
+    """Read all poses of a file."""
+    with open_source(path) as stream:
+        data = stream.read()
+    if b"\0" in data:
+        raise BadInputError(f"{path} is not a text file. {_FORMATS}")
+    lines = data.decode("utf-8-sig", "replace").splitlines()
+    rows = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
+    if not rows:
+        raise BadInputError(f"{path} is empty; it must have one line per pose")
+    has_names = any(letter.isalpha() and letter not in "eEnaifNAIF" for letter in rows[0])
+    found = _from_csv(path, rows) if has_names else _from_numbers(path, rows)
+    _make_rigid(path, found.poses)
+    return found
+
+
+def _from_numbers(path: Path, lines: list[str]) -> _PoseFile:
+    words = [line.replace(",", " ").split() for line in lines]
+    if len(words[0]) == len(_PLACE) + 1:
+        table = _numbers(path, words, len(_PLACE) + 1)
+        return _PoseFile(_seconds([row[0] for row in words]), from_quaternions(path, table[:, 1:]))
+    return _PoseFile(None, _from_matrices(_numbers(path, words, len(_MATRIX))), is_kitti=True)
+
+
+def _from_csv(path: Path, lines: list[str]) -> _PoseFile:
+    try:
+        head, *rows = ([word.strip() for word in row] for row in csv.reader(lines))
+    except csv.Error as error:
+        raise BadInputError(f"{path} is not CSV: {error}") from error
+    names = [_plain(name) for name in head]
+    wanted = next((kind for kind in (_PLACE, _MATRIX) if set(kind) <= set(names)), None)
+    if wanted is None:
+        raise BadInputError(
+            f"{path} has the columns {', '.join(head)[:300]}; poses need {', '.join(_PLACE)}, or T00, T01 to T23"
+        )
+    table = _numbers(path, rows, len(names))[:, [names.index(name) for name in wanted]]
+    column = names.index("child_frame_id") if "child_frame_id" in names else None
+    children = set() if column is None else {row[column] for row in rows}
+    if len(children) > 1:
+        raise BadInputError(
+            f"{path} holds the poses of several frames ({', '.join(sorted(children))[:200]}); keep the rows of one: "
+            "those of the LiDAR in the fixed frame of the world"
+        )
+    poses = from_quaternions(path, table) if wanted is _PLACE else _from_matrices(table)
+    whole, part = (
+        next((_seconds([row[names.index(name)] for row in rows]) for name in kind if name in names), None)
+        for kind in (_TIME, _NANOSECONDS)
+    )
+    return _PoseFile(whole if whole is None or part is None else whole + part * 1e-9, poses)
+
+
+def _plain(name: str) -> str:
+    """Return the short name of a column: ``field.transform.rotation.x`` is ``qx``."""
+    parts = re.split(r"[./: ]+", name.strip().lower())
+    turned = len(parts) > 1 and parts[-2] in {"rotation", "orientation", "quaternion", "q"} and len(parts[-1]) == 1
+    return f"q{parts[-1]}" if turned else _SYNONYMS.get(parts[-1], parts[-1])
+
+
+def _numbers(path: Path, rows: list[list[str]], width: int) -> NDArray[np.float64]:
+    """Convert text to a table; a word that is not a number (a time, a name) becomes NaN, which no pose may contain."""
+    table = np.full((len(rows), width), np.nan)
+    for number, row in enumerate(rows):
+        if len(row) != width:
+            raise BadInputError(f"pose {number} of {path} has {len(row)} numbers; {width} are required. {_FORMATS}")
+        for column, word in enumerate(row):
+            with suppress(ValueError):
+                table[number, column] = float(word)
+    return table
+
+
+def _from_matrices(table: NDArray[np.float64]) -> NDArray[np.float64]:
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3] = table.reshape(-1, 3, 4)
+    return poses
+
+
+def _make_rigid(path: Path, poses: NDArray[np.float64]) -> None:
+    """Refuse invalid poses; replace each rotation, rounded in the file, by the nearest exact one."""
+    if not len(poses):
+        raise BadInputError(f"{path} holds no poses; it must have one line per pose")
+    refuse_poses(path, ~np.isfinite(np.abs(poses).max(axis=(1, 2))), "something that is not a finite number")
+    turn = poses[:, :3, :3]
+    error = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
+    refuse_poses(path, (error > ROUNDING) | (np.linalg.det(turn) < 0.0), "a matrix that is not a rotation")
+    left, _, right = np.linalg.svd(turn)
+    poses[:, :3, :3] = left @ right
+
+
+def _in_lidar_frame(path: Path, file: _PoseFile, calib: Path | None) -> tuple[NDArray[np.float64], Path | None]:
+    """Return poses of the LiDAR, and the file that turned those of KITTI's camera into them.
+
+    Poses in KITTI's format beside its ``calib.txt`` are of the camera unless their motion shows otherwise. Raises
+    BadInputError: other poses are those of a camera, or the z axes do not point up.
+    """
+    poses, along_z, used = file.poses, _share_along_z(file.poses), None
+    if file.is_kitti and calib is not None and (along_z is None or along_z > _MOST_ALONG_Z):
+        transform = _read_transform(calib)
+        poses, along_z, used = np.linalg.inv(transform) @ poses @ transform, None, calib
+        _log.warning("the poses of %s are those of KITTI's camera; %s turns them into those of the LiDAR", path, calib)
+    if along_z is not None and along_z > _CAMERA_ALONG_Z:
+        raise BadInputError(
+            f"{path} holds the poses of a camera: {along_z:.0%} of the way goes along their z axis, but the z axis of "
+            f"a LiDAR points up. KITTI: put the sequence's {_CALIB} (with the line Tr:) beside it. Otherwise convert "
+            "the poses to those of the LiDAR: pose of the camera times the transform from LiDAR to camera"
+        )
+    upward = float(poses[:, 2, 2].mean())
+    if upward < _LEAST_UP:
+        raise BadInputError(
+            f"{path}: the z axis of the LiDAR does not point up in the world of the poses (mean upward component "
+            f"{upward:.2f}; 1 is upright). Convert the poses: x forward, y left, z up, from the LiDAR to the world; "
+            "quaternions are x, y, z, w"
+        )
+    return poses, used
+
+
+def _share_along_z(poses: NDArray[np.float64]) -> float | None:
+    """Return the share of the way along the z axis of the poses, 0..1; None if the way is too short to tell."""
+    places = poses[:, :3, 3]
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1))])
+    marks = np.unique([0, *np.flatnonzero(np.diff(np.floor(way / _STEP_M)) > 0.0) + 1, len(way) - 1])
+    moved = np.diff(places[marks], axis=0)
+    length = np.linalg.norm(moved, axis=1).sum()
+    if length < _LEAST_WAY_M:
+        return None
+    ahead = np.einsum("nij,ni->nj", poses[marks[:-1], :3, :3], moved)
+    return float(np.abs(ahead[:, 2]).sum() / length)
+
+
+def _read_transform(calib: Path) -> NDArray[np.float64]:
+    """Read the transform from the LiDAR to the camera (4, 4): the line ``Tr:``."""
+    with open_source(calib) as stream:
+        lines = stream.read(1 << 16).decode("utf-8", "replace").splitlines()
+    words = next((line.split()[1:] for line in lines if line.strip().lower().startswith("tr:")), [])
+    transform = np.eye(4)
+    try:
+        transform[:3] = np.array([float(word) for word in words]).reshape(3, 4)
+    except ValueError:
+        transform[:] = np.nan
+    turn = transform[:3, :3]
+    if not np.isfinite(transform).all() or np.abs(turn @ turn.T - np.eye(3)).max() > ROUNDING:
+        raise BadInputError(f"the line Tr: of {calib} is not a transform: it must be twelve numbers, a 3 x 4 matrix")
+    return transform

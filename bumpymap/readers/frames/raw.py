@@ -32,7 +32,6 @@ __all__ = [
     "point_seconds",
     "points_of",
     "read_cloud",
-    "read_start",
     "read_table",
     "start_of_day_time",
 ]
@@ -40,8 +39,6 @@ __all__ = [
 BAG_SUFFIXES = (".mcap", ".db3")
 CLOUD = "sensor_msgs/msg/PointCloud2"
 _METADATA = "metadata.yaml"
-_NOT_IN_A_URI = "%?#"
-"""rosbags opens databases as URIs, and leaves these as they are."""
 _AHEAD = 8
 """A message at most so many places further on is reached by reading on, which needs no index. Else it is looked up."""
 
@@ -214,12 +211,9 @@ def _damaged(path: Path, why: str) -> BadInputError:
 
 
 def _refuse_database(file: Path) -> None:
-    """Refuse a database that would not be found, or that is shorter than its pages: SQLite would read zeros."""
+    """Refuse a database that is shorter than its pages: SQLite would read zeros."""
     if file.suffix.lower() != ".db3":
         return
-    odd = next((letter for letter in _NOT_IN_A_URI if letter in str(file.absolute())), None)
-    if odd is not None:
-        raise BadInputError(f"{file} cannot be opened by rosbags because of the '{odd}' in its path. Rename it")
     head = read_range(file, 0, 32).tobytes()
     if head.startswith(b"SQLite format 3"):
         page, pages = int.from_bytes(head[16:18], "big"), int.from_bytes(head[28:32], "big")
@@ -264,12 +258,6 @@ def read_table(path: Path) -> RawScan:
         _semantic(path, columns["label"]) if "label" in columns else None,
         point_seconds(columns["time"]) if "time" in columns else None,
     )
-
-
-def read_start(path: Path) -> float | None:
-    """Return the time of the first return of a PLY or PCD scan, s since 1970; None if it has no times of day."""
-    columns = read_columns(path, {"time": TIME_COLUMNS})
-    return start_of_day_time(columns["time"]) if "time" in columns else None
 
 
 def _semantic(path: Path, column: NDArray[Any]) -> NDArray[np.uint16]:

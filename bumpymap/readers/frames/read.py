@@ -4,6 +4,7 @@ import logging
 import os
 import re
 import struct
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -11,9 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Robot, Scan, UsageError
+from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, Frame, PoseTrack, Robot, Scan, UsageError
 from bumpymap.readers.frames.kitti import POINT_FOLDERS, read_kitti
-from bumpymap.readers.frames.pose_files import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.frames.raw import (
     BAG_SUFFIXES,
     CLOUD,
@@ -24,6 +24,7 @@ from bumpymap.readers.frames.raw import (
     read_cloud,
     read_table,
 )
+from bumpymap.readers.frames.transforms import FIXED_FRAMES, FrameTree, Trajectory, frame_name, seconds_since
 from bumpymap.readers.source import pinned_version, require_unchanged, version_of
 
 __all__ = ["BagTopics", "bags_at", "find_frames", "find_sources", "read_message", "read_scan", "scene_points"]
@@ -45,7 +46,7 @@ class BagTopics:
     """True if poses are read."""
 
 
-def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Find the scans in bags, in order of time, with their poses if the bags hold any.
 
     Every message of the topics is read once, one at a time.
@@ -58,25 +59,16 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
         The extra ``ros`` is not installed.
     """
     bags = [BagReader(path) for path in paths]
-    counts = _counts(bags)
+    counts: dict[str, Counter[str]] = {}  # messages of all bags: type -> topic -> number
+    for bag in bags:
+        for topic, (kind, count) in bag.topics.items():
+            counts.setdefault(kind, Counter())[topic] += count
     cloud = _choose(counts, CLOUD, topics.cloud, "topic")
     recorded = _Poses(counts if topics.poses else {}, topics.odometry)
-    sources = [
-        FrameSource(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes
-    ]
+    sources = [Frame(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes]
     if not sources:
         raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
     return recorded.add_poses(sources) if topics.poses else sources
-
-
-def _counts(bags: Iterable[BagReader]) -> dict[str, dict[str, int]]:
-    """Count the messages of all bags: type -> topic -> number."""
-    counts: dict[str, dict[str, int]] = {}
-    for bag in bags:
-        for topic, (kind, count) in bag.topics.items():
-            of_kind = counts.setdefault(kind, {})
-            of_kind[topic] = of_kind.get(topic, 0) + count
-    return counts
 
 
 def _choose(counts: Mapping[str, Mapping[str, int]], kind: str, wanted: str | None, setting: str) -> str:
@@ -150,13 +142,13 @@ class _Poses:
         self._base = frame_name(message.child_frame_id)
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 
-    def add_poses(self, sources: Sequence[FrameSource]) -> list[FrameSource]:
+    def add_poses(self, sources: Sequence[Frame]) -> list[Frame]:
         """Return the sources with their poses and motions, as far as they are known."""
         messages = [source.message for source in sources if source.message is not None]
         origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
         times = seconds_since(origin_ns, np.array([message.stamp_ns for message in messages]))
         try:
-            track = self._by_odometry(sensor, origin_ns) or self._by_transforms(sensor, origin_ns, times)
+            track = self._track(sensor, origin_ns, times)
         except BadInputError as error:
             raise BadInputError(f"the poses in {sources[0].path} cannot be used: {error}") from error
         if track is None:
@@ -180,39 +172,29 @@ class _Poses:
             raise BadInputError(f"{what}. Are their headers from different clocks?")
         _log.warning("%s. Frames without a pose are classified, but not mapped", what)
 
-    def _by_odometry(self, sensor: str, origin_ns: int) -> PoseTrack | None:
-        if self._base is None:
-            return None
-        mount = self._tree.mount(self._base, sensor)
-        if mount is None:
-            if self._wanted is None:
-                return None
+    def _track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
+        """Return the poses of the sensor by odometry, or else by transforms; None if there are none."""
+        mount = None if self._base is None else self._tree.mount(self._base, sensor)
+        if mount is not None:
+            track = self._trajectory.track(origin_ns)
+            return PoseTrack(track.times, track.poses @ mount)
+        if self._base is not None and self._wanted is not None:
             raise BadInputError(
                 f"{self._odometry} moves the frame '{self._base}', and no static transform (/tf_static) says where the "
                 f"sensor's frame '{sensor}' is on it. Record /tf_static too, or give poses of the sensor with "
                 "`poses='FILE'`"
             )
-        track = self._trajectory.track(origin_ns)
-        return PoseTrack(track.times, track.poses @ mount)
-
-    def _by_transforms(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
-        track = self._tree.track(sensor, origin_ns, times)
-        if track is None:
-            odometry = ""
-            if self._odometry is not None:
-                odometry = (
-                    f", and no static transform (/tf_static) says where it is on '{self._base}' of {self._odometry}"
-                )
-            elif self._several:
-                odometry = f", and there are several odometries: name one with `odometry` ({', '.join(self._several)})"
+        found = self._tree.track(sensor, origin_ns, times)
+        if found is None:
             _log.warning(
-                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s%s. The frames "
-                "are classified, but not mapped",
+                "the bag gives no poses: no transforms lead from the sensor's frame '%s' to one of %s, nor, with "
+                "/tf_static, to that of the only odometry (topics: %s; name one of several with `odometry`). The "
+                "frames are classified, but not mapped",
                 sensor,
                 " and ".join(FIXED_FRAMES),
-                odometry,
+                ", ".join(self._several) or "none",
             )
-        return track
+        return found
 
 
 SUFFIXES = (".ply", ".pcd", ".bin")
@@ -220,7 +202,7 @@ SUFFIXES = (".ply", ".pcd", ".bin")
 _NUMBER = re.compile(r"(\d+)")
 
 
-def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
 
     Parameters
@@ -232,7 +214,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
 
     Returns
     -------
-    list of FrameSource
+    list of Frame
         Several bags in natural order of their paths.
 
     Raises
@@ -246,7 +228,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
     if not bags:
         if (topics.cloud, topics.odometry) != (None, None):
             raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
-        return [FrameSource(path) for path in find_frames(paths)]
+        return [Frame(path) for path in find_frames(paths)]
     files = [path for path in paths if not bags_at(path)]
     if files:
         raise UsageError(f"{files[0]} and {bags[0]} were given; give files of scans or bags, not both")

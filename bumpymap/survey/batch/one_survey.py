@@ -5,7 +5,6 @@ is started. Everything else that a survey can cause is in its row of the results
 """
 
 import logging
-import tempfile
 import time
 import traceback
 from collections import deque
@@ -29,25 +28,20 @@ from bumpymap.core import (
     lock_for,
     locked,
     missing_resource,
-    read_record,
     refused_write,
-    remove_path,
 )
 from bumpymap.layers import (
-    MANIFEST_NAME,
     REPORT_NAME,
-    RemoteFolder,
     SurveyRow,
     SurveyStatus,
     map_facts,
-    write_manifest,
 )
-from bumpymap.survey.pipeline import map_surveys, recorded_result
-from bumpymap.survey.run_record import MapResult, WarningCollector
+from bumpymap.survey.pipeline import map_surveys
+from bumpymap.survey.run_record import WarningCollector
 from bumpymap.views import SurveyView, read_thumbnail
 from bumpytiles import compile_loaded
 
-__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks", "naming_remote"]
+__all__ = ["MapTask", "TaskEnd", "look_at", "map_one", "map_tasks"]
 
 _MOST_WAIT_S = 5.0
 
@@ -59,8 +53,6 @@ class MapTask:
     name: str
     config: MapConfig
     """Its settings, with its share of threads and memory."""
-    remote: RemoteFolder | None = None
-    """Where the layers are uploaded to; None: they stay in ``config.out``."""
     thumbnail_bytes: int = 0
     """Largest picture of the map to make."""
     started_by: Holder | None = None
@@ -84,11 +76,8 @@ def map_one(task: MapTask) -> TaskEnd:
     lock_for(task.started_by)
     with _collected_warnings() as events:
         try:
-            if task.remote is None:
-                row = _mapped(task)
-                view = look_at(task.config.out, task.thumbnail_bytes)
-            else:
-                row, view = _uploaded(task, task.remote)
+            row = _mapped(task)
+            view = look_at(task.config.out, task.thumbnail_bytes)
         except Exception as error:  # noqa: BLE001 (the other surveys are mapped all the same)
             row = _failed(task, error, time.perf_counter() - begin)
             if not isinstance(error, BumpymapError):
@@ -97,68 +86,14 @@ def map_one(task: MapTask) -> TaskEnd:
     return TaskEnd(replace(row, warnings=tuple(dict.fromkeys([*row.warnings, *said]))), tuple(events), view)
 
 
-def look_at(folder: Path | RemoteFolder, thumbnail_bytes: int) -> SurveyView:
+def look_at(folder: Path, thumbnail_bytes: int) -> SurveyView:
     """Return what the page of a batch shows of a complete map."""
-    if isinstance(folder, Path):
-        return SurveyView(read_thumbnail(folder, thumbnail_bytes), (folder / REPORT_NAME).is_file())
-    return SurveyView(read_thumbnail(folder, thumbnail_bytes), REPORT_NAME in folder.sizes())
-
-
-def _uploaded(task: MapTask, remote: RemoteFolder) -> tuple[SurveyRow, SurveyView]:
-    """Map a survey and upload its layers, unless those on the server are the same."""
-    manifest, out = remote.manifest(), task.config.out
-    if manifest is not None:
-        try:
-            row = _found(task, remote, manifest)
-        except OutputError:
-            if not task.config.overwrite:
-                raise
-        else:
-            if not out.is_symlink() and read_record(out / MANIFEST_NAME) == manifest:
-                remove_path(out)  # a start that was killed after its upload has left it
-            return row, look_at(remote, task.thumbnail_bytes)
-    row = _mapped(task)
-    view = look_at(out, task.thumbnail_bytes)
-    try:
-        remote.upload(out, MANIFEST_NAME)
-    except OutputError as error:
-        raise OutputError(f"{error}. The layers are in {out}; the next start uploads them") from error
-    remove_path(out)
-    return replace(row, status="done" if row.status == "already done" else row.status), view
-
-
-@contextmanager
-def naming_remote(remote: RemoteFolder, folder: Path) -> Iterator[None]:
-    """Name the URL instead of a folder of this machine in the message of an error of the body."""
-    try:
-        yield
-    except OutputError as error:
-        raise OutputError(str(error).replace(str(folder), remote.url)) from error
-
-
-def _found(task: MapTask, remote: RemoteFolder, manifest: dict[str, Any]) -> SurveyRow:
-    """Return the row of a survey whose layers are on the server already.
-
-    Raises
-    ------
-    OutputError
-        They were made from other inputs or settings, or one of them is not there as a whole.
-    """
-    with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
-        write_manifest(manifest, Path(name) / MANIFEST_NAME)
-        config = replace(task.config, out=Path(name))
-        result = recorded_result(config)
-    sizes = remote.sizes()
-    wrong = [str(file["path"]) for file in manifest["files"] if sizes.get(file["path"]) != file["bytes"]]
-    if wrong:
-        raise OutputError(
-            f"{remote.url} holds a complete run, but {', '.join(wrong)} is missing or has another size. Choose another "
-            "`out`, or pass `overwrite=True` to replace it"
-        )
-    return _row(task, result, map_facts(remote))
+    return SurveyView(read_thumbnail(folder, thumbnail_bytes), (folder / REPORT_NAME).is_file())
 
 
 def _mapped(task: MapTask) -> SurveyRow:
+    from bumpymap.survey.advice import require_known
+
     out = task.config.out
     if out.is_symlink():
         raise OutputError(f"{out} is a link, which is not followed. Remove it")
@@ -171,12 +106,6 @@ def _mapped(task: MapTask) -> SurveyRow:
         except OutputError:
             time.sleep(_MOST_WAIT_S / 50)
     result = map_surveys(task.config, in_batch=True)
-    return _row(task, result, map_facts(out))
-
-
-def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
-    from bumpymap.survey.advice import require_known
-
     message = ""
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
     if result.skipped:
@@ -186,7 +115,7 @@ def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    return SurveyRow(task.name, status, message, survey=_survey(task), **facts)
+    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
 
 
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:

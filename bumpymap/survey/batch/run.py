@@ -1,7 +1,5 @@
 """Map the surveys of a batch: find them, map what is not done, note what fails, and summarise.
 
-Layers that go to a server are made in a working folder of this machine, uploaded, and then removed there.
-
 ``log.jsonl`` says what happened and when, one JSON object per line; every start appends to it.
 """
 
@@ -9,12 +7,11 @@ import json
 import logging
 import os
 import stat
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from os.path import lexists
+from functools import cache, partial
 from pathlib import Path
 from time import monotonic
 from typing import Any, TypeAlias, Unpack
@@ -24,10 +21,7 @@ from bumpymap.core import (
     Holder,
     OutputError,
     UsageError,
-    atomic,
     brief_repr,
-    count_text,
-    is_own_folder,
     locked,
     path_of_call,
     refuse_faults,
@@ -35,12 +29,9 @@ from bumpymap.core import (
     remove_empty_on_error,
     short_repr,
     without_keys,
-    writing_to,
 )
 from bumpymap.layers import (
     BATCH_LOG,
-    BATCH_NAMES,
-    RemoteFolder,
     SurveyRow,
     SurveyStatus,
     check_batch_out,
@@ -49,20 +40,15 @@ from bumpymap.layers import (
     write_batch_summary,
     write_catalog,
 )
-from bumpymap.survey.api import EachSettings, PathLike, map_settings
-from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks, naming_remote
+from bumpymap.rating import find_calibration
+from bumpymap.survey.api import EachSettings, PathLike, folder_of_call, map_settings
+from bumpymap.survey.batch.one_survey import MapTask, TaskEnd, look_at, map_tasks
 from bumpymap.survey.batch.settings import BatchConfig, SurveyPer
-from bumpymap.survey.batch.source import ListedSurvey, SettingsCheck, list_surveys
+from bumpymap.survey.batch.source import ListedSurvey, list_surveys, settings_faults
 from bumpymap.survey.engine import connect
 from bumpymap.views import SurveyView, index_page
 
 __all__ = ["BatchLog", "BatchReport", "BatchResult", "BatchSettings", "Results", "map_batch", "run_batch"]
-
-
-INDEX_NAME = "index.html"
-"""The last file of a batch that is uploaded."""
-_SUMMARY = "summary.csv"
-_MAP = "run.json"
 
 
 class BatchLog:
@@ -121,7 +107,7 @@ class Results:
     ----------
     tasks : sequence of MapTask
     folder : Path
-        Gets summary.csv, summary.parquet, index.html and, unless the layers go to a server, catalog.json.
+        Gets summary.csv, summary.parquet, index.html and catalog.json.
     title : str
         Of the page.
     """
@@ -162,13 +148,12 @@ class Results:
         """
         for name in self._rows.keys() - self._ended:
             task = self._tasks[name]
-            if task.remote is None and not task.config.out.is_symlink() and is_complete(task.config.out):
+            if not task.config.out.is_symlink() and is_complete(task.config.out):
                 with suppress(BumpymapError):
                     facts = map_facts(task.config.out)
                     self._rows[name] = replace(self._rows[name], message=_EARLIER, **facts)
                     self._views[name] = look_at(task.config.out, task.thumbnail_bytes)
-        if all(task.remote is None for task in self._tasks.values()):
-            write_catalog(self._folder, [row.name for row in self.rows if row.status != "failed"], title=self._title)
+        write_catalog(self._folder, [row.name for row in self.rows if row.status != "failed"], title=self._title)
         self._write()
 
     def _write(self, when: str = "") -> None:
@@ -239,55 +224,37 @@ def run_batch(
     OutputError
         ``config.out`` cannot be written, is in use, or holds files of something else.
     """
-    settings = SettingsCheck()
-    refuse_faults(settings.faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
-    surveys = list_surveys(config.source, config.survey_per, lambda own: settings.faults(config.merged(own)))
-    tasks, folder, remote = _tasks(config, surveys), config.folder, config.remote
+    faults = partial(settings_faults, calibration=cache(find_calibration))
+    refuse_faults(faults(config.merged({}), complete=False), "settings for all surveys", UsageError)
+    surveys = list_surveys(config.source, config.survey_per, lambda own: faults(config.merged(own)))
+    tasks, folder = _tasks(config, surveys), config.out
     if (scheduler := tasks[0].config.scheduler) is not None:
         with connect(scheduler):  # if it does not answer, each survey would wait for it
             pass
-    if remote is None:
-        check_batch_out(folder)
-    else:
-        with remove_empty_on_error(folder):
-            check_remote_out(remote, folder)
+    check_batch_out(folder)
     if begin is not None:
         begin(len(surveys))
-    with remove_empty_on_error(folder), locked(folder):
-        if remote is not None:
-            fetch_log(remote, folder)
-        with BatchLog.opened(folder / BATCH_LOG) as log:
-            log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
-            _note_renamed(log, surveys)
-            results = Results(tasks, folder, _title(config.out))
-            ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
-            try:
-                with closing(ends):
-                    for end in ends:
-                        row = end.row
-                        message, survey = map(without_keys, (spell(row.message), row.survey))
-                        warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
-                        row = replace(row, message=message, warnings=warnings, survey=survey)
-                        _note(log, replace(end, row=row))
-                        results.add(row, end.view)
-                        if report is not None:
-                            report(row)
-            finally:
-                results.write_last()
-                result = BatchResult(results.rows)
-                counts = {kind: len(result.with_status(kind)) for kind in sorted({row.status for row in result.rows})}
-                log.write("end", counts=counts, exit_code=result.exit_code)
-                if remote is not None:
-                    upload_summary(remote, folder)
-    if remote is not None:
-        with suppress(OSError):  # layers that could not be uploaded are in it
-            folder.rmdir()
+    with remove_empty_on_error(folder), locked(folder), BatchLog.opened(folder / BATCH_LOG) as log:
+        log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
+        results = Results(tasks, folder, folder.absolute().name)
+        ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
+        try:
+            with closing(ends):
+                for end in ends:
+                    row = end.row
+                    message, survey = map(without_keys, (spell(row.message), row.survey))
+                    warnings = tuple(without_keys(spell(warning)) for warning in row.warnings)
+                    row = replace(row, message=message, warnings=warnings, survey=survey)
+                    _note(log, replace(end, row=row))
+                    results.add(row, end.view)
+                    if report is not None:
+                        report(row)
+        finally:
+            results.write_last()
+            result = BatchResult(results.rows)
+            counts = {kind: len(result.with_status(kind)) for kind in sorted({row.status for row in result.rows})}
+            log.write("end", counts=counts, exit_code=result.exit_code)
     return result
-
-
-def _title(out: Path | str) -> str:
-    """Return the name of a batch: that of its folder."""
-    return str(out).rstrip("/").rsplit("/", 1)[-1] if isinstance(out, str) else out.absolute().name
 
 
 def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
@@ -297,7 +264,6 @@ def _tasks(config: BatchConfig, surveys: list[ListedSurvey]) -> list[MapTask]:
         MapTask(
             survey.name,
             config.share(config.of_survey(survey.settings, (survey.place,), survey.name), jobs),
-            None if config.remote is None else config.remote.below(survey.name),
             min(_MOST_THUMBNAIL, _MOST_THUMBNAILS // len(surveys)),
             holder,
         )
@@ -316,20 +282,6 @@ def _size(place: Path | str) -> int:
     return 0
 
 
-def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
-    renamed = [survey for survey in surveys if survey.renamed]
-    for survey in renamed:
-        log.write("renamed", name=survey.name, survey=str(survey.place))
-    if renamed:
-        first = renamed[0]
-        _log.warning(
-            "%s the name of another; a longer name is used, such as %s for %s",
-            count_text(len(renamed), "survey has", "surveys have"),
-            first.name,
-            without_keys(str(first.place)),
-        )
-
-
 def _note(log: BatchLog, end: TaskEnd) -> None:
     row = end.row
     for event in end.events:
@@ -340,55 +292,6 @@ def _note(log: BatchLog, end: TaskEnd) -> None:
         _log.warning("%s: %s", row.name, warning)
     if row.status in {"failed", "incomplete"}:
         _log.warning("%s %s: %s", row.name, "failed" if row.status == "failed" else "is incomplete", row.message)
-
-
-def check_remote_out(remote: RemoteFolder, folder: Path) -> None:
-    """Make the working folder, and check that no files but those of a batch are where its own would be uploaded.
-
-    Raises
-    ------
-    OutputError
-        There are; or the server or the working folder cannot be used.
-    """
-    with writing_to(folder, "`scratch`"):
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        if not is_own_folder(folder, folder.parent):
-            raise OutputError(
-                f"{folder} is a link or belongs to another user, and was not touched: layers are made there before "
-                "they are uploaded. Remove it, or choose another `scratch`"
-            )
-    present = remote.sizes()
-    with tempfile.TemporaryDirectory() as name, naming_remote(remote, Path(name)):
-        copy = Path(name)
-        for known in {*BATCH_NAMES, _MAP} & set(present):
-            data = remote.read(known) if known in {BATCH_LOG, _SUMMARY} else b""
-            (copy / known).write_bytes(data or b"")
-        check_batch_out(copy)
-
-
-def fetch_log(remote: RemoteFolder, folder: Path) -> None:
-    """Download the log of earlier starts, unless one that was interrupted has left it here."""
-    log = folder / BATCH_LOG
-    if not lexists(log) and (data := remote.read(BATCH_LOG)) is not None:
-        with atomic(log) as temporary:
-            temporary.write_bytes(data)
-
-
-def upload_summary(remote: RemoteFolder, folder: Path) -> None:
-    """Upload the summary, the page and the log, and remove them here.
-
-    Raises
-    ------
-    OutputError
-        The server cannot be used; the files stay here.
-    """
-    try:
-        remote.upload(folder, INDEX_NAME)
-    except OutputError as error:
-        raise OutputError(f"{error}. The summary is in {folder}; the next start uploads it") from error
-    for name in BATCH_NAMES:
-        with suppress(FileNotFoundError):
-            (folder / name).unlink()
 
 
 _OF_BATCH = ("survey_per", "jobs")
@@ -416,7 +319,7 @@ def map_batch(
     ----------
     source : path
         A folder of surveys; a ``.txt`` file with a path in each line; or a ``.csv`` file with the column ``survey``.
-    out : path or URL
+    out : path
         Gets a folder of layers for each survey, the summary and index.html.
     report : callable, optional
         Called with the `SurveyRow` of each survey when it has ended.
@@ -450,7 +353,7 @@ def map_batch(
     own = {name: given.pop(name) for name in _OF_BATCH if name in given}
     if report is not None and not callable(report):
         raise UsageError(f"report is {short_repr(report)}; it must be a function that takes a row")
-    places = [path_of_call("source", source), path_of_call("out", out)]
-    target = places[1] if "://" in places[1] else Path(places[1])
-    config = BatchConfig(Path(places[0]), target, map_settings(given, "map_batch", known), **own)
+    config = BatchConfig(
+        Path(path_of_call("source", source)), folder_of_call("out", out), map_settings(given, "map_batch", known), **own
+    )
     return run_batch(config, report)

@@ -1,11 +1,9 @@
 """Settings of a batch, and those of the map of each survey: command line over CSV over TOML."""
 
-import hashlib
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 from bumpymap.core import (
     CLASHES,
@@ -21,9 +19,6 @@ from bumpymap.core import (
     read_settings_file,
     refuse_clashes,
 )
-
-if TYPE_CHECKING:
-    from bumpymap.layers import RemoteFolder
 
 __all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
 
@@ -48,11 +43,8 @@ class BatchConfig:
 
     source: Path
     """A folder of surveys, a text file with a path in each line, or a CSV."""
-    out: Annotated[
-        Path | str,
-        Setting("Gets a folder of layers for each survey; may be a URL", "DIR", group="Output"),
-    ]
-    """Folder that gets a folder of layers for each survey; a string is an fsspec URL such as ``s3://bucket/night``."""
+    out: Annotated[Path, Setting("Gets a folder of layers for each survey", "DIR", group="Output")]
+    """Folder that gets a folder of layers for each survey."""
     given: Mapping[str, Any] = field(default_factory=dict)
     """Settings of `MapConfig` for all surveys; they override those of the CSV."""
     defaults: Mapping[str, Any] = field(default_factory=dict)
@@ -73,22 +65,6 @@ class BatchConfig:
                 "mapped one after another, each by all of them. Give `jobs=1`, or no `scheduler`"
             )
         self.share(config, self.jobs)
-
-    @property
-    def remote(self) -> "RemoteFolder | None":
-        """Where the layers go, if that is a server."""
-        from bumpymap.layers import RemoteFolder
-
-        return RemoteFolder(self.out) if isinstance(self.out, str) else None
-
-    @property
-    def folder(self) -> Path:
-        """Folder on this machine: ``out``, or the one in which layers are made before they are uploaded."""
-        if isinstance(self.out, Path):
-            return self.out
-        scratch = self.given.get("scratch", self.defaults.get("scratch"))
-        digest = hashlib.sha256(self.out.rstrip("/").encode("utf-8", "surrogateescape")).hexdigest()[:16]
-        return Path(scratch or tempfile.gettempdir()) / f"bumpymap-batch-{digest}"
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of one survey, with those that its row in the CSV gives."""
@@ -111,13 +87,7 @@ class BatchConfig:
         UsageError
             A value that is not allowed.
         """
-        config = MapConfig(surveys=surveys, out=self.folder / name, **self.merged(own))
-        if self.remote is not None and config.sheets is not None:
-            raise UsageError(
-                f"sheets is {config.sheets:g}, and layers in sheets cannot be uploaded to {self.out}. Give a folder of "
-                "this machine as `out`, or no `sheets`"
-            )
-        return config
+        return MapConfig(surveys=surveys, out=self.out / name, **self.merged(own))
 
     def share(self, config: MapConfig, jobs: int) -> MapConfig:
         """Return settings with the share of threads and memory that one of so many jobs gets; of workers, all.

@@ -8,9 +8,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, get_origin
+from typing import Any, cast, get_origin
 from urllib.parse import urlsplit
 
 from bumpymap.core import (
@@ -29,30 +28,42 @@ from bumpymap.core import (
     settings_with_options,
 )
 from bumpymap.layers import BATCH_NAMES
-from bumpymap.rating import find_calibration
+from bumpymap.rating import Calibration, find_calibration
 from bumpymap.readers import find_surveys
 from bumpymap.survey.batch.settings import OWN_SETTINGS, SurveyPer
 
-__all__ = [
-    "ListedSurvey",
-    "SettingsCheck",
-    "list_surveys",
-    "name_surveys",
-    "plain_name",
-    "read_table",
-    "read_text",
-    "usual_name",
-]
+__all__ = ["ListedSurvey", "list_surveys", "name_surveys", "plain_name", "read_table", "read_text", "settings_faults"]
 
+_log = logging.getLogger(__name__)
+_LISTS = (".txt", ".csv")
 _TWO_PARTS = ".copc"
 """Of ``site.copc.laz``, which is the survey ``site``."""
+_SURVEY, _NAME = "survey", "name"
+_KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
+"""Column -> type of its setting."""
+_WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+
+Row = tuple[Path | str, str | None, dict[str, Any]]
+"""Place, name that the user chose, and settings of a survey."""
+
+
+@dataclass(frozen=True, slots=True)
+class ListedSurvey:
+    """A survey of a batch."""
+
+    name: str
+    """Folder of its layers."""
+    place: Path | str
+    """Its file, its folder, or a URL. Absolute, so that a batch started from another folder has the same inputs."""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    """Its own settings, of a CSV."""
 
 
 def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], root: Path) -> list[str]:
     """Return a folder name for each survey; no two are the same, even where upper and lower case are.
 
     A survey is named after its file without the suffix. Those of one name get the names of their folders too
-    (``north_site``, ``south_site``), those of one folder their suffix (``site_las``), and what is left a number.
+    (``north_site``, ``south_site``), and what is left a number (``site``, ``site_2``).
 
     Parameters
     ----------
@@ -63,24 +74,34 @@ def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], roo
     root : Path
         Folders below this one count for a name.
     """
-    parts = [_parts(_path(survey), root) for survey in surveys]
-    usual = [usual_name(survey) for survey in surveys]
-    longer = ["_".join([*own[:-1], name]) for own, name in zip(parts, usual, strict=True)]
-    whole = [f"{name}_{_path(survey).suffix[1:]}" for name, survey in zip(longer, surveys, strict=True)]
-    names = [own or name for own, name in zip(given, usual, strict=True)]
-    for candidates in (longer, whole):
-        taken = Counter(name.casefold() for name in names)
-        names = [
-            name if own or (taken[name.casefold()] == 1 and not _is_reserved(name)) else _clean(candidate)
-            for name, own, candidate in zip(names, given, candidates, strict=True)
-        ]
-    return _numbered(names, given)
+    usual = [_usual_name(survey) for survey in surveys]
+    times = Counter((own or name).casefold() for own, name in zip(given, usual, strict=True))
+    used = {own.casefold() for own in given if own}
+    names = []
+    for survey, own, name in zip(surveys, given, usual, strict=True):
+        if own:
+            names.append(own)
+            continue
+        wanted, number = name, 2
+        if times[name.casefold()] > 1:
+            path = _path(survey)
+            folders = path.relative_to(root).parts if path.is_relative_to(root) else path.parts[-2:]
+            wanted = _clean("_".join([*folders[:-1], name]))
+        free = wanted
+        while free.casefold() in used or _is_reserved(free):
+            free, number = f"{wanted}_{number}", number + 1
+        used.add(free.casefold())
+        names.append(free)
+    return names
 
 
-def usual_name(survey: Path | str) -> str:
+def _usual_name(survey: Path | str) -> str:
     """Return the name of a survey that shares it with no other: that of its file without the suffix, or its folder."""
     path = _path(survey)
-    return _clean(path.name if isinstance(path, Path) and path.is_dir() else _stem(path))
+    if isinstance(path, Path) and path.is_dir():
+        return _clean(path.name)
+    stem = path.stem
+    return _clean(stem[: -len(_TWO_PARTS)] if stem.lower().endswith(_TWO_PARTS) else stem)
 
 
 def plain_name(name: str) -> str:
@@ -88,20 +109,6 @@ def plain_name(name: str) -> str:
     if "/" in name or "\0" in name or name.startswith(".") or _is_reserved(name):
         return "it must be the name of a folder: no slash, no dot at its start, no name of a file of the batch"
     return ""
-
-
-def _numbered(names: list[str], given: Sequence[str | None]) -> list[str]:
-    """Append numbers to names that are still taken, or not allowed."""
-    used = {name.casefold() for name, own in zip(names, given, strict=True) if own}
-    for place, name in enumerate(names):
-        if given[place]:
-            continue
-        free, number = name, 2
-        while free.casefold() in used or _is_reserved(free):
-            free, number = f"{name}_{number}", number + 1
-        used.add(free.casefold())
-        names[place] = free
-    return names
 
 
 def _path(survey: Path | str) -> PurePosixPath | Path:
@@ -112,18 +119,6 @@ def _path(survey: Path | str) -> PurePosixPath | Path:
     return PurePosixPath(f"{parts.netloc.rpartition('@')[2]}{parts.path}")
 
 
-def _parts(path: PurePosixPath | Path, root: Path) -> tuple[str, ...]:
-    try:
-        return path.relative_to(root).parts
-    except ValueError:
-        return path.parts[-2:]
-
-
-def _stem(path: PurePosixPath | Path) -> str:
-    stem = path.stem
-    return stem[: -len(_TWO_PARTS)] if stem.lower().endswith(_TWO_PARTS) else stem
-
-
 def _clean(name: str) -> str:
     """Return a name that is not hidden and not empty."""
     return name.strip().lstrip(".") or "survey"
@@ -131,14 +126,6 @@ def _clean(name: str) -> str:
 
 def _is_reserved(name: str) -> bool:
     return name.casefold() in {*BATCH_NAMES, "run.json"}
-
-
-_SURVEY, _NAME = "survey", "name"
-_KINDS = {each.name: each.kind for each in settings_with_options(MapConfig) if each.name not in OWN_SETTINGS}
-"""Column -> type of its setting."""
-_WORDS = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-
-Row = tuple[Path | str, str | None, dict[str, Any]]
 
 
 def read_table(
@@ -229,47 +216,44 @@ def _row(
 
 def _setting(name: str, text: str, folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Return what a cell sets, by name, and what is wrong with it."""
+    kind, value = _KINDS[name], cast("Any", text)
     if name == "max_unknown":
         share = parse_share(text)
         return {name: share}, [f"{name} is {text!r}; it must be a share such as 50% or 0.5"] if share is None else []
-    return parse_record({name: _value(name, text)}, MapConfig, folder)
+    with suppress(ValueError):  # a text that is no number is left for the message
+        if kind is bool:
+            value = _WORDS.get(text.lower(), text)
+        elif get_origin(kind) is tuple:
+            value = [float(word) for word in text.replace(",", " ").split()]
+        elif kind in (int, float):
+            value = kind(text)
+    return parse_record({name: value}, MapConfig, folder)
 
 
-def _value(name: str, text: str) -> Any:
-    """Convert a cell to the type of its setting; one that cannot be is left for the message."""
-    kind = _KINDS[name]
-    if kind is bool:
-        return _WORDS.get(text.lower(), text)
-    if get_origin(kind) is tuple:  # of numbers
-        with suppress(ValueError):
-            return [float(word) for word in text.replace(",", " ").split()]
-    if kind in (int, float):
-        with suppress(ValueError):
-            return kind(text)
-    return text
+def settings_faults(
+    settings: Mapping[str, Any],
+    *,
+    complete: bool = True,
+    calibration: Callable[..., Calibration] = find_calibration,
+) -> list[str]:
+    """Return what is wrong with settings of surveys: values, CRS, and vehicles and files that are not there.
 
-
-class SettingsCheck:
-    """Finds what is wrong with the settings of surveys: values, CRS, and vehicles and files that are not there."""
-
-    def __init__(self) -> None:
-        self._calibration = cache(find_calibration)
-
-    def faults(self, settings: Mapping[str, Any], *, complete: bool = True) -> list[str]:
-        """Return the faults; ``complete``: no others come to these, so that they must also fit each other."""
-        faults: list[str] = []
-        for name in ("crs", "force_crs"):
-            if settings.get(name) is not None:
-                with _noted(faults):
-                    parse_crs(settings[name], name)
-        with _noted(faults):
-            config = MapConfig(surveys=(), out=Path(), **settings)
-            calibration = self._calibration(config.vehicle, config.calibration)
-            if complete:
-                calibration.require_grid(config.tile_size, config.pixels)
-        if settings.get("model") is not None and not settings["model"].is_file():
-            faults.append(f"there is no file {settings['model']}, given as the model")
-        return faults
+    ``complete``: no others come to these, so that they must also fit each other. ``calibration`` finds the calibration
+    of a vehicle.
+    """
+    faults: list[str] = []
+    for name in ("crs", "force_crs"):
+        if settings.get(name) is not None:
+            with _noted(faults):
+                parse_crs(settings[name], name)
+    with _noted(faults):
+        config = MapConfig(surveys=(), out=Path(), **settings)
+        found = calibration(config.vehicle, config.calibration)
+        if complete:
+            found.require_grid(config.tile_size, config.pixels)
+    if settings.get("model") is not None and not settings["model"].is_file():
+        faults.append(f"there is no file {settings['model']}, given as the model")
+    return faults
 
 
 @contextmanager
@@ -279,24 +263,6 @@ def _noted(faults: list[str]) -> Iterator[None]:
         yield
     except BumpymapError as error:
         faults.append(str(error).replace("`", ""))  # columns: no options of the command line
-
-
-_log = logging.getLogger(__name__)
-_LISTS = (".txt", ".csv")
-
-
-@dataclass(frozen=True, slots=True)
-class ListedSurvey:
-    """A survey of a batch."""
-
-    name: str
-    """Folder of its layers."""
-    place: Path | str
-    """Its file, its folder, or a URL. Absolute, so that a batch started from another folder has the same inputs."""
-    settings: Mapping[str, Any] = field(default_factory=dict)
-    """Its own settings, of a CSV."""
-    renamed: bool = False
-    """True if another survey has, or could have, the name that it would get."""
 
 
 def list_surveys(
@@ -320,7 +286,7 @@ def list_surveys(
     """
     if source.is_dir():
         places = _folders(source) if survey_per == "folder" else find_surveys([source.absolute()])
-        rows: list[tuple[Path | str, str | None, dict[str, Any]]] = [(place, None, {}) for place in places]
+        rows: list[Row] = [(place, None, {}) for place in places]
     else:
         rows = _listed(source, check)
     root = _absolute(source if source.is_dir() else source.parent)
@@ -328,10 +294,7 @@ def list_surveys(
     repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
     refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)
     names = name_surveys(places, [name for _, name, _ in rows], root)
-    found = [
-        ListedSurvey(name, place, own, renamed=given is None and name != usual_name(place))
-        for name, place, (_, given, own) in zip(names, places, rows, strict=True)
-    ]
+    found = [ListedSurvey(name, place, own) for name, place, (_, _, own) in zip(names, places, rows, strict=True)]
     return sorted(found, key=lambda survey: survey.name)
 
 
@@ -343,9 +306,7 @@ def read_text(path: Path) -> str:
         raise BadInputError(f"cannot read {path}: {error.strerror}") from error
 
 
-def _listed(
-    source: Path, check: Callable[[Mapping[str, Any]], list[str]]
-) -> list[tuple[Path | str, str | None, dict[str, Any]]]:
+def _listed(source: Path, check: Callable[[Mapping[str, Any]], list[str]]) -> list[Row]:
     if not source.exists():
         raise BadInputError(f"{source} does not exist; name a folder of surveys, or a list of them (.txt or .csv)")
     suffix = source.suffix.lower()

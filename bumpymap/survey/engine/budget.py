@@ -40,7 +40,7 @@ from bumpymap.core import (
     writing_to,
 )
 from bumpymap.readers import SurveyInfo
-from bumpytiles import BLOCK_TILES, Bounds, Grid, Pack, PackError
+from bumpytiles import BLOCK_TILES, Grid, Pack, PackError
 
 __all__ = [
     "FLOAT_POINT_BYTES",
@@ -49,13 +49,12 @@ __all__ = [
     "Estimate",
     "Workspace",
     "estimate",
-    "most_tiles",
     "requests_at_once",
     "with_memory",
 ]
 
 _ADVICE = "Run the same again to continue from the finished tiles."
-_READ, _SCRATCH, _OWNER = "read.json", "scratch.json", "owner.json"
+_READ, _SCRATCH, _OWNER, _SKIPPED = "read.json", "scratch.json", "owner.json", "skipped.json"
 _POINTS, _NEW_TILES = "points", "new-tiles"
 _PREFIX = "bumpymap-"
 """Prefix of the folders that runs make in ``scratch``."""
@@ -146,6 +145,24 @@ class Workspace:
     def records(self) -> list[Path]:
         """Return the records of chunks that are read, in the order of writing."""
         return _records(self.scratch)
+
+    def skipped(self) -> dict[str, str]:
+        """Return the files that an earlier run has skipped while it read them, with the reason."""
+        return read_record(self.folder / _SKIPPED) or {}
+
+    def forget_points(self, skipped: Mapping[str, str]) -> None:
+        """Delete what was read, tiles first; note last which files are skipped.
+
+        After a kill in between the bad file is read again and found again. Workers may still write to their folders.
+        """
+        for path in (*self.tiles(), *self.records()):
+            path.unlink()
+        for folder in (self.points_folder, self.new_tiles):
+            for own in folder.iterdir():
+                if own.is_dir():
+                    shutil.rmtree(own, ignore_errors=True)
+        with atomic(self.folder / _SKIPPED) as temporary:
+            temporary.write_text(json.dumps(dict(skipped)), encoding="utf-8")
 
     def save_checkpoint(self, record: Mapping[str, Any]) -> None:
         """Save the record of a run that has finished every block."""
@@ -295,34 +312,22 @@ class Budget:
         return max(reading, min(self.memory, waiting + reading + sorting))
 
 
-_READING_BASE = 330 << 20
-"""Interpreter, libraries and decoder while points are read and measured, bytes."""
+_READING_BASE, _WRITING_BASE = 330 << 20, 1060 << 20
+"""Interpreter, libraries and decoder while points are read and measured, and the most while layers are written, bytes:
+with the caches of the libraries that write them and what rasters and tables hold at the same time."""
 _DECODER = 10 << 20
 """Each further decoder process (measured: 9 MB), bytes."""
-_WRITING_BASE = 700 << 20
-"""The same while layers are written, bytes: with the caches of the libraries that write them, and with what the rasters
-of three groups hold at the same time, which differs by 160 MB from run to run."""
-_RASTER_BLOCK, _RASTER_IN_MEMORY, _RASTER_COPIES = 512, 128 << 20, 7 / 3
-"""Layers: side of the blocks that GDAL keeps heightmap.tif in, pixels; largest raster that it keeps in memory, bytes;
-copies of it there: the scratch raster, the finished one, if nothing can be compressed, and the overviews."""
-_ROW_GROUP, _ROW_GROUP_COPIES = 16_384, 4
-"""Tiles of a row group of tiles.parquet, which is written at the same time, and copies of their heightmaps."""
-
 _PACK_BYTES, _ENTRY_BYTES = 8192, 24
 """Size of the header of a pack, and of its index entry of a block, bytes."""
 _LAYER_HEIGHTS, _LAYER_NUMBERS = 9, 350
 """Layers before compression: bytes per pixel of a heightmap (stored twice) and of obstacle.tif, and other bytes per
 tile."""
-
 _START_S = 1.6
 """Time for imports, checks and the files that every run writes, s."""
 _POINT_NS = {"LAZ": 330.0, "COPC": 330.0, "LAS": 130.0, "PLY": 180.0, "PCD": 100.0}
 """CPU time per point by format: decoding, grouping, measuring, ns."""
-_TEXT_POINT_NS = 600.0
-_SPILLED_POINT_NS = 100.0
-"""CPU time to write a point to disk and read it again, ns."""
-_TILE_NS = 30_000.0
-"""CPU time per tile: classifying and writing it, ns."""
+_TEXT_POINT_NS, _SPILLED_POINT_NS, _TILE_NS = 600.0, 100.0, 30_000.0
+"""CPU time per point of text; per point that is written to disk and read again; per tile, to classify and write it."""
 _WRITERS = 2
 """Cores that are used while layers are written."""
 
@@ -358,83 +363,38 @@ def estimate(infos: Sequence[SurveyInfo], grid: Grid, budget: Budget, tiles: int
         Number of tiles with points, if they were counted.
     """
     points = sum(info.point_count for info in infos)
-    boxes = [info.bounds for info in infos]
-    most = tiles if tiles is not None else most_tiles(boxes, points, grid)
-    blocks = most_tiles(boxes, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels))
-    waiting = sum(
-        info.point_count * (POINT_BYTES if info.format.startswith(("LAS", "LAZ", "COPC")) else FLOAT_POINT_BYTES)
-        for info in infos
-    )
-    scratch = _scratch(points, waiting, blocks if blocks is not None else most, len(infos), budget)
+    most = tiles if tiles is not None else _most_tiles(infos, points, grid)
+    waiting, scratch, work = 0, 0, 0.0
+    for info in infos:
+        plain = info.format.startswith(("LAS", "LAZ", "COPC"))
+        waiting += info.point_count * (POINT_BYTES if plain else FLOAT_POINT_BYTES)
+        work += info.point_count * _point_ns(info.format)
+    if waiting > budget.waiting_bytes:  # every block waits until the end, at worst
+        blocks = _most_tiles(infos, points, Grid(grid.tile_size * BLOCK_TILES, grid.pixels)) or most or points
+        packs = 2 * waiting // budget.waiting_bytes + 1 + len(infos)  # half of what may wait each; the last of a file
+        entries = packs * len(infos) + min(points, packs * blocks)
+        scratch = waiting + packs * _PACK_BYTES + entries * _ENTRY_BYTES
+        work += points * _SPILLED_POINT_NS
     tile_bytes = 2 * sum(column.row_bytes for column in rated_columns(grid.pixels))  # measured both ways, at worst
     tile_bytes += sum(column.row_bytes for column in neighbour_columns(grid.pixels))
     tile_bytes += _LAYER_HEIGHTS * grid.pixels**2 + _LAYER_NUMBERS
+    seconds = work / budget.threads + (most or 0) * _TILE_NS / min(budget.threads, _WRITERS)
     further = requests_at_once(budget.chunk_points, budget.threads) - 1
-    return Estimate(
-        points=points,
-        tiles=most,
-        memory=max(
-            _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting),
-            _WRITING_BASE + _writing(boxes, points, grid),
-        ),
-        scratch=scratch,
-        out=None if most is None else most * tile_bytes,
-        seconds=_seconds(infos, points if scratch else 0, most or 0, budget.threads),
-    )
+    memory = _READING_BASE + further * _DECODER + budget.most_bytes(points, waiting)
+    out = None if most is None else most * tile_bytes
+    return Estimate(points, most, max(memory, _WRITING_BASE), scratch, out, _START_S + 1e-9 * seconds)
 
 
-def most_tiles(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int | None:
-    """Return the most tiles that points in these boxes can fall into; None if a box is not known."""
-    total = 0
-    for box in boxes:
-        if box is None:
+def _most_tiles(infos: Sequence[SurveyInfo], points: int, grid: Grid) -> int | None:
+    """Return the most tiles that points of these files can fall into; None if the bounds of one are not known."""
+    total, size = 0, grid.tile_size
+    for info in infos:
+        if (box := info.bounds) is None:
             return None
-        cols, rows = _sides(box, grid)
-        total += cols * rows
+        cols = box.east // size - box.west // size + 1
+        total += int(cols * (box.north // size - box.south // size + 1))
     return min(total, points)
 
 
-def _writing(boxes: Sequence[Bounds | None], points: int, grid: Grid) -> int:
-    """Return the most bytes of heightmaps in memory while layers are written: a raster in whole blocks, a row group."""
-    raster = _RASTER_IN_MEMORY
-    for box in _around(boxes):
-        across, down = (-(-side * grid.pixels // _RASTER_BLOCK) for side in _sides(box, grid))
-        raster = min(across * down * _RASTER_BLOCK**2 * 4, _RASTER_IN_MEMORY)
-    rows = _ROW_GROUP_COPIES * min(points, _ROW_GROUP) * grid.pixels**2 * 4
-    return int(_RASTER_COPIES * raster) + rows
-
-
-def _around(boxes: Sequence[Bounds | None]) -> list[Bounds]:
-    """Return the box around all known boxes, as a list of one; an empty list if none is known."""
-    known = [box for box in boxes if box is not None]
-    if not known:
-        return []
-    west, south = min(box.west for box in known), min(box.south for box in known)
-    return [Bounds(west, south, max(box.east for box in known), max(box.north for box in known))]
-
-
-def _sides(box: Bounds, grid: Grid) -> tuple[int, int]:
-    """Return the columns and rows of tiles that a box overlaps."""
-    cols = int(box.east // grid.tile_size) - int(box.west // grid.tile_size) + 1
-    rows = int(box.north // grid.tile_size) - int(box.south // grid.tile_size) + 1
-    return cols, rows
-
-
-def _scratch(points: int, waiting: int, blocks: int | None, files: int, budget: Budget) -> int:
-    """Return the bytes of the packs if every block waits until the end; 0 if all points fit into memory."""
-    if waiting <= budget.waiting_bytes:
-        return 0
-    # Each pack holds half of what may wait, but for the last one of each file.
-    packs = 2 * waiting // budget.waiting_bytes + 1 + files
-    entries = points if blocks is None else min(points, packs * blocks)
-    return waiting + packs * (_PACK_BYTES + files * _ENTRY_BYTES) + entries * _ENTRY_BYTES
-
-
-def _seconds(infos: Sequence[SurveyInfo], spilled: int, tiles: int, cores: int) -> float:
-    work = sum(info.point_count * _point_ns(info.format) for info in infos) + spilled * _SPILLED_POINT_NS
-    return _START_S + 1e-9 * (work / cores + tiles * _TILE_NS / min(cores, _WRITERS))
-
-
 def _point_ns(kind: str) -> float:
-    text = "text" in kind or "ascii" in kind
-    return _TEXT_POINT_NS if text else _POINT_NS[kind[:4].rstrip(" ,")]
+    return _TEXT_POINT_NS if "text" in kind or "ascii" in kind else _POINT_NS[kind[:4].rstrip(" ,")]

@@ -115,27 +115,23 @@ def busy() -> bool:
     return _AT_WORK.locked()
 
 
-def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTask, skip_bad: bool) -> list[ReadResult]:
+def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTask) -> ReadResult:
     """Read ranges; rate blocks that no other task reaches, write the points of all others to packs.
 
     ``sources`` are the files of the ranges. See `Worker.read_to_disk`.
     """
     with _worker(context) as worker:
         try:
-            ranges, bad = [], []
+            ranges = []
             for (path, known), part in zip(sources, task.ranges, strict=True):
                 try:
                     reader = opened(path, context.options, known, context.run_id)
                     chunks = reader.chunks(context.chunk_points)[part.first : part.stop]
-                    ranges.append(OpenRange(part, reader, chunks))
                 except BadInputError as error:
-                    bad.append(ReadResult(((part.file, part.first, part.stop),), error=error))
-            if len(bad) == len(task.ranges) or (bad and not skip_bad):
-                return bad
-            good = replace(task, ranges=tuple(source.range for source in ranges))
+                    return ReadResult.of_bad(part, error)
+                ranges.append(OpenRange(part, reader, chunks))
             seen = {source.range.file: (gethostname(), source.reader.info.version) for source in ranges}
-            read = worker.read_to_disk(good, ranges, skip_bad=skip_bad)
-            return [*bad, *(result if result.error else replace(result, seen=seen) for result in read)]
+            return replace(worker.read_to_disk(task, ranges), seen=seen)
         finally:
             close_decoder()  # opening a file starts it, even if nothing is read
 
@@ -312,13 +308,11 @@ class ClusterExecutor:
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
         workers = self._workers.count()
-        shared = list(shared_tasks(self._context.work.grid, plan.unread, plan.read, plan.finished, workers))
-        tasks = (
-            (self._context, [self._source(plan, part) for part in task.ranges], task, plan.skip_bad) for task in shared
-        )
+        shared = list(shared_tasks(plan.unread, plan.read, plan.finished, workers))
+        tasks = ((self._context, [self._source(plan, part) for part in task.ranges], task) for task in shared)
         with closing(self._workers.run(read_ranges, tasks)) as results:
             for number, read in results:
-                yield from read
+                yield read
                 self._progress.advance(sum(part.points for part in shared[number].ranges))
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:

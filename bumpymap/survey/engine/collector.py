@@ -1,8 +1,7 @@
 """Collects the results of tasks and records them: the chunks that are read, the good files, the packs with points.
 
-If a bad file ends the run, each result is saved at once. If bad files are skipped, a result is saved when its files
-have been read completely and found good; results of a bad file are discarded. A record lists chunks of which every
-point is on disk, in a pack of waiting points or in finished tiles; records lie in the folder of the points.
+A record lists chunks of which every point is on disk, in a pack of waiting points or in finished tiles; records lie in
+the folder of the points. Results cannot be taken apart again: without a file that was found bad, all are read anew.
 """
 
 import json
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CHECKSUM_METHOD, BadInputError, PieceRuns, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.budget import Workspace
+from bumpymap.survey.engine.plan import ChunkRange
 from bumpytiles import BLOCK_TILES, BlockKey, Pack, TileWindow
 
 __all__ = ["BlockCatalogue", "BlockGroup", "Checkpoints", "ReadResult", "ResultCollector", "Span"]
@@ -117,6 +117,30 @@ class ReadResult:
     """Why the file is bad."""
     seen: Mapping[int, tuple[str, Version | None]] = field(default_factory=dict)
     """By file, the name of the machine that read the chunks, and the version there; without those of this process."""
+
+    @classmethod
+    def of_bad(cls, part: ChunkRange, error: BadInputError) -> "ReadResult":
+        """Return the result for a range of a file that turned out to be bad."""
+        return cls(((part.file, part.first, part.stop),), error=error)
+
+    @classmethod
+    def merged(cls, results: Iterable["ReadResult"]) -> "ReadResult":
+        """Return one result for the chunks of several, without packs, tiles and errors."""
+        spans: list[Span] = []
+        stats: dict[int, PointStats] = {}
+        hashed: dict[int, PieceRuns] = {}
+        flagged, lines = False, LineSums()
+        for result in results:
+            for file, first, stop in result.spans:
+                follows = spans and spans[-1][0] == file and spans[-1][2] == first
+                spans.append((file, spans.pop()[1] if follows else first, stop))
+            for file, own in result.stats.items():
+                stats[file] = stats.get(file, PointStats()).merge(own)
+            for file, runs in result.hashed.items():
+                hashed[file] = hashed.get(file, ()) + runs
+            flagged |= result.flagged
+            lines = lines.merge(result.lines)
+        return cls(tuple(spans), stats, flagged, lines, hashed)
 
 
 class Checkpoints:
@@ -225,8 +249,6 @@ class ResultCollector:
     checkpoints : Checkpoints
     refuse : callable
         Called with the reader of a bad file and the error; raises it, or records that the file is skipped.
-    skip_bad : bool
-        Whether bad files are skipped.
     """
 
     def __init__(
@@ -235,11 +257,8 @@ class ResultCollector:
         chunks: Sequence[int],
         checkpoints: Checkpoints,
         refuse: Callable[[SurveyReader, BadInputError], None],
-        *,
-        skip_bad: bool,
     ) -> None:
-        self._readers, self._chunks, self._checkpoints = readers, chunks, checkpoints
-        self._refuse, self._skip_bad = refuse, skip_bad
+        self._readers, self._chunks, self._checkpoints, self._refuse = readers, chunks, checkpoints, refuse
         self.catalogue = BlockCatalogue()
         """Where the waiting points are."""
         self.stats = [PointStats() for _ in readers]
@@ -248,17 +267,13 @@ class ResultCollector:
         """True if any point used is ground."""
         self.lines = LineSums()
         """Sums to compare the flight lines of the points used."""
-        self.skipped: set[int] = set()
         self._results: dict[int, list[tuple[int, int, ReadResult]]] = {file: [] for file in range(len(readers))}
         """By file, its chunks that are read (first, last + 1), and what is known of them, without their points."""
-        self._held: list[ReadResult] = []
-        self._sound: set[int] = set()
-        self._bad: dict[int, BadInputError] = {}
-        self._decided = 0
         for result in checkpoints.load_results():
             self._note_results(result)
             self._count(result)
-        self._judge(self._results)
+        self.all_good = self._judge(self._results)
+        """False once a file was found bad that may be skipped."""
 
     def read_spans(self) -> dict[int, list[tuple[int, int]]]:
         """Return the chunks of each file that are read, as (first, last + 1)."""
@@ -283,23 +298,18 @@ class ResultCollector:
         return TileWindow(*(side * BLOCK_TILES for side in (around.col, around.row, around.cols, around.rows)))
 
     def add(self, result: ReadResult) -> None:
-        """Add the result of reading some chunks.
+        """Add the result of reading some chunks; without effect but for ``all_good`` if a file was found bad.
 
         Raises
         ------
         BadInputError
             The file is bad and may not be skipped.
         """
-        files = [file for file, _, _ in result.spans]
-        if result.error is not None and not self._skip_bad:
-            self._refuse(self._readers[files[0]], result.error)
         self._note_results(result)
-        if self._skip_bad:
-            self._held.append(result)
-        else:
-            self._keep(result)
-        self._judge(files)
-        self._keep_sound()
+        self.all_good = self._judge([file for file, _, _ in result.spans])
+        if self.all_good:
+            self._checkpoints.save(result)
+            self._count(result)
 
     def add_tiles(self, kind: str, packs: Sequence[Path]) -> None:
         """Save packs of finished tiles."""
@@ -312,29 +322,25 @@ class ResultCollector:
         for file, pieces in result.hashed.items():
             self._readers[file].put_hashed(pieces)
 
-    def _judge(self, files: Iterable[int]) -> None:
-        """Judge files that are read completely; skip bad ones in file order, so that messages come in that order."""
-        for file in files:
+    def _judge(self, files: Iterable[int]) -> bool:
+        """Return whether no error is known of files, and those that are read completely are good."""
+        for file in dict.fromkeys(files):
+            error = next((part.error for _, _, part in self._results[file] if part.error is not None), None)
             read = sum(stop - first for first, stop, _ in self._results[file])
-            if file in self._sound | self._bad.keys() or read < self._chunks[file]:
-                continue
-            try:
-                self.stats[file] = self._merged_stats(file)
-                self._sound.add(file)
-            except BadInputError as error:
-                self._bad[file] = error
-        while self._decided in self._sound | self._bad.keys():
-            if self._decided in self._bad:
-                self._refuse(self._readers[self._decided], self._bad[self._decided])
-                self.skipped.add(self._decided)
-            self._decided += 1
+            if error is None and read == self._chunks[file]:
+                try:
+                    self.stats[file] = self._merged_stats(file)
+                except BadInputError as found:
+                    error = found
+            if error is not None:
+                self._refuse(self._readers[file], error)
+                return False
+        return True
 
     def _merged_stats(self, file: int) -> PointStats:
         stats = PointStats()
         versions: dict[str, Version | None] = {}
         for _, _, part in sorted(self._results[file], key=lambda part: part[0]):
-            if part.error is not None:
-                raise part.error
             stats = stats.merge(part.stats.get(file, PointStats()))
             # Copies on several machines may differ in their modification time.
             host, version = part.seen.get(file, ("", None))
@@ -344,21 +350,6 @@ class ResultCollector:
         if self._chunks[file]:
             self._readers[file].verify(stats)
         return stats
-
-    def _keep_sound(self) -> None:
-        """Save the results of files that were found good; discard those of bad ones."""
-        waiting = []
-        for result in self._held:
-            files = {file for file, _, _ in result.spans}
-            if files <= self._sound:
-                self._keep(result)
-            elif not files & self._bad.keys():
-                waiting.append(result)
-        self._held = waiting
-
-    def _keep(self, result: ReadResult) -> None:
-        self._checkpoints.save(result)
-        self._count(result)
 
     def _count(self, result: ReadResult) -> None:
         self.flagged |= result.flagged

@@ -4,16 +4,15 @@ On a cluster, neighbouring files are read by one task as far as possible: the bl
 the memory of one worker, and only those along the border of the task are exchanged through the disk.
 """
 
+import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
+from itertools import pairwise
 
 from bumpymap.readers import Chunk, SurveyReader
-from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid
+from bumpytiles import BlockKey, Bounds
 
-__all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks", "single_task"]
+__all__ = ["ChunkRange", "ReadTask", "Spans", "cut_ranges", "range_points", "shared_tasks"]
 
 Spans = Mapping[int, Sequence[tuple[int, int]]]
 """For each file some ranges of chunks, as (first, last + 1)."""
@@ -24,8 +23,6 @@ _TASKS_A_WORKER = 2
 """Least tasks per worker, of files that are read together."""
 _TASK_POINTS = 20_000_000
 """Points in a task of files, if that still makes two to four tasks per worker."""
-_MARGIN = 1.01
-"""How far outside its bounds a point may lie, m; as in `BlockCompletion`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +53,7 @@ class ReadTask:
     nearby: tuple[Bounds, ...] | None
     """Bounds in which other workers have or will have points: no block there is complete. None: everywhere."""
     finished: frozenset[BlockKey] = frozenset()
-    """Blocks in their bounds that an earlier run has finished: their points are dropped."""
+    """Blocks that an earlier run has finished: their points are dropped."""
     waiting: frozenset[BlockKey] = frozenset()
     """Blocks of which an earlier run has left points on disk: they are not complete when the ranges are read."""
 
@@ -83,25 +80,20 @@ def cut_ranges(
     unread: list[ChunkRange] = []
     read: list[ChunkRange] = []
     for file, (reader, own) in enumerate(zip(readers, chunks, strict=True)):
-        at = 0
-        for first, stop in [*sorted(done.get(file, ())), (len(own), len(own))]:
-            limit = None if reader.info.sequential else most
-            unread += (_range(file, reader, own, *span) for span in _cut(own, at, first, limit))
-            if first < stop:
-                read.append(_range(file, reader, own, first, stop))
-            at = stop
+        limit = math.inf if most is None or reader.info.sequential else most
+        past = sorted(done.get(file, ()))
+        read += (_range(file, reader, own, first, stop) for first, stop in past)
+        gaps = pairwise([0, *(number for span in past for number in span), len(own)])
+        for first, stop in list(gaps)[::2]:
+            held, at = 0, first
+            for number in range(first, stop):
+                if held and held + own[number].points > limit:
+                    unread.append(_range(file, reader, own, at, number))
+                    at, held = number, 0
+                held += own[number].points
+            if at < stop:
+                unread.append(_range(file, reader, own, at, stop))
     return unread, read
-
-
-def _cut(chunks: Sequence[Chunk], first: int, stop: int, most: int | None) -> Iterator[tuple[int, int]]:
-    held = 0
-    for number in range(first, stop):
-        if held and most is not None and held + chunks[number].points > most:
-            yield first, number
-            first, held = number, 0
-        held += chunks[number].points
-    if first < stop:
-        yield first, stop
 
 
 def _range(file: int, reader: SurveyReader, chunks: Sequence[Chunk], first: int, stop: int) -> ChunkRange:
@@ -122,79 +114,37 @@ def _around(boxes: Sequence[Bounds | None]) -> Bounds | None:
     )
 
 
-def single_task(
-    unread: Sequence[ChunkRange], finished: Collection[BlockKey], waiting: Collection[BlockKey]
-) -> ReadTask:
-    """Return the task of a worker that reads everything; see `ReadTask`."""
-    return ReadTask(tuple(unread), (), frozenset(finished), frozenset(waiting))
-
-
 def shared_tasks(
-    grid: Grid, unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey], workers: int
+    unread: Sequence[ChunkRange], read: Sequence[ChunkRange], finished: Collection[BlockKey], workers: int
 ) -> Iterator[ReadTask]:
-    """Yield tasks that any worker may do: for each of them all ranges of other tasks count as others'."""
-    ranges = [*unread, *read]
-    all_known = all(part.bounds for part in ranges)
-    boxes = [part.bounds or Bounds(0, 0, 0, 0) for part in ranges]
-    sides = np.array([(box.west, box.south, box.east, box.north) for box in boxes]).reshape(-1, 4).T
-    keys = np.array(list(finished), np.int64).reshape(-1, 2)
-    for numbers in _together(unread, sides, workers):
-        own = [unread[number] for number in numbers.tolist()]
-        nearby = _nearby(grid, sides, numbers) if all_known else None
-        yield ReadTask(tuple(own), nearby, frozenset().union(*(_inside(grid, part.bounds, keys) for part in own)))
+    """Yield tasks that any worker may do: for each of them all ranges of other tasks count as others'.
+
+    Files are divided across the longer side of their area, so that those of a task are neighbours.
+    """
+    whole = [part for part in unread if part.is_whole]
+    boxes = [part.bounds for part in whole]
+    area = _around(boxes)
+    total = sum(part.points for part in whole)
+    tasks = min(max(total // _TASK_POINTS, _TASKS_A_WORKER * workers), _RANGES_A_WORKER * workers)
+    tasks = max(min(tasks, total // LEAST_POINTS), total // _MOST, 1)
+    if area is not None:
+        wide = area.east - area.west > area.north - area.south
+        whole.sort(key=lambda part: _middle(part, across=wide))
+    shares: dict[int, list[ChunkRange]] = {}
+    begun = 0
+    for part in whole:
+        shares.setdefault((2 * begun + part.points) * tasks // (2 * total + 1), []).append(part)
+        begun += part.points
+    every = [*unread, *read]
+    for own in (*shares.values(), *([part] for part in unread if not part.is_whole)):
+        places = {(part.file, part.first) for part in own}
+        others = [part.bounds for part in every if (part.file, part.first) not in places]
+        nearby = tuple(box for box in others if box is not None)
+        yield ReadTask(tuple(own), nearby if len(nearby) == len(others) else None, frozenset(finished))
 
 
-def _together(unread: Sequence[ChunkRange], sides: NDArray[np.float64], workers: int) -> Iterator[NDArray[np.int64]]:
-    """Yield the indices of ranges that a task reads: neighbouring files together, any other range by itself."""
-    whole = np.array([part.is_whole and part.bounds is not None for part in unread], np.bool_)
-    points = np.array([part.points for part in unread], np.int64)
-    total = int(points[whole].sum())
-    tasks = np.clip(total // _TASK_POINTS, _TASKS_A_WORKER * workers, _RANGES_A_WORKER * workers)
-    tasks = max(min(int(tasks), total // LEAST_POINTS), total // _MOST, 1)
-    if whole.any():
-        yield from _divided(np.flatnonzero(whole), points, sides, tasks)
-    yield from np.flatnonzero(~whole)[:, None]
-
-
-def _divided(
-    numbers: NDArray[np.int64], points: NDArray[np.int64], sides: NDArray[np.float64], tasks: int
-) -> Iterator[NDArray[np.int64]]:
-    """Divide files among tasks: across the longer side of their area, in halves of about equally many points."""
-    west, south, east, north = sides[:, numbers]
-    across = (west + east, south + north)[int(np.ptp(west + east) < np.ptp(south + north))]
-    numbers = numbers[np.argsort(across, kind="stable")]
-    tasks = min(tasks, len(numbers))
-    if tasks < 2:
-        yield numbers
-        return
-    ends = np.cumsum(points[numbers])
-    cut = 1 + int(np.argmin(np.abs(ends[:-1] - ends[-1] * (tasks // 2) / tasks)))
-    yield from _divided(numbers[:cut], points, sides, tasks // 2)
-    yield from _divided(numbers[cut:], points, sides, tasks - tasks // 2)
-
-
-def _nearby(grid: Grid, sides: NDArray[np.float64], numbers: NDArray[np.int64]) -> tuple[Bounds, ...] | None:
-    """Return the bounds of other ranges near some ranges; None if each of these shares all of its blocks with one."""
-    reach = BLOCK_TILES * grid.tile_size + 2 * _MARGIN
-    west, south, east, north = sides
-    others = np.ones(len(west), np.bool_)
-    others[numbers] = False
-    found, covered = np.zeros(len(west), np.bool_), True
-    for number in numbers.tolist():
-        own = Bounds(*sides[:, number].tolist())
-        near = others & (west <= own.east + reach) & (east >= own.west - reach)
-        near &= (south <= own.north + reach) & (north >= own.south - reach)
-        around = near & (west <= own.west) & (south <= own.south) & (east >= own.east) & (north >= own.north)
-        covered = covered and bool(around.any())
-        found |= near
-    return None if covered else tuple(Bounds(*box) for box in sides[:, found].T.tolist())
-
-
-def _inside(grid: Grid, box: Bounds | None, keys: NDArray[np.int64]) -> frozenset[BlockKey]:
-    if box is not None:
-        side = BLOCK_TILES * grid.tile_size
-        row, col = keys[:, 0], keys[:, 1]
-        inside = ((row + 1) * side >= box.south - _MARGIN) & (row * side <= box.north + _MARGIN)
-        inside &= ((col + 1) * side >= box.west - _MARGIN) & (col * side <= box.east + _MARGIN)
-        keys = keys[inside]
-    return frozenset((row, col) for row, col in keys.tolist())
+def _middle(part: ChunkRange, *, across: bool) -> float:
+    box = part.bounds
+    if box is None:
+        return 0.0
+    return box.west + box.east if across else box.south + box.north

@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, BadInputError, Progress
-from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
+from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
-from bumpymap.survey.engine.collector import ReadResult, Span
+from bumpymap.survey.engine.collector import ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
-__all__ = ["BadFile", "BlockCompletion", "OpenRange", "RangeReader", "ReadChunk", "read_chunks", "refuse_no_points"]
+__all__ = ["BlockCompletion", "OpenRange", "RangeReader", "read_chunks", "refuse_no_points"]
 
 _MARGIN = 1.01
 """Points may lie this far outside their bounds, m (readers accept 1 m)."""
@@ -102,67 +102,35 @@ class OpenRange:
     """The chunks of the range."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReadChunk:
-    """A chunk that was read, without its points."""
-
-    source: OpenRange
-    chunk: Chunk
-    stats: PointStats
-    flagged: bool
-    """True if any point is ground."""
-    lines: LineSums
-
-
-@dataclass(frozen=True, slots=True)
-class BadFile:
-    """A file that cannot be read, and why."""
-
-    source: OpenRange
-    error: BadInputError
-
-
 _Fetching = tuple[OpenRange, Chunk, Future[Any]]
 
 
 def read_chunks(
-    ranges: Sequence[OpenRange], grid: Grid, threads: int, skipped: set[int]
-) -> Iterator[tuple[ReadChunk, GroupedPoints] | BadFile]:
-    """Yield the chunks of ranges in order, with their points grouped by block.
+    ranges: Sequence[OpenRange], grid: Grid, threads: int
+) -> Iterator[tuple[ReadResult, GroupedPoints | None]]:
+    """Yield the result for each chunk of ranges, in order, with its points grouped by block; last an error, without."""
 
-    Parameters
-    ----------
-    ranges : sequence of OpenRange
-    grid : Grid
-    threads : int
-    skipped : set of int
-        Files that are read no further. One that cannot be read is added, and yields one `BadFile` after its good
-        chunks.
-    """
-
-    def grouped(fetching: _Fetching) -> tuple[ReadChunk, GroupedPoints] | BadFile | None:
+    def grouped(fetching: _Fetching) -> tuple[ReadResult, GroupedPoints | None]:
         source, chunk, future = fetching
-        if source.range.file in skipped:
-            return None  # found to be bad while this chunk was fetched
+        file = source.range.file
         try:
             batch = source.reader.convert(chunk, future.result())
         except BadInputError as error:
-            return BadFile(source, error)
+            return ReadResult.of_bad(source.range, error), None
         points = batch.grouped(grid)
         flagged = bool((points.points["flag"] == POINT_GROUND).any())
-        return ReadChunk(source, chunk, batch.stats, flagged, batch.lines), points
+        span = file, chunk.index, chunk.index + 1
+        return ReadResult((span,), {file: batch.stats}, flagged, batch.lines), points
 
     np.empty(_LARGEST_KEPT, np.uint8)
     fetchers: dict[int, ThreadPoolExecutor] = {}
     try:
-        fetched = _fetched(ranges, threads, skipped, fetchers)
+        fetched = _fetched(ranges, threads, fetchers)
         with closing(run_blocks(grouped, fetched, threads, threads + 1)) as results:
             for read in results:
-                if read is None or (read.source if isinstance(read, BadFile) else read[0].source).range.file in skipped:
-                    continue
-                if isinstance(read, BadFile):
-                    skipped.add(read.source.range.file)
                 yield read
+                if read[0].error is not None:
+                    return
                 del read
     finally:
         for fetcher in fetchers.values():
@@ -170,9 +138,7 @@ def read_chunks(
         close_decoder()
 
 
-def _fetched(
-    ranges: Sequence[OpenRange], threads: int, skipped: set[int], fetchers: dict[int, ThreadPoolExecutor]
-) -> Iterator[_Fetching]:
+def _fetched(ranges: Sequence[OpenRange], threads: int, fetchers: dict[int, ThreadPoolExecutor]) -> Iterator[_Fetching]:
     """Yield chunks in order, each with the future of its data; one chunk or more are fetched ahead.
 
     ``fetchers`` receives the threads, by the number of chunks that are fetched at a time.
@@ -183,8 +149,6 @@ def _fetched(
         at_once = requests_at_once(largest, threads) if source.reader.info.parallel else 1
         fetcher = fetchers.setdefault(at_once, ThreadPoolExecutor(at_once))
         for chunk in source.chunks:
-            if source.range.file in skipped:
-                break
             ahead.append((source, chunk, fetcher.submit(source.reader.fetch, chunk)))
             while len(ahead) > at_once:
                 yield ahead.popleft()
@@ -249,35 +213,40 @@ class RangeReader:
         progress: Progress,
     ) -> None:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
-        self._progress, self._skip_bad = progress, False
-        self._ranges, self._skipped = ranges, set[int]()
+        self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
+        self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
+        self._stats = PointStats()
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
         self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
-        self._pending: deque[tuple[int, ReadChunk]] = deque()
+        self._pending: deque[tuple[int, ReadResult]] = deque()
         """Number of each chunk that is in memory or being written to disk, and not in a result yet."""
         self._next = 0
-        self._stats = PointStats()
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
         """Return whether no unread chunk, of this worker or others, can add points to a block, and none did before."""
         return key not in self._elsewhere and self._completion.is_complete(key)
 
-    def run(self, *, skip_bad: bool = False) -> Iterator[ReadResult]:
-        """Read all ranges; yield results as soon as their points are on disk, and the errors of bad files.
-
-        With ``skip_bad``, reading goes on after a bad file. Ranges are then whole files; the points of a file can be
-        dropped, and none of its blocks is complete, until its last chunk has been judged.
-        """
-        self._skip_bad = skip_bad
-        self._store.final = 0 if self._skip_bad else None
-        for read in read_chunks(self._ranges, self._work.grid, self._threads, self._skipped):
-            if isinstance(read, BadFile):
-                yield from self._drop(read)
-            else:
-                yield from self._add(*read)
+    def run(self) -> Iterator[ReadResult]:
+        """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
+        for read, points in read_chunks(self._ranges, self._work.grid, self._threads):
+            ((file, index, _),) = read.spans
+            bad = read if points is None else self._judge(file, index, read.stats[file])
+            if points is None or bad is not None:
+                yield from self._spilled()
+                yield bad or read
+                return
+            self._pending.append((self._next, read))
+            self._store.add_chunk(points, self._next)
+            self._next += 1
+            self._progress.advance(read.stats[file].points)
+            if (area := self._areas.get((file, index))) is not None:
+                self._completion.mark_read(area)
+            if self._store.is_full:
+                yield from self._make_room()
+            del points
         yield from self._spilled()
 
     def remainder(self) -> ReadResult | None:
@@ -286,29 +255,18 @@ class RangeReader:
             return None
         return replace(self._report(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
 
-    def _add(self, read: ReadChunk, points: GroupedPoints) -> Iterator[ReadResult]:
-        source = read.source
-        if read.chunk.index == source.range.first:
-            self._stats = PointStats()
-        self._pending.append((self._next, read))
-        self._store.add_chunk(points, self._next)
-        self._next += 1
-        self._stats = self._stats.merge(read.stats)
-        self._progress.advance(read.chunk.points)
-        if not self._skip_bad:
-            self._mark_read(source.range.file, read.chunk.index)
-        is_last = read.chunk.index + 1 == source.range.stop
-        if is_last and source.range.is_whole:
-            try:
-                source.reader.verify(self._stats)
-            except BadInputError as error:
-                yield from self._drop(BadFile(source, error))
-                return
-        if is_last and self._skip_bad:
-            self._store.final = self._next
-            self._mark_all_read(source)
-        if self._store.is_full:
-            yield from self._make_room()
+    def _judge(self, file: int, index: int, stats: PointStats) -> ReadResult | None:
+        """Return an error if this is the last chunk of a whole file that is bad; else None."""
+        whole = self._whole.get(file)
+        if whole is None:
+            return None
+        self._stats = stats if index == 0 else self._stats.merge(stats)
+        try:
+            if index + 1 == whole.range.stop:
+                whole.reader.verify(self._stats)
+        except BadInputError as error:
+            return ReadResult.of_bad(whole.range, error)
+        return None
 
     def _make_room(self) -> Iterator[ReadResult]:
         """Rate complete blocks; if that does not make room, write the older half of the waiting points to disk.
@@ -343,49 +301,17 @@ class RangeReader:
             result, self._spilling = self._spilling, None
             yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
 
-    def _pending_up_to(self, last: int) -> list[ReadChunk]:
+    def _pending_up_to(self, last: int) -> list[ReadResult]:
         """Take the pending chunks up to number ``last``."""
         taken = []
         while self._pending and self._pending[0][0] <= last:
             taken.append(self._pending.popleft()[1])
         return taken
 
-    def _report(self, chunks: Sequence[ReadChunk]) -> ReadResult:
+    def _report(self, chunks: Sequence[ReadResult]) -> ReadResult:
         """Return the result for chunks that are no longer pending."""
-        spans: list[Span] = []
-        stats: dict[int, PointStats] = {}
-        flagged, lines = False, LineSums()
-        for taken in chunks:
-            file, first = taken.source.range.file, taken.chunk.index
-            if spans and spans[-1][0] == file and spans[-1][2] == first:
-                first = spans.pop()[1]
-            spans.append((file, first, taken.chunk.index + 1))
-            stats[file] = stats.get(file, PointStats()).merge(taken.stats)
-            flagged |= taken.flagged
-            lines = lines.merge(taken.lines)
-        hashed = {file: self._readers[file].take_hashed() for file in stats}
-        return ReadResult(tuple(spans), stats, flagged, lines, hashed)
-
-    def _drop(self, bad: BadFile) -> Iterator[ReadResult]:
-        """Drop the points of a bad file and yield its error; earlier results of the file become void."""
-        part = bad.source.range
-        yield from self._spilled()
-        self._skipped.add(part.file)
-        while self._pending and self._pending[-1][1].source.range.file == part.file:
-            self._pending.pop()
-        if self._skip_bad:
-            self._store.drop_from(self._store.final or 0)
-            self._mark_all_read(bad.source)
-        yield ReadResult(((part.file, part.first, part.stop),), error=bad.error)
-
-    def _mark_all_read(self, source: OpenRange) -> None:
-        for index in range(source.range.first, source.range.stop):
-            self._mark_read(source.range.file, index)
-
-    def _mark_read(self, file: int, index: int) -> None:
-        area = self._areas.get((file, index))
-        if area is not None:
-            self._completion.mark_read(area)
+        merged = ReadResult.merged(chunks)
+        return replace(merged, hashed={file: self._readers[file].take_hashed() for file in merged.stats})
 
 
 def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:

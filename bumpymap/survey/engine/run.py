@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from bumpymap.core import Progress, Stopwatch, decide_ground
+from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
 from bumpymap.readers import Chunk, SurveyReader
 from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
 from bumpymap.survey.engine.budget import Budget, Workspace
@@ -37,7 +37,6 @@ class ReadPlan:
     """Blocks that an earlier run has finished."""
     waiting: set[BlockKey]
     """Blocks of which it has left points on disk."""
-    skip_bad: bool
 
 
 class Executor(Protocol):
@@ -77,6 +76,10 @@ def run_engine(
     UsageError
         Workers died, differ from this process, or do not see the inputs.
     """
+    noted = space.skipped()
+    for reader in inputs.readers:
+        if (why := noted.get(str(reader.info.path))) is not None:
+            inputs.skip(reader, BadInputError(str(why)))
     record = space.checkpoint()
     if record is None:
         with engine_errors(budget), executor.running():
@@ -96,7 +99,8 @@ def _read_and_measure(
         ground_only = _decide(work, collector, executor)
         _finish(collector, space, executor, progress, ground_only=ground_only)
     counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
-    dropped = [None if n in collector.skipped else stats.dropped for n, stats in enumerate(collector.stats)]
+    of_files = zip(inputs.readers, collector.stats, strict=True)
+    dropped = [None if str(reader.info.path) in inputs.skipped else stats.dropped for reader, stats in of_files]
     lines = collector.lines.to_record()
     checksums = [reader.checksum for reader in inputs.readers]
     return {"ground_only": ground_only, "dropped": dropped, "points": counted, "lines": lines, "checksums": checksums}
@@ -105,22 +109,30 @@ def _read_and_measure(
 def _read(
     inputs: SurveyInputs, work: BlockWork, space: Workspace, executor: Executor, progress: Progress
 ) -> ResultCollector:
+    """Read all points; anew, from the start, without a file that is found bad on the way and may be skipped."""
     readers = inputs.readers
-    chunks = [reader.chunks(space.run_spec["cut"]["chunk_points"]) for reader in readers]
-    total = sum(reader.info.point_count for reader in readers)
-    checkpoints = Checkpoints(space, work.kinds)
-    counts = [len(own) for own in chunks]
-    collector = ResultCollector(readers, counts, checkpoints, inputs.skip, skip_bad=inputs.skip_bad)
-    unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
-    progress.start("reading points", total)
-    progress.advance(sum(part.points for part in read))
-    finished = collector.finished
-    waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - finished
-    plan = ReadPlan(readers, chunks, unread, read, finished, waiting, inputs.skip_bad)
-    with closing(executor.read(plan)) as results:
-        for result in results:
-            collector.add(result)
-    return collector
+    while True:
+        good = [str(reader.info.path) not in inputs.skipped for reader in readers]
+        chunk_points = space.run_spec["cut"]["chunk_points"]
+        chunks = [
+            reader.chunks(chunk_points) if kept else list[Chunk]() for reader, kept in zip(readers, good, strict=True)
+        ]
+        total = sum(reader.info.point_count for reader, kept in zip(readers, good, strict=True) if kept)
+        checkpoints = Checkpoints(space, work.kinds)
+        collector = ResultCollector(readers, [len(own) for own in chunks], checkpoints, inputs.skip)
+        unread, read = cut_ranges(readers, chunks, executor.range_points(total), collector.read_spans())
+        progress.start("reading points", total)
+        progress.advance(sum(part.points for part in read))
+        finished = collector.finished
+        waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - finished
+        plan = ReadPlan(readers, chunks, unread, read, finished, waiting)
+        with closing(executor.read(plan)) as results:
+            while collector.all_good and (result := next(results, None)) is not None:
+                collector.add(result)
+        if collector.all_good:
+            inputs.sort_skipped()
+            return collector
+        space.forget_points(inputs.skipped)
 
 
 def _decide(work: BlockWork, collector: ResultCollector, executor: Executor) -> bool:

@@ -14,12 +14,11 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PieceRuns, Progress
-from bumpymap.readers import LineSums, PointStats
+from bumpymap.core import Progress
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, single_task
+from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
@@ -54,43 +53,35 @@ class Worker:
         self._store = TileBuckets(work.grid, MemoryLimits(budget.waiting_bytes, budget.block_points, points))
         self._sinks = {kind: TileSink(tiles, f"{kind}-early", work.columns) for kind in work.kinds}
 
-    def read(self, task: ReadTask, ranges: Sequence[OpenRange], *, skip_bad: bool) -> Iterator[ReadResult]:
-        """Read ranges; yield results whose points are on disk, errors, and last the result for points in memory."""
+    def read(self, task: ReadTask, ranges: Sequence[OpenRange]) -> Iterator[ReadResult]:
+        """Read ranges; yield results whose points are on disk, last that for points in memory, or an error."""
         reading = self._reading(task, ranges)
-        yield from reading.run(skip_bad=skip_bad)
+        for result in reading.run():
+            yield result
+            if result.error is not None:
+                return
         if (remainder := reading.remainder()) is not None:
             yield remainder
 
-    def read_to_disk(self, task: ReadTask, ranges: Sequence[OpenRange], *, skip_bad: bool) -> list[ReadResult]:
-        """Read ranges; rate the blocks that no other task reaches, write the points of all others to packs.
-
-        Returns the errors of bad files and one result for the good ones. Without ``skip_bad`` nothing is read after an
-        error, and the error is the only result.
-        """
+    def read_to_disk(self, task: ReadTask, ranges: Sequence[OpenRange]) -> ReadResult:
+        """Read ranges; rate the blocks that no other task reaches, write the points of all others to packs."""
         reading, store = self._reading(task, ranges), self._store
         found: list[ReadResult] = []
-        bad: dict[int, ReadResult] = {}
-        for result in reading.run(skip_bad=skip_bad and len(ranges) > 1):
-            if result.error is None:
-                found.append(result)
-                continue
-            bad[result.spans[0][0]] = result
-            if not skip_bad:
-                break
-        if len(bad) == len(ranges) or (bad and not skip_bad):
-            for folder in (self._points, self._tiles):
-                rmtree(folder, ignore_errors=True)
-            return list(bad.values())
+        for result in reading.run():
+            if result.error is not None:
+                for folder in (self._points, self._tiles):
+                    rmtree(folder, ignore_errors=True)
+                return result
+            found.append(result)
         ready = [key for key in store.keys() if reading.is_complete(key)]  # noqa: SIM118 (no mapping)
         early = reading.finish_early(ready)
         if (remainder := reading.remainder()) is not None:
-            found.append(replace(remainder, in_memory=None))
+            found.append(remainder)
         while not store.is_empty:
             store.spill()
             store.wait()
         tiles = _by_kind([*(result.tiles for result in found), early])
-        good = [part for part in task.ranges if part.file not in bad]
-        return [*bad.values(), replace(_joined(found, good), packs=self._unfinished_packs(), tiles=tiles)]
+        return replace(ReadResult.merged(found), packs=self._unfinished_packs(), tiles=tiles)
 
     def count_marks(self, group: BlockGroup) -> tuple[int, int]:
         """Return the number of tiles with points, and of those with ground points, in some blocks."""
@@ -128,23 +119,6 @@ class Worker:
         return tuple(found)
 
 
-def _joined(results: Sequence[ReadResult], ranges: Sequence[ChunkRange]) -> ReadResult:
-    """Return one result for some ranges, without the packs; results for other files are left out."""
-    stats, lines = {part.file: PointStats() for part in ranges}, LineSums()
-    hashed: dict[int, PieceRuns] = {part.file: () for part in ranges}
-    flagged = False
-    for result in results:
-        if result.spans and not result.stats.keys() & stats.keys():
-            continue  # points of a bad file, which were dropped
-        for file, more in result.stats.items():
-            stats[file] = stats[file].merge(more)
-        lines = lines.merge(result.lines)
-        flagged |= result.flagged
-        for file, runs in result.hashed.items():
-            hashed[file] += runs
-    return ReadResult(tuple((part.file, part.first, part.stop) for part in ranges), stats, flagged, lines, hashed)
-
-
 def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:
     return tuple(tuple(path for paths in alike for path in paths) for alike in zip(*filter(None, packs), strict=True))
 
@@ -178,12 +152,12 @@ class LocalExecutor:
         """Read all ranges that are unread; the worker keeps their points for the later tasks."""
         points, tiles = new_folder(self._space.points_folder), new_folder(self._space.new_tiles)
         self._worker = Worker(self._work, self._budget, points, tiles, self._progress)
-        task = single_task(plan.unread, plan.finished, plan.waiting)
+        task = ReadTask(tuple(plan.unread), (), frozenset(plan.finished), frozenset(plan.waiting))
         ranges = [
             OpenRange(part, plan.readers[part.file], plan.chunks[part.file][part.first : part.stop])
             for part in plan.unread
         ]
-        yield from self._worker.read(task, ranges, skip_bad=plan.skip_bad)
+        yield from self._worker.read(task, ranges)
 
     def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
         """Yield the number of tiles, and of those with ground points, for each group."""

@@ -1,88 +1,27 @@
-"""index.html, the page of a batch: a row for each survey, with a thumbnail of its map and its place."""
+"""index.html, the page of a batch: a row for each survey, with a thumbnail of its map."""
 
 import io
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pyproj import Transformer
-from pyproj.exceptions import ProjError
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
-    RemoteFolder,
     SurveyRow,
     SurveyStatus,
     open_raster,
     read_averaged,
 )
 from bumpymap.views.page.page import render_page
-from bumpymap.views.pictures.drawing import bar_length
+from bumpymap.views.pictures.drawing import LEVEL, light_of
 
 __all__ = ["SurveyView", "index_page", "read_thumbnail"]
-
-_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
-_DEGREE_M = 111_320.0
-_LEAST_M = 100.0
-_SMALLEST_PX = 7.0
-
-
-def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
-    """Return the map of the surveys in pixels; None if fewer than two have a known place, or they lie far apart."""
-    found = [(row, box) for row in rows if (box := _box(row))]
-    if len(found) < 2:
-        return None
-    lows, highs = (pick(np.array([box for _, box in found]), axis=0).tolist() for pick in (np.min, np.max))
-    (west, south, _, _), (_, _, east, north) = lows, highs
-    if east - west > 180 or max(abs(south), abs(north)) > 85:
-        return None
-    east_m = _DEGREE_M * math.cos(math.radians((south + north) / 2))
-    wide, high = max((east - west) * east_m, _LEAST_M), max((north - south) * _DEGREE_M, _LEAST_M)
-    scale = min((_WIDTH - 2 * _EDGE) / wide, (_MOST_HEIGHT - 2 * _EDGE) / high)
-    boxes = []
-    for row, (left, bottom, right, top) in found:
-        size = (right - left) * east_m * scale, (top - bottom) * _DEGREE_M * scale
-        grown = [max(side, _SMALLEST_PX) for side in size]
-        x, y = _EDGE + (left - west) * east_m * scale, _EDGE + (north - top) * _DEGREE_M * scale
-        boxes.append((row, (x - (grown[0] - size[0]) / 2, y - (grown[1] - size[1]) / 2, *grown)))
-    bar_m = bar_length(_WIDTH / 4 / scale)
-    return {
-        "boxes": boxes,
-        "bounds": (west, east, south, north),
-        "width": max(wide * scale + 2 * _EDGE, _LEAST_WIDTH),
-        "height": high * scale + 2 * _EDGE + 16,
-        "bar": bar_m * scale,
-        "bar_m": bar_m,
-        "missing": len(rows) - len(found),
-    }
-
-
-def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
-    """Return west, south, east and north of a survey in WGS 84, degrees; None if they are not known."""
-    left, bottom, right, top = row.min_x, row.min_y, row.max_x, row.max_y
-    if row.crs is None or left is None or bottom is None or right is None or top is None:
-        return None
-    try:
-        west, south, east, north = _to_degrees(row.crs).transform_bounds(left, bottom, right, top)
-    except ProjError:
-        return None
-    if not all(map(math.isfinite, (west, south, east, north))) or west > east:
-        return None
-    return west, south, east, north
-
-
-@cache
-def _to_degrees(crs: str) -> Transformer:
-    return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
-
 
 _SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
 """Pixels of the longer side and shades of each colour: the first that fits is taken."""
@@ -96,21 +35,19 @@ _COLOURS = np.array(
 )
 """Of the classes, of the same where the ground is not passable, and of unknown ground."""
 _BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
-_LIGHT = (-0.5, 0.5, 0.7071)
-"""Towards the sun in the north-west, 45 degrees high: east, north, up."""
 _DARKEST, _BRIGHTEST = 0.45, 1.2
 _MOST_PIXELS = 20_000_000
 """Heights of a virtual raster to average."""
 
 
-def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
+def read_thumbnail(folder: Path, most_bytes: int) -> bytes:
     """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 
     Parameters
     ----------
-    folder : Path or RemoteFolder
+    folder : Path
     most_bytes : int
         Largest size of the PNG.
 
@@ -136,7 +73,7 @@ def read_thumbnail(folder: Path | RemoteFolder, most_bytes: int) -> bytes:
     return b""
 
 
-def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the kind of ground (class, class plus ``_BARRED``, ``_UNKNOWN``, ``_NOTHING``) and its brightness.
 
     Both have ``side`` pixels along the longer side.
@@ -152,26 +89,17 @@ def _read(folder: Path | RemoteFolder, side: int) -> tuple[NDArray[np.intp], NDA
     unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
     kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
     kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)
-    return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+    light = light_of(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+    return kind, np.clip(light / LEVEL, _DARKEST, _BRIGHTEST)
 
 
-def _heights(folder: Path | RemoteFolder, shape: tuple[int, int]) -> NDArray[np.float64]:
+def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
     with open_raster(folder, "heightmap.tif") as raster:
         # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
         # of large sheets are averages already.
         large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
         heights: NDArray[np.float64] = raster.read(1, out_shape=shape) if large else read_averaged(raster, shape)
     return heights
-
-
-def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the brightness of the relief, 1 where it is level or not known."""
-    if min(heights.shape) < 2:
-        return np.ones(heights.shape)
-    down, east = np.gradient(heights, *pixel)
-    light = (_LIGHT[0] * -east + _LIGHT[1] * down + _LIGHT[2]) / np.sqrt(1.0 + east**2 + down**2)
-    shade = np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST)
-    return np.where(np.isnan(shade), 1.0, shade)
 
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")
@@ -215,7 +143,6 @@ def index_page(
         links=links,
         note=note,
         order={status: place for place, status in enumerate(_ORDER)},
-        places=_places(shown),
         rows=shown,
         shares_of=_shares,
         title=title,

@@ -1,15 +1,13 @@
 """The page of what has changed between two surveys, from change.tif, change.geojson and their record."""
 
 import math
-import shlex
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -23,15 +21,14 @@ from bumpymap.core import (
     read_record,
     read_regular,
     shape_fault,
-    stated_crs,
 )
 from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, open_layer, outline_of
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import jpeg
-from bumpymap.views.page.tiles import ByteGrid, packed
+from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
 from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
 
-__all__ = ["NOT_COMPARED", "ChangeSite", "ChangedPlace", "is_comparison", "read_comparison", "write_change_report"]
+__all__ = ["NOT_COMPARED", "ChangeSite", "is_comparison", "read_comparison", "write_change_report"]
 
 NOT_COMPARED = 16
 """Value of ``kinds`` where the surveys could not be compared."""
@@ -54,47 +51,22 @@ _AGAIN = "Compare the surveys again"
 
 
 @dataclass(frozen=True, slots=True)
-class ChangedPlace:
-    """A connected change."""
-
-    number: int
-    """Its id in change.geojson."""
-    about: Mapping[str, Any]
-    """Its properties there."""
-    where: tuple[float, float]
-    """A point in it, in the coordinates of change.geojson."""
-    east: float
-    """m, in the survey's CRS: the middle of its extent."""
-    north: float
-    size: tuple[float, float]
-    """Extent from west to east and from south to north, m."""
-
-
-@dataclass(frozen=True, slots=True)
 class ChangeSite:
     """The changes between two surveys."""
 
     record: Mapping[str, Any]
     """The content of change.json."""
-    west: float
-    """m, in the survey's CRS."""
-    north: float
-    unit: float
-    """Metres per unit of the CRS."""
-    tile_size: float
-    step: int
-    """Tiles along a side of a pixel of the page."""
-    cols: int
-    """Tiles."""
-    rows: int
+    spot: Spot
     kinds: NDArray[np.uint8]
     """Position in ``CHANGE_KINDS``, or ``NOT_COMPARED``: (rows, cols) of the page, north row first."""
     grids: tuple[ByteGrid, ...]
-    places: tuple[ChangedPlace, ...]
-    """The largest first."""
+    places: tuple[dict[str, Any], ...]
+    """The largest first: ``name``, its id in change.geojson; ``east`` and ``north``, m, the middle of its extent, and
+    its ``size`` from west to east and from south to north, m; ``where``, a point in it, in the coordinates of
+    change.geojson, and ``about``, its properties there."""
     degrees: bool
     """True if places are given as longitude and latitude; else in the survey's own coordinates."""
-    still: str = field(repr=False)
+    still: str
     """The kinds, a data URI: for readers and printers without scripts."""
 
     @classmethod
@@ -116,11 +88,12 @@ class ChangeSite:
         try:
             unit, tile_size = float(record["metres_per_unit"]["horizontal"]), float(record["grid"]["tile_size_m"])
             with open_layer(folder / "change.tif", remedy=_AGAIN) as file:
-                compared = int(record["counts"]["compared"])
-                step = max(
-                    1, math.ceil(max(file.width, file.height) / _SIDE), math.ceil(math.sqrt(compared / _COMPARED))
+                step = math.ceil(
+                    max(1, max(file.width, file.height) / _SIDE, math.sqrt(record["counts"]["compared"] / _COMPARED))
                 )
                 while True:
+                    west, north = file.transform.c * unit, file.transform.f * unit
+                    spot = Spot(west, north, tile_size, 1, file.width, file.height, step, unit)
                     kinds, d_height, d_c_r = _read(file, step)
                     grids = (
                         ByteGrid.of(("d_height", "height after minus before", "m", 2), d_height, "root"),
@@ -130,51 +103,32 @@ class ChangeSite:
                     if taken < _BUDGET or max(kinds.shape) < 100:
                         break
                     step *= 2
-                west, north = file.transform.c * unit, file.transform.f * unit
-                size = file.width, file.height
             places, degrees = _places(folder / "change.geojson", record)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, ProjError) as error:
             said = error if isinstance(error, ValueError) else repr(error)
             raise BadInputError(f"{folder} holds no comparison of this version: {said}. {_AGAIN}") from error
         except OSError as error:
             raise BadInputError(f"cannot read the files of the comparison in {folder}: {error}. {_AGAIN}") from error
-        return cls(record, west, north, unit, tile_size, step, *size, kinds, grids, places, degrees, _still(kinds))
-
-    @property
-    def metres(self) -> float:
-        """Side of a pixel of the page, m."""
-        return self.tile_size * self.step
+        return cls(record, spot, kinds, grids, places, degrees, _still(kinds, spot))
 
     @property
     def crs_name(self) -> str:
         """Name of the CRS."""
-        crs = self.record["crs"]
-        return "local coordinates, no CRS" if crs is None else str(crs["name"])
+        return crs_name(self.record)
 
     def area_of(self, tiles: int) -> float:
         """Return the area of some tiles, m2."""
-        return tiles * self.tile_size**2
+        return tiles * self.spot.tile_size**2
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""
-        rows, cols = self.kinds.shape
         return {
             "name": "changes",
             "differences": True,
-            "west": self.west,
-            "north": self.north,
-            "unit": self.unit,
-            "metres": self.metres,
-            "rows": rows,
-            "cols": cols,
-            "width": self.cols * self.tile_size,
-            "height": self.rows * self.tile_size,
+            **self.spot.record(),
             "ground": packed(self.kinds),
             "grids": [grid.record() for grid in self.grids],
-            "places": [
-                {"name": str(place.number), "east": place.east, "north": place.north, "size": place.size}
-                for place in self.places
-            ],
+            "places": [{key: place[key] for key in ("name", "east", "north", "size")} for place in self.places],
         }
 
 
@@ -215,49 +169,32 @@ def _farthest(values: NDArray[np.float32], step: int) -> NDArray[np.float32]:
     return np.asarray(np.where(np.abs(high) >= np.abs(low), high, low), np.float32)
 
 
-def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[ChangedPlace, ...], bool]:
+def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any], ...], bool]:
     """Return the largest places of change.geojson, and whether its coordinates are degrees."""
     collection = parse_json(read_regular(path).decode())
     features = collection["features"]
     if len(features) != record["counts"]["regions"]:
         raise ValueError("change.geojson and change.json are not of one comparison")
     largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
-    degrees, crs = "local_coordinates" not in collection, record["crs"]
-    forward = None
-    if degrees and crs is not None:
-        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
-    unit = float(record["metres_per_unit"]["horizontal"])
-    return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
-
-
-def _placed(features: list[Any], forward: Transformer | None, unit: float) -> Iterator[ChangedPlace]:
-    for feature in features:
-        corners, where = outline_of(feature["geometry"])
-        if forward is not None:
-            corners = np.column_stack(forward.transform(corners[:, 0], corners[:, 1]))
-        corners = corners * unit
+    metres, places = map_metres(record), []
+    for one in largest[:_MOST_PLACES]:
+        corners, where = outline_of(one["geometry"])
+        corners = metres(corners)
         low, high = corners.min(axis=0), corners.max(axis=0)
         east, north = ((low + high) / 2).round(2).tolist()
-        width, height = (high - low).round(2).tolist()
-        if not math.isfinite(width + height):
-            raise ValueError("a place of change.geojson has no coordinates in the CRS")
-        yield ChangedPlace(int(feature["id"]), feature["properties"], where, east, north, (width, height))
+        about = {"name": str(int(one["id"])), "about": one["properties"], "where": where}
+        places.append(about | {"east": east, "north": north, "size": tuple((high - low).round(2).tolist())})
+    return tuple(places), "local_coordinates" not in collection
 
 
-def _still(kinds: NDArray[np.uint8]) -> str:
+def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:
     """Return the kinds as one picture, hatched where not compared."""
-    factor = max(1, _STILL_SIDE // max(kinds.shape))
-    rows, cols = kinds.shape
-    scale = factor if factor > 1 else min(1.0, _STILL_SIDE / max(kinds.shape))
-    height, width = max(1, round(rows * scale)), max(1, round(cols * scale))
-    line, column = ((np.arange(size) + 0.5) * of / size for size, of in ((height, rows), (width, cols)))
-    shown = kinds[np.ix_(line.astype(int), column.astype(int))]
+    shown = kinds[spot.shown(_STILL_SIDE)]
     colours = np.full((256, 3), _GREY, np.uint8)
     for code, colour in CHANGE_COLOURS.items():
         colours[code] = colour[:3]
     picture = colours[shown]
-    hatch = (shown == NOT_COMPARED) & ((np.arange(height)[:, None] + np.arange(width)[None, :]) % 6 < 1)
-    picture[hatch] = (110, 110, 110)
+    picture[(shown == NOT_COMPARED) & (np.add.outer(*map(np.arange, shown.shape)) % 6 < 1)] = (110, 110, 110)
     return jpeg(picture, 150_000)
 
 
@@ -344,18 +281,15 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         class_rows=[
             (name, *map(whole, row)) for name, row in zip(classes, record["classes"]["tiles_before_after"], strict=True)
         ],
-        command=_command(record["settings"]),
         kind_rows=_kind_rows(site),
         place_rows=[_place_row(site, place) for place in site.places],
         ramp_colours=_RAMP,
         survey_rows=_survey_rows(record["fit"], runs),
-        data={"maps": [site.map_record()], "together": False, "codes": codes},
+        data={"maps": [site.map_record()], "codes": codes},
     )
 
 
 _SIDES = ("before", "after")
-_USUAL = {"fdr": 0.05, "min_tiles": 2, "offset": None}
-"""Settings of a comparison that `--out` alone gives."""
 
 
 def _title(runs: list[Mapping[str, Any]]) -> str:
@@ -373,13 +307,6 @@ def _dates(run: Mapping[str, Any]) -> str | None:
     if not dates:
         return None
     return str(dates[0]) if dates[0] == dates[-1] else f"{dates[0]} to {dates[-1]}"
-
-
-def _command(settings: Mapping[str, Any]) -> str:
-    """Return the command that compares the surveys in the same way."""
-    changed = [name for name, usual in _USUAL.items() if settings[name] != usual]
-    options = [f"--{name.replace('_', '-')} {shlex.quote(f'{settings[name]:g}')}" for name in changed]
-    return " ".join(["bumpymap diff BEFORE AFTER --out DIR", *options])
 
 
 _MEANING = {
@@ -422,9 +349,9 @@ def _survey_rows(fit: Mapping[str, Any], runs: list[Mapping[str, Any]]) -> list[
     ]
 
 
-def _place_row(site: ChangeSite, place: ChangedPlace) -> tuple[Any, ...]:
+def _place_row(site: ChangeSite, place: Mapping[str, Any]) -> tuple[Any, ...]:
     """Return the cells of a place: its number with the ride of its tiles, sizes, differences, a point in it."""
-    about = place.about
+    about = place["about"]
     tiles = int(about["tiles"])
     kinds = [
         (name.removeprefix("ground changed, ride "), int(about[name.replace(",", "").replace(" ", "_")]))
@@ -434,7 +361,7 @@ def _place_row(site: ChangeSite, place: ChangedPlace) -> tuple[Any, ...]:
     ride = found[0][0] if len(found) == 1 else ", ".join(f"{name} in {whole(count)}" for name, count in found)
     low, high = (signed(about[name], 2) for name in ("d_height_lowest", "d_height_highest"))
     return (
-        {"text": place.number, "meaning": ride},
+        {"text": place["name"], "meaning": ride},
         area(site.area_of(tiles)),
         whole(tiles),
         signed(about["d_height"], 2),
@@ -443,5 +370,5 @@ def _place_row(site: ChangeSite, place: ChangedPlace) -> tuple[Any, ...]:
         number(about["c_r_before"], 3),
         number(about["c_r_after"], 3),
         signed(about["d_c_r"], 3),
-        *(f"{value:.{6 if site.degrees else 1}f}" for value in place.where),
+        *(f"{value:.{6 if site.degrees else 1}f}" for value in place["where"]),
     )

@@ -134,7 +134,7 @@ class Chart:
         ]
 
 
-def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Chart:
+def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float]) -> Chart:
     """Return the histogram of the ride cost: bins of equal width on a logarithmic axis.
 
     Parameters
@@ -143,8 +143,6 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Cha
         Tiles in each bin of ``C_R_EDGES``.
     limits : sequence of float
         Limits of the classes, rad/m.
-    key : str
-        Makes ids on the page differ.
     """
     used = np.flatnonzero(bins)
     first, last = (int(used[0]), int(used[-1]) + 1) if len(used) else (0, len(bins))
@@ -155,18 +153,18 @@ def c_r_chart(bins: NDArray[np.int64], limits: Sequence[float], key: str) -> Cha
     names = [f"{low:.3f} to {high:.3f}" for low, high in pairwise(C_R_EDGES)]
     names[0], names[-1] = f"under {C_R_EDGES[1]:.3f}", f"over {C_R_EDGES[-2]:.3f}"
     note = f"Red lines: limits of the classes, {', '.join(text for _, text in marks)} rad/m." if marks else ""
-    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", f"ride-{key}")
+    about = ("Ride cost C_r of the tiles", note, "C_r, rad/m", "ride")
     return _histogram(about, bins[first:last], edges[first : last + 1], names[first:last], ticks, marks)
 
 
-def slope_chart(bins: NDArray[np.int64], limit: float, key: str) -> Chart:
+def slope_chart(bins: NDArray[np.int64], limit: float) -> Chart:
     """Return the histogram of the slope; ``limit`` is the steepest that the vehicle may drive, degrees."""
     used = np.flatnonzero(bins)
     last = max(int(used[-1]) + 1 if len(used) else 1, 4)
     ticks = [(float(value), f"{value:g}°") for value in range(0, 91, 10)]
     names = [f"{low:g} to {high:g}" for low, high in pairwise(SLOPE_EDGES[: last + 1])]
     note = f"Red line: steepest slope for the vehicle, {limit:g} degrees."
-    about = ("Slope of the tiles", note, "slope, degrees", f"slope-{key}")
+    about = ("Slope of the tiles", note, "slope, degrees", "slope")
     return _histogram(about, bins[:last], SLOPE_EDGES[: last + 1], names, ticks, [(limit, f"{limit:g}°")])
 
 
@@ -213,15 +211,8 @@ _FACTOR = 1.5
 """Thin lines: map and drive differ by this factor."""
 
 
-def drive_chart(result: CheckResult, key: str) -> Chart | None:
-    """Return measured over predicted C_r, one mark a stretch; None if nothing can be compared.
-
-    Parameters
-    ----------
-    result : CheckResult
-    key : str
-        Makes ids on the page differ.
-    """
+def drive_chart(result: CheckResult) -> Chart | None:
+    """Return measured over predicted C_r, one mark a stretch; None if nothing can be compared."""
     stretches, offset = result.stretches, MapOffset.of(result.stretches)
     shown = np.flatnonzero(np.isfinite(offset.ratio))
     if not len(shown):
@@ -233,7 +224,7 @@ def drive_chart(result: CheckResult, key: str) -> Chart | None:
         "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
         f"measurement. Thick line: both agree; thin lines: a factor of {_FACTOR:g}. Brown lines: limits of the classes."
     )
-    chart = Chart(title, f"chart-{key}", 560, 440, _SIDES, axis.part, axis.part, caption, note, is_narrow=True)
+    chart = Chart(title, "chart-drives", 560, 440, _SIDES, axis.part, axis.part, caption, note, is_narrow=True)
     left, right, top, foot = chart.frame
     limits = () if result.ground is None else result.ground.class_limits
     lines = [(value, _LINES) for value in axis.ticks]
@@ -260,15 +251,8 @@ def drive_chart(result: CheckResult, key: str) -> Chart | None:
     return chart
 
 
-def along_chart(result: CheckResult, key: str) -> Chart | None:
-    """Return what was measured and what the map says, one stretch after another; None if nothing was measured.
-
-    Parameters
-    ----------
-    result : CheckResult
-    key : str
-        Makes ids on the page differ.
-    """
+def along_chart(result: CheckResult) -> Chart | None:
+    """Return what was measured and what the map says, one stretch after another; None if nothing was measured."""
     stretches = result.stretches
     length = float(np.sum(stretches.way_m))
     values = np.concatenate([stretches.measured, stretches.c_r, stretches.c_r_high])
@@ -282,7 +266,7 @@ def along_chart(result: CheckResult, key: str) -> Chart | None:
     note = "Marks: the drive, with the 80 % error of the measurement."
     note += " Lines on grey: the map, with its 80 % interval." if len(on_map) else ""
     parts: tuple[Part, Part] = (lambda x: x / length, lambda y: np.clip(y / highest, 0.0, 1.0))
-    chart = Chart(title, f"along-{key}", 1120, 260, _SIDES, *parts, caption, note)
+    chart = Chart(title, "along", 1120, 260, _SIDES, *parts, caption, note)
     left, right, top, foot = chart.frame
     for value in _round_steps(highest, 5):
         (y,) = chart.y(np.array([value]))

@@ -1,9 +1,6 @@
-"""Drives that a map was checked against: read from the folder of a check, and as pages show them."""
+"""Drives that a map was checked against, as their page shows them."""
 
-import math
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,28 +8,21 @@ import numpy as np
 from bumpymap.core import (
     CLASS_NAMES,
     NO_CLASS,
-    BadInputError,
-    CheckedDrive,
     CheckResult,
     MapAgreement,
 )
-from bumpymap.layers import MANIFEST_NAME, MapOffset, describe_file, read_check
+from bumpymap.layers import MapOffset
 from bumpymap.views.page.charts import Chart, along_chart, drive_chart
 from bumpymap.views.words import (
-    DASH,
     check_headline,
-    drive_notes,
     metres,
     number,
     percent,
     skipped_words,
-    sorted_reasons,
     warnings_of,
 )
 
-__all__ = ["DrawnCheck", "read_drawn_check"]
-
-_REMEDY = "Check this map, with `bumpymap check`, and give the folder as `check`"
+__all__ = ["DrawnCheck"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,21 +30,18 @@ class DrawnCheck:
     """Findings of drives over the map of a page."""
 
     result: CheckResult
-    is_of_this_run: bool
-    """False where the layers were written again since."""
 
     @property
     def headline(self) -> str:
         """The result in two or three sentences."""
         return check_headline(self.result)
 
-    def charts(self, key: str) -> list[Chart]:
-        """Return the charts of what the drives measured; ``key`` makes ids on the page differ."""
-        found = drive_chart(self.result, f"drives-{key}"), along_chart(self.result, key)
-        return [chart for chart in found if chart is not None]
+    def charts(self) -> list[Chart]:
+        """Return the charts of what the drives measured."""
+        return [chart for chart in (drive_chart(self.result), along_chart(self.result)) if chart is not None]
 
     def tables(self) -> dict[str, list[Any]]:
-        """Return the rows of the tables about drives, by what they hold, with their warnings and notes as texts."""
+        """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
         result = self.result
         entries = [("all", result.agreement)] if result.agreement is not None else []
         entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
@@ -62,9 +49,6 @@ class DrawnCheck:
             "warnings": [*skipped_words(result), *warnings_of(result)],
             "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
             "worst": _worst(result),
-            "drives": _sensors(result.drives),
-            "notes": drive_notes(result),
-            "left_out": [(reason, metres(length)) for reason, length in sorted_reasons(result)],
         }
 
     def places(self) -> list[dict[str, Any]]:
@@ -90,47 +74,6 @@ class DrawnCheck:
             return text
         level = f"{percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
         return f"{text}, the map says {stretches.c_r[at]:.3f} along the stretch ({level})"
-
-
-def read_drawn_check(check: Path, record: Mapping[str, Any], layers: Path) -> DrawnCheck:
-    """Read the drives in a folder, or in check.json itself, for the page of a map.
-
-    Parameters
-    ----------
-    check : Path
-        What `bumpymap check` wrote.
-    record : mapping
-        The content of run.json of the map.
-    layers : Path
-        The folder of the map.
-
-    Raises
-    ------
-    BadInputError
-        There is no check.json, or it is that of another map, or of drives without a map.
-    """
-    result, found = read_check(check)
-    if result.ground is None:
-        raise BadInputError(f"the drives in {check} were measured without a map. {_REMEDY}")
-    try:
-        differences = _differences(result, found, record)
-        runs = {str(entry["run_sha256"]) for entry in found.get("layers") or []}
-    except (KeyError, TypeError, AttributeError) as error:
-        raise BadInputError(f"cannot read {check} as a check: {error!r}. {_REMEDY}") from error
-    if differences:
-        raise BadInputError(f"{check} is the check of another map than {layers}: {'; '.join(differences)}. {_REMEDY}")
-    is_same = bool(record.get("sheets")) or describe_file(layers / MANIFEST_NAME)["sha256"] in runs
-    return DrawnCheck(result, is_same)
-
-
-def _differences(result: CheckResult, found: Mapping[str, Any], record: Mapping[str, Any]) -> list[str]:
-    own = (record.get("calibration") or {}).get("id")
-    pairs: list[tuple[str, Any, Any]] = [("the calibration", result.ground and result.ground.calibration_id, own)]
-    if "grid" in found:  # positions are known
-        there, here = (crs and (crs.get("code") or crs["wkt"]) for crs in (found.get("crs"), record.get("crs")))
-        pairs.append(("the CRS", there, here))
-        pairs.append(("the size of tiles", found["grid"]["tile_size_m"], record["grid"]["tile_size_m"]))
-    return [f"{what} is {there or 'none'} there, {here or 'none'} here" for what, there, here in pairs if there != here]
 
 
 _WORST = 10
@@ -167,36 +110,3 @@ def _worst(result: CheckResult) -> list[tuple[str, ...]]:
         for at in order[:_WORST].tolist()
         if offset.is_off[at]
     ]
-
-
-def _sensors(drives: Sequence[CheckedDrive]) -> list[tuple[str, ...]]:
-    """Return what was found about each drive and its sensors: a row for each figure, a column for each drive."""
-    columns = [
-        (
-            f"{metres(drive.way_m)} in {drive.seconds:,.0f} s",
-            metres(drive.used_m),
-            number(drive.speed_mps, 2, " m/s"),
-            number(drive.rate_hz, 0, " Hz"),
-            number(drive.band_hz, 1, " Hz"),
-            number(drive.position_error_m, 2, " m"),
-            _clock(drive),
-            ", ".join(f"{angle:+.1f}°" if math.isfinite(angle) else DASH for angle in drive.mount_deg),
-            number(drive.floor_radps, 4, " rad/s"),
-        )
-        for drive in drives
-    ]
-    names = (
-        *("way", "of it counts", "median speed there", "rate of the IMU", "pitch rates kept up to"),
-        *("positions, standard deviation", "clock of the positions", "IMU in the vehicle: roll, pitch, yaw"),
-        "floor at standstill",
-    )
-    return list(zip(names, *columns, strict=True))
-
-
-def _clock(drive: CheckedDrive) -> str:
-    if not math.isfinite(drive.clock_offset_s):
-        return "not known"
-    text = f"{drive.clock_offset_s:+.3f} s"
-    if math.isfinite(drive.clock_offset_sd_s):
-        text += f" ± {drive.clock_offset_sd_s:.3f} s"
-    return f"{text}, {drive.clock_drift_ppm:+.0f} ppm" if math.isfinite(drive.clock_drift_ppm) else text

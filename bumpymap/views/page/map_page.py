@@ -1,8 +1,7 @@
-"""The page of a map, or of two side by side, and of drives over a map: as a view of a run that is ending, or again."""
+"""The page of a map, and of drives over a map: as a view of a run that is ending, or again."""
 
 import os
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 from os.path import lexists
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -35,7 +34,7 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.views.page.drives import DrawnCheck, read_drawn_check
+from bumpymap.views.page.drives import DrawnCheck
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
@@ -43,65 +42,40 @@ from bumpymap.views.words import (
     DASH,
     area,
     base_name,
-    command_of,
     degrees,
     names_of,
     number,
     read_surfaces,
-    settings_of,
     share,
     shares,
     whole,
 )
 
-__all__ = ["write_check_page", "write_maps", "write_report", "write_reports"]
+__all__ = ["write_check_page", "write_map_page", "write_report"]
 
 _MOST = 2
-"""Maps that a page can show."""
+"""Maps that the page of a check can show."""
 _SUFFIXES = {".html", ".htm"}
 _READ = ("class.tif", "heightmap.tif", "obstacle.tif", "tiles.parquet")
 
 
-def write_report(folder: Path, record: Mapping[str, Any]) -> None:
-    """Write report.html to a folder of complete layers.
-
-    Parameters
-    ----------
-    folder : Path
-        The layers.
-    record : mapping
-        The content of run.json, which need not be there yet.
-
-    Raises
-    ------
-    BadInputError
-        A layer cannot be read.
-    OutputError
-        The page cannot be written.
-    """
-    write_maps([Site.read(folder, record)], folder / REPORT_NAME)
-
-
-def write_reports(
-    layers: Sequence[str | os.PathLike[str]],
+def write_report(
+    layers: str | os.PathLike[str],
     out: str | os.PathLike[str] | None = None,
     *,
     route: str | os.PathLike[str] | None = None,
-    check: str | os.PathLike[str] | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the page of one map or one comparison again, or one page that shows two maps side by side.
+    """Write the page of a map or of a comparison again.
 
     Parameters
     ----------
-    layers : sequence of path
-        One or two folders that `bumpymap map` wrote, or one that `bumpymap diff` wrote.
+    layers : path
+        A folder that `bumpymap map` or `bumpymap diff` wrote.
     out : path, optional
         The file; default is report.html in the folder of the layers, which is replaced, since it can be made again.
     route : path, optional
         A folder that `bumpymap route` wrote: its ways are drawn.
-    check : path, optional
-        A folder that `bumpymap check` wrote for one of the maps: its drives are drawn, with what they say of the map.
     overwrite : bool
         Replace ``out`` if it exists.
 
@@ -113,39 +87,37 @@ def write_reports(
     Raises
     ------
     UsageError
-        No layers or more than two, two without ``out``, or ``out`` is not named like a page; a comparison beside
-        another folder, with ``route`` or with ``check``.
+        ``out`` is not named like a page, or a comparison is given with ``route``.
     BadInputError
-        A folder holds no complete layers, or they cannot be read, ``route`` holds no way, or ``check`` is not that of
-        one of the maps.
+        The folder holds no complete layers, or they cannot be read, or ``route`` holds no way.
     OutputError
         The page cannot be written, or exists.
     """
-    folders = [Path(folder) for folder in layers]
-    if not 1 <= len(folders) <= _MOST:
-        raise UsageError(f"{len(folders)} folders of layers given; a report shows one, or compares two")
-    if out is None and len(folders) > 1:
-        raise UsageError("a page that compares two maps belongs to neither folder: name the file with `out`")
-    path = folders[0] / REPORT_NAME if out is None else Path(out)
-    if any(map(is_comparison, folders)):
-        asked = [name for name, given in (("route", route), ("check", check)) if given is not None]
-        return _write_comparison(folders, path, asked, replace=overwrite or out is None)
-    records = [read_manifest(folder) for folder in folders]
+    folder = Path(layers)
+    path = folder / REPORT_NAME if out is None else Path(out)
+    compared = is_comparison(folder)
+    if compared and route is not None:
+        raise UsageError("`route` is drawn on the page of a map; this folder holds a comparison of two surveys")
+    record = read_comparison(folder) if compared else read_manifest(folder)
     _check(path, replace=overwrite or out is None)
-    sites = []
-    checks = _checks(check, folders, records)
+    name, of_what, again = _COMPARISON if compared else _MAP
     try:
-        for folder, record, drives in zip(folders, records, checks, strict=True):
-            require_map_written(folder, record, _READ)
-            ways = () if route is None else read_ways(Path(route), record)
-            with utf8_path(folder) as readable:
-                beside = len(folders) == 1 and path.parent.resolve() == folder.resolve()
-                sites.append(Site.read(readable, record, ways, maps=len(folders), has_links=beside, check=drives))
-        write_maps(sites, path)
+        with utf8_path(folder) as readable:
+            if compared:
+                require_written(folder, record, ("change.tif", "change.geojson"), name)
+                write_change_report(readable, record, path)
+            else:
+                require_map_written(folder, record, _READ)
+                ways = () if route is None else read_ways(Path(route), record)
+                beside = path.parent.resolve() == folder.resolve()
+                write_map_page(Site.read(readable, record, ways, has_links=beside), path)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        named = " or ".join(str(folder / MANIFEST_NAME) for folder in folders)
-        raise BadInputError(f"{named} is not that of a map of this version: {error!r}. Map the survey again") from error
+        raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
     return path
+
+
+_MAP = (MANIFEST_NAME, "a map", "Map the survey again")
+_COMPARISON = ("change.json", "a comparison", "Compare the surveys again")
 
 
 def _check(path: Path, *, replace: bool) -> None:
@@ -160,93 +132,39 @@ def _check(path: Path, *, replace: bool) -> None:
         raise OutputError(f"{path} exists. Choose another `out`, or pass `overwrite=True` to replace it")
 
 
-def _checks(
-    check: str | os.PathLike[str] | None, folders: Sequence[Path], records: Sequence[Mapping[str, Any]]
-) -> list[DrawnCheck | None]:
-    """Return the drives over each map; of two maps, those of a check are of one at least."""
-    if check is None:
-        return [None] * len(folders)
-    found: list[DrawnCheck | None] = []
-    refused: list[BadInputError] = []
-    for folder, record in zip(folders, records, strict=True):
-        try:
-            found.append(read_drawn_check(Path(check), record, folder))
-        except BadInputError as error:
-            found.append(None)
-            refused.append(error)
-    if len(refused) == len(folders):
-        raise refused[0]
-    return found
+def write_map_page(site: Site, path: Path) -> None:
+    """Write the page of a map. The same layers give the same page: it holds no time and no folder.
 
-
-def _write_comparison(folders: Sequence[Path], path: Path, asked: Sequence[str], *, replace: bool) -> Path:
-    if len(folders) > 1:
-        found = next(folder for folder in folders if is_comparison(folder))
-        raise UsageError(f"{found} holds a comparison of two surveys, which has a page of its own: give it alone")
-    if asked:
-        raise UsageError(f"`{asked[0]}` is drawn on the page of a map; this folder holds a comparison of two surveys")
-    (folder,) = folders
-    record = read_comparison(folder)
-    _check(path, replace=replace)
-    require_written(folder, record, ("change.tif", "change.geojson"), "change.json")
-    try:
-        with utf8_path(folder) as readable:
-            write_change_report(readable, record, path)
-    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        raise BadInputError(f"{folder / 'change.json'} is damaged: {error!r}. Compare the surveys again") from error
-    return path
-
-
-def write_maps(sites: Sequence[Site], path: Path) -> None:
-    """Write the page of one map, or of two. The same layers give the same page: it holds no time and no folder."""
-    sites, real = _lettered(sites), read_surfaces()
+    Raises
+    ------
+    OutputError
+        The page cannot be written.
+    """
+    real = read_surfaces()
     write_page(
         path,
         "map.html",
-        name=" and ".join(site.name for site in sites),
+        site=site,
         SHEET_TABLE_NAME=SHEET_TABLE_NAME,
         MOST_SHEETS=_MOST_SHEETS,
-        bar_rows=_bar_rows,
-        class_rows=_class_rows,
-        command_of=command_of,
-        compared=_compared,
-        crossed=_crossed,
-        file_rows=_file_rows,
+        bar_rows=_bar_rows(site),
+        class_rows=_class_rows(site),
+        crossed=_crossed(site),
+        file_rows=_file_rows(site.record),
         real=real,
-        reason_rows=_reason_rows,
-        settings_of=settings_of,
-        sheet_rows=_sheet_rows,
+        reason_rows=_reason_rows(site),
+        sheet_rows=_sheet_rows(site),
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
-        warnings_of=_warnings_of,
-        way_rows=_way_rows,
-        **_of_maps(sites),
+        warnings=_warnings_of(site.record),
+        way_rows=_way_rows(site.ways),
+        **_of_maps([site]),
     )
 
 
 def _of_maps(sites: Sequence[Site]) -> dict[str, Any]:
-    """Return what the figures of maps, and of drives over them, need; with the data of the script."""
-    together = _same_place(sites)
-    return {
-        "maps": sites,
-        "together": together,
-        "ramp_colours": _RAMP,
-        "data": {"maps": [site.map_record() for site in sites], "together": together, "codes": _CODES},
-    }
-
-
-def _lettered(sites: Sequence[Site]) -> list[Site]:
-    """Return the maps with the letters by which the page names them; a single one needs none."""
-    return [replace(site, letter=letter) for letter, site in zip("AB", sites, strict=False)] if sites[1:] else [*sites]
-
-
-def _same_place(sites: Sequence[Site]) -> bool:
-    """Return whether maps overlap in one CRS, so that they can move together."""
-    if len(sites) < 2 or len({site.crs_name for site in sites}) > 1:
-        return False
-    one, other = (site.tiles.spot for site in sites)
-    across = one.west < other.west + other.cols * other.tile_size and other.west < one.west + one.cols * one.tile_size
-    down = one.north > other.north - other.rows * other.tile_size and other.north > one.north - one.rows * one.tile_size
-    return across and down
+    """Return what the figures of maps need, with the data of the script."""
+    data = {"maps": [site.map_record() for site in sites], "codes": _CODES}
+    return {"maps": sites, "ramp_colours": _RAMP, "data": data}
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
@@ -285,8 +203,8 @@ def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path
     OutputError
         The page cannot be written.
     """
-    check = DrawnCheck(result, is_of_this_run=True)
-    sites = _lettered([] if ground is None else list(_driven_sites(check, ground))[:_MOST])
+    check = DrawnCheck(result)
+    sites = [] if ground is None else list(_driven_sites(check, ground))[:_MOST]
     names = names_of([drive.name for drive in result.drives])
     title = f"{result.ground.name} checked against {names}" if result.ground else f"Drives measured: {names}"
     write_page(path, "check.html", title=title, check=check, **_of_maps(sites))
@@ -298,7 +216,8 @@ def _driven_sites(check: DrawnCheck, ground: CheckGround) -> Iterator[Site]:
     for folder, record in zip(ground.folders, ground.manifests, strict=False):
         try:
             with utf8_path(folder) as readable:
-                site = Site.read(readable, record, maps=min(_MOST, len(ground.folders)), has_links=False, check=check)
+                shared = min(_MOST, len(ground.folders))
+                site = Site.read(readable, record, maps=shared, has_links=False, check=check)
         except BadInputError:
             continue
         spot = site.tiles.spot
@@ -392,7 +311,6 @@ _WHY = {
     BARRED_TEXT[Barred.STEP]: "a step to or in the tile that the vehicle cannot climb",
     BARRED_TEXT[Barred.SPLIT]: "obstacles part it, or part it from a passable tile beside it: routes pass on pixels",
 }
-_ALONE = (BARRED_TEXT[Barred.NO], BARRED_TEXT[Barred.UNKNOWN], "not known")
 _REASONS = {
     Reason.OK: "rated, but without a ride cost",
     Reason.NO_POINTS: "no point that counts",
@@ -407,37 +325,6 @@ def _counted(site: Site, counts: Sequence[int], alone: Collection[int] = ()) -> 
     """Return share, area and number of all parts of the tiles; see `shares`."""
     told = zip(shares(counts, alone), counts, strict=True)
     return [(part, area(tiles * site.tile_area), whole(tiles)) for part, tiles in told]
-
-
-def _compared(sites: Sequence[Site]) -> list[tuple[str, str, list[Row]]]:
-    """Return the tables of two maps: caption, head, and areas and shares of each with the difference of the shares."""
-    summaries = [site.summary for site in sites]
-    bars = [name for name in _WHY if any(summary.crossing.get(name) for summary in summaries)]
-    codes = [code for code in Reason if any(summary.by_reason[code] for summary in summaries)]
-    counts: list[tuple[str, str, Sequence[str], list[list[int]]]] = [
-        ("Classes", "class", (*CLASS_NAMES, "not known"), [[*one.by_class, one.unknown] for one in summaries]),
-        ("What can be crossed", "ground", bars, [[one.crossing.get(name, 0) for name in bars] for one in summaries]),
-        (
-            *("Why ground is not known", "reason", [REASON_TEXT[code] for code in codes]),
-            [[one.by_reason[code] for code in codes] for one in summaries],
-        ),
-    ]
-    return [(caption, head, _compared_rows(names, found, sites)) for caption, head, names, found in counts]
-
-
-def _compared_rows(names: Sequence[str], counts: list[list[int]], sites: Sequence[Site]) -> list[Row]:
-    first, second = sites
-    told = []
-    for site, parts in zip(sites, counts, strict=True):  # those shown elsewhere too, and the rest, are rounded alone
-        rest = site.summary.tiles - sum(parts)
-        alone = {place for place, name in enumerate(names) if name in _ALONE} | ({len(parts)} if rest else set())
-        told.append(shares([*parts, rest], alone)[: len(parts)])
-    rows = []
-    for name, one, two, *texts in zip(names, *counts, *told, strict=True):
-        points = 100 * (two / max(second.summary.tiles, 1) - one / max(first.summary.tiles, 1))
-        areas = area(one * first.tile_area), area(two * second.tile_area)
-        rows.append((name, areas[0], texts[0], areas[1], texts[1], f"{points:+.1f}"))
-    return rows
 
 
 def _way_rows(ways: Sequence[DrawnWay]) -> list[Row]:

@@ -2,26 +2,14 @@
 
 from functools import cache
 
-import numpy as np
 from pyproj import CRS
 
-from .copc_file import copc_file
-from .las_file import Vlr, cloud, las_file
+from .las_file import cloud, las_file
 from .text_file import pcd_file, ply_file
 
+from las_files import geokeys, octree, wkt  # isort: skip (las_file finds it)
+
 __all__ = ["bases", "geokeys", "utm", "wkt"]
-
-
-def wkt(text):
-    """Record of a CRS as text."""
-    return Vlr(b"LASF_Projection", 2112, text if isinstance(text, bytes) else text.encode() + b"\0")
-
-
-def geokeys(keys, count=None):
-    """Record of GeoTIFF keys; ``count``: how many it claims, the truth by default."""
-    words = [1, 1, 0, len(keys) if count is None else count]
-    words += [word for key, value in sorted(keys.items()) for word in (key, 0, 1, value)]
-    return Vlr(b"LASF_Projection", 34735, np.array(words, "<u2").tobytes())
 
 
 def utm():
@@ -40,11 +28,11 @@ def bases(count=400):
     varied = {"minor": 4, "wkt_bit": True}
     return {
         "las12.las": las_file(xyz, **fixed),
-        "las14.las": las_file(xyz, fmt=7, vlrs=[utm()], evlrs=[Vlr(b"note", 7, b"n" * 40)], **varied),
+        "las14.las": las_file(xyz, fmt=7, vlrs=[utm()], evlrs=[("note", 7, b"n" * 40)], **varied),
         "laz12.laz": las_file(xyz, chunks=fifth, **fixed),
         "laz14.laz": las_file(xyz, fmt=6, chunks=fifth, evlrs=[utm()], **varied),
         "laz14v.laz": las_file(xyz, fmt=7, chunks=uneven, vlrs=[utm()], **varied),
-        "copc.copc.laz": copc_file(xyz, [utm()]).data,
+        "copc.copc.laz": octree(las_file(xyz, minor=4, fmt=7, vlrs=[utm()]), levels=1, page_levels=1),
         "text.ply": ply_file(xyz, "ascii"),
         "little.ply": ply_file(xyz, "binary_little_endian"),
         "big.ply": ply_file(xyz, "binary_big_endian"),

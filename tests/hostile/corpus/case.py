@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["EITHER", "MAPPED", "REFUSED", "Case", "cut", "flipped", "patched"]
+__all__ = ["EITHER", "MAPPED", "REFUSED", "Case", "cut", "field_cases", "flipped", "patched", "renamed"]
 
 REFUSED = frozenset({3})
 """A lie about the structure: must be noticed."""
@@ -43,7 +43,29 @@ def flipped(data, places, seed):
     return bytes(out)
 
 
+def renamed(name, word):
+    """Give the name of a file with a word behind its stem."""
+    stem, dot, suffix = name.partition(".")
+    return f"{stem}-{word}{dot}{suffix}"
+
+
+def field_cases(name, data, fields, at=0, *, exits=None, default=REFUSED, base=None):
+    """Cases of a file with other numbers in its fields.
+
+    ``fields`` maps a field to its place behind ``at``, its layout and values by word; a text such as ``+1`` is added to
+    what stands there. ``exits`` maps fields, or ``field-word``, to what may become of them.
+    """
+    made, exits = [], exits or {}
+    for field, (place, layout, values) in fields.items():
+        own = data[at + place : at + place + struct.calcsize("<" + layout)]
+        for word, value in values.items():
+            told = int.from_bytes(own, "little") + int(value) if isinstance(value, str) else value
+            spoilt = patched(data, at + place, layout, told)
+            allowed = exits.get(f"{field}-{word}", exits.get(field, default))
+            made.append(Case(renamed(name, f"{field}-{word}"), spoilt, allowed, base))
+    return made
+
+
 def cut(name, data, places):
     """Cases of a file that ends early; ``places`` maps a word to the length that is left."""
-    stem, dot, suffix = name.partition(".")
-    return [Case(f"{stem}-cut-{word}{dot}{suffix}", data[:length]) for word, length in places.items()]
+    return [Case(renamed(name, f"cut-{word}"), data[:length]) for word, length in places.items()]

@@ -4,7 +4,7 @@ import numpy as np
 from pyproj import CRS
 
 from .bases import bases, geokeys, wkt
-from .case import EITHER, MAPPED, REFUSED, Case, cut, flipped, patched
+from .case import EITHER, MAPPED, REFUSED, Case, cut, field_cases, flipped, patched, renamed
 from .las_file import HEADER, HEADER_1_4, cloud, las_file, layout_of
 
 __all__ = ["las_cases"]
@@ -30,6 +30,7 @@ _WILD = {
 }
 _COUNTS = {"0": 0, "one_more": "+1", "2to31": 2**31, "2to32": 2**32 - 1}
 _LONG_COUNTS = _COUNTS | {"2to63": 2**63 - 1, "2to64": 2**64 - 1, "10to12": 10**12}
+_LONG = {"2to32": 2**32 - 1, "2to63": 2**63 - 1, "2to64": 2**64 - 1}
 _EVLRS = {
     "evlr_at": {"0": 0, "inside_points": 500, "beyond": 2**40, "2to63": 2**63 - 1, "2to64": 2**64 - 1},
     "evlr_count": {"one_more": "+1", "2to32": 2**32 - 1},
@@ -39,37 +40,21 @@ _EVLRS = {
 def las_cases():
     """Every case of LAS, and those of LAZ that do not concern its compression."""
     made = []
-    for name in ("las12.las", "laz12.laz"):
-        made += _wild(name, HEADER, _WILD | {"count": _COUNTS})
-    for name in ("las14.las", "laz14.laz"):
-        made += _wild(name, HEADER_1_4, {"count_1_4": _LONG_COUNTS} | _EVLRS)
-    made += _flipped_fields("las12.las", HEADER) + _flipped_fields("laz14.laz", HEADER | HEADER_1_4)
+    for names, places, choices in (
+        (("las12.las", "laz12.laz"), HEADER, _WILD | {"count": _COUNTS}),
+        (("las14.las", "laz14.laz"), HEADER_1_4, {"count_1_4": _LONG_COUNTS} | _EVLRS),
+    ):
+        fields = {field: (*places[field], values) for field, values in choices.items()}
+        # With the tiniest scale all points are in one corner of the header's box.
+        tiny = {"scale_x-tiny": EITHER}
+        made += [case for name in names for case in field_cases(name, bases()[name], fields, exits=tiny)]
+    for name, places in (("las12.las", HEADER), ("laz14.laz", HEADER | HEADER_1_4)):
+        made += [
+            Case(renamed(name, f"flip-{field}"), flipped(bases()[name], [place], seed), EITHER)
+            for seed, (field, (place, _)) in enumerate(places.items())
+        ]
     made += [case for name in ("las12.las", "las14.las", "laz12.laz", "laz14.laz") for case in _cuts(name)]
     return made + _flips("las12.las") + _flips("las14.las") + _records() + _systems() + _points()
-
-
-def _wild(name, fields, values):
-    data = bases()[name]
-    stem, dot, suffix = name.partition(".")
-    made = []
-    for field, choices in values.items():
-        place, layout = fields[field]
-        own = int.from_bytes(data[place : place + 8], "little") % 256 ** {"B": 1, "H": 2, "I": 4}.get(layout, 8)
-        for word, value in choices.items():
-            told = own + int(value) if isinstance(value, str) else value
-            exits = EITHER if word == "tiny" else REFUSED  # all points in one corner of the header's box
-            made.append(Case(f"{stem}-{field}-{word}{dot}{suffix}", patched(data, place, layout, told), exits))
-    return made
-
-
-def _flipped_fields(name, fields):
-    """Spoil the first byte of every field of the header."""
-    data = bases()[name]
-    stem, dot, suffix = name.partition(".")
-    return [
-        Case(f"{stem}-flip-{field}{dot}{suffix}", flipped(data, [place], seed), EITHER)
-        for seed, (field, (place, _)) in enumerate(fields.items())
-    ]
 
 
 def _cuts(name):
@@ -110,26 +95,22 @@ def _flips(name):
     """Spoil points at seeded places."""
     data = bases()[name]
     layout = layout_of(data)
-    stem, dot, suffix = name.partition(".")
     made = []
     for seed in range(4):
         places = np.random.default_rng(seed).integers(layout.points_at, layout.points_end, 1 + 4 * seed).tolist()
-        made.append(Case(f"{stem}-flip-points_{seed}{dot}{suffix}", flipped(data, places, seed), EITHER))
+        made.append(Case(renamed(name, f"flip-points_{seed}"), flipped(data, places, seed), EITHER))
     return made
 
 
 def _records():
     """Variable length records that are longer than the file, or shorter than what they hold."""
     made = []
-    for name, first in (("las14.las", "vlr"), ("laz12.laz", "vlr"), ("laz14.laz", "vlr")):
-        data = bases()[name]
-        stem, dot, suffix = name.partition(".")
-        layout = layout_of(data)
-        start = layout.vlrs[0][0]
-        made.append(Case(f"{stem}-{first}_length-65535{dot}{suffix}", patched(data, start + 20, "H", 65535)))
-        for start, _, _ in layout.evlrs:
-            for word, value in {"2to32": 2**32 - 1, "2to63": 2**63 - 1, "2to64": 2**64 - 1}.items():
-                made.append(Case(f"{stem}-evlr_length-{word}{dot}{suffix}", patched(data, start + 20, "Q", value)))
+    for name in ("las14.las", "laz12.laz", "laz14.laz"):
+        layout = layout_of(bases()[name])
+        fields = {"vlr_length": (layout.vlrs[0][0] + 20, "H", {"65535": 65535})}
+        if layout.evlrs:
+            fields["evlr_length"] = (layout.evlrs[0][0] + 20, "Q", _LONG)
+        made += field_cases(name, bases()[name], fields)
     return made
 
 

@@ -1,33 +1,33 @@
 """Damage to what LAZ adds: the LASzip record, the chunks, their table."""
 
 import io
-import struct
 
 import lazrs
 import numpy as np
 
 from .bases import bases
-from .case import EITHER, REFUSED, Case, flipped, patched
+from .case import EITHER, REFUSED, Case, field_cases, flipped, patched
 from .las_file import layout_of
 
 __all__ = ["laz_cases", "with_table"]
 
 _RECORD = {
-    "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
-    "one_stream": (0, "H", {"1": 1}, EITHER),
-    "coder": (2, "H", {"1": 1, "65535": 65535}, EITHER),
-    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31, "2to32": 2**32 - 1}, EITHER),
-    "item_count": (32, "H", {"0": 0, "1": 1, "65535": 65535}, REFUSED),
-    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}, EITHER),
-    "item_size": (36, "H", {"0": 0, "1": 1, "one_more": 21, "65535": 65535}, REFUSED),
-    "item_version": (38, "H", {"0": 0, "4": 4, "65535": 65535}, REFUSED),
+    "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}),
+    "one_stream": (0, "H", {"1": 1}),
+    "coder": (2, "H", {"1": 1, "65535": 65535}),
+    "chunk_size": (12, "I", {"0": 0, "1": 1, "2to31": 2**31}),
+    "item_count": (32, "H", {"0": 0, "1": 1, "65535": 65535}),
+    "item_type": (34, "H", {"5": 5, "11": 11, "99": 99, "65535": 65535}),
+    "item_size": (36, "H", {"0": 0, "1": 1, "one_more": 21, "65535": 65535}),
+    "item_version": (38, "H", {"0": 0, "4": 4, "65535": 65535}),
 }
-"""Fields of the LASzip record: place, layout, values, what may become of them.
-
-Where a decoder goes by something else than the field, the points must be the right ones.
-"""
-
-
+"""Fields of the LASzip record."""
+_LOOSE = dict.fromkeys(("one_stream", "coder", "chunk_size", "item_type"), EITHER)
+"""Where a decoder goes by something else than the field, the points must be the right ones."""
+# Chunks of 2^32 - 1 points are the sign for chunks of any size: in a file of such, no lie. In the other, chunks of
+# other sizes than the record says are one, be it by a little.
+_FIXED = {"chunk_size": (12, "I", {"2to32": 2**32 - 1, "79": 79, "81": 81, "400": 400})}
+_WRONG = dict.fromkeys(("chunk_size-79", "chunk_size-81", "chunk_size-400"), REFUSED)
 _LAYERS = {"0": 0, "2to32": 2**32 - 1}
 
 
@@ -36,22 +36,15 @@ def laz_cases():
     made = []
     for name in ("laz12.laz", "laz14v.laz"):
         made += _record(name) + _table(name) + _entries(name) + _chunks(name)
-    return [*made, *_fixed_sizes(), _endless()]
+    return [*made, _endless()]
 
 
 def _record(name):
     data, stem = bases()[name], name.removesuffix(".laz")
     at = data.index(b"laszip encoded") - 2
-    made = []
-    for field, (place, layout, values, exits) in _RECORD.items():
-        for word, value in values.items():
-            # Chunks of 2^32 - 1 points are the sign for chunks of any size: in such a file, no lie.
-            if not (field == "chunk_size" and word == "2to32" and name == "laz14v.laz"):
-                made.append(
-                    Case(
-                        f"{stem}-laszip-{field}-{word}.laz", patched(data, at + 54 + place, layout, value), exits, name
-                    )
-                )
+    made = field_cases(f"{stem}-laszip.laz", data, _RECORD, at + 54, exits=_LOOSE, base=name)
+    if name == "laz12.laz":
+        made += field_cases(f"{stem}-laszip.laz", data, _FIXED, at + 54, exits=_LOOSE | _WRONG, base=name)
     gone = data.replace(b"laszip encoded", b"laszip nothing")
     return [
         *made,
@@ -69,13 +62,6 @@ def _endless():
     start, end, _ = layout_of(data).chunks[0]
     at = start + 40
     return Case("laz12-chunk_1-endless_times.laz", data[:at] + b"\xbe\x04" + b"\xff" * (end - at - 2) + data[end:])
-
-
-def _fixed_sizes():
-    """Chunks of other sizes than the record says, by a little."""
-    data = bases()["laz12.laz"]
-    at = data.index(b"laszip encoded") + 52 + 12
-    return [Case(f"laz12-laszip-chunk_size-{size}.laz", patched(data, at, "I", size)) for size in (79, 81, 400)]
 
 
 def _table(name):
@@ -97,13 +83,8 @@ def _table(name):
         "2to63": 2**63 - 1,
     }
     counts = {"0": 0, "4": 4, "6": 6, "10to7": 10**7, "2to31": 2**31, "2to32": 2**32 - 1}
-    made = [
-        Case(f"{stem}-table_at-{word}.laz", patched(data, layout.points_at, "q", at)) for word, at in places.items()
-    ]
-    made += [
-        Case(f"{stem}-table_count-{word}.laz", patched(data, layout.table_at + 4, "I", count))
-        for word, count in counts.items()
-    ]
+    fields = {"table_at": (layout.points_at, "q", places), "table_count": (layout.table_at + 4, "I", counts)}
+    made = field_cases(name, data, fields)
     for seed in range(6):
         place = layout.table_at + 8 + seed % (layout.table_end - layout.table_at - 8)
         made.append(Case(f"{stem}-table-flip_{seed}.laz", flipped(data, [place], seed), EITHER, name))
@@ -163,21 +144,9 @@ def _chunks(name):
         places = np.random.default_rng(seed).integers(start, end, 1 + seed).tolist()
         made.append(Case(f"{stem}-chunk_3-flip_{seed}.laz", flipped(data, places, seed), EITHER))
     if name == "laz14v.laz":
-        made += _layers(data, stem, start)
+        # Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes. Layers that
+        # nobody decodes may lie; those that are decoded must be told from the right ones.
+        fields = {f"layer_{layer}": (40 + 4 * layer, "I", _LAYERS) for layer in range(10)}
+        fields["chunk_points"] = (36, "I", {"0": 0, "more": "+1", "2to32": 2**32 - 1})
+        made += field_cases(name, data, fields, start, default=EITHER, base=name)
     return made
-
-
-def _layers(data, stem, start):
-    """Point formats 6 and up: a count, then the bytes of each layer, behind the first point of 36 bytes.
-
-    Layers that nobody decodes may lie; those that are decoded must be told from the right ones.
-    """
-    (count,) = struct.unpack_from("<I", data, start + 36)
-    lies = {f"layer_{layer}-{word}": (40 + 4 * layer, value) for layer in range(10) for word, value in _LAYERS.items()}
-    lies |= {
-        f"chunk_points-{word}": (36, value) for word, value in (("0", 0), ("more", count + 1), ("2to32", 2**32 - 1))
-    }
-    return [
-        Case(f"{stem}-{word}.laz", patched(data, start + place, "I", value), EITHER, f"{stem}.laz")
-        for word, (place, value) in lies.items()
-    ]

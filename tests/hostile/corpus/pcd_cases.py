@@ -1,11 +1,9 @@
 """Damage to PCD: counts, sizes of fields, packed lengths."""
 
-import struct
-
 import numpy as np
 
 from .bases import bases
-from .case import EITHER, MAPPED, REFUSED, Case, cut, patched
+from .case import EITHER, MAPPED, Case, cut, field_cases, patched
 from .las_file import cloud
 from .text_file import pcd_file, pcd_header
 
@@ -69,26 +67,14 @@ def _packed():
     """Packed points: how long they are packed, and unpacked, stands before them."""
     data = bases()["packed.pcd"]
     at = len(pcd_header(400, "binary_compressed"))
-    packed, plain = struct.unpack_from("<II", data, at)
-    lies = {
-        "packed-0": (0, "I", 0),
-        "packed-one_less": (0, "I", packed - 1),
-        "packed-one_more": (0, "I", packed + 1),
-        "packed-2to32": (0, "I", 2**32 - 1),
-        "plain-0": (4, "I", 0),
-        "plain-one_less": (4, "I", plain - 1),
-        "plain-one_more": (4, "I", plain + 1),
-        "plain-2to31": (4, "I", 2**31),
-        "plain-2to32": (4, "I", 2**32 - 1),
-        "body-0": (8, "8s", bytes(8)),
-        "body-255": (8, "8s", b"\xff" * 8),
+    fields = {
+        "packed": (0, "I", {"0": 0, "one_less": "-1", "one_more": "+1", "2to32": 2**32 - 1}),
+        "plain": (4, "I", {"0": 0, "one_less": "-1", "one_more": "+1", "2to31": 2**31, "2to32": 2**32 - 1}),
+        "body": (8, "8s", {"0": bytes(8), "255": b"\xff" * 8}),
     }
     # Bytes too many may be ignored, and a spoilt byte may still unpack to numbers.
-    loose = {"packed-one_less", "plain-one_more", "plain-2to31", "plain-2to32", "body-0", "body-255"}
-    made = [
-        Case(f"pcd_packed-{word}.pcd", patched(data, at + place, form, value), EITHER if word in loose else REFUSED)
-        for word, (place, form, value) in lies.items()
-    ]
+    loose = ("packed-one_less", "plain-one_more", "plain-2to31", "plain-2to32", "body-0", "body-255")
+    made = field_cases("pcd_packed.pcd", data, fields, at, exits=dict.fromkeys(loose, EITHER))
     # All of it claims: 2^32 - 1 bytes of 153 million points.
     head = pcd_header((2**32 - 1) // 28, "binary_compressed")
     return [*made, Case("pcd_packed-bomb.pcd", head + patched(data[at:], 4, "I", 2**32 - 1))]

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 
 from .bases import bases
-from .case import EITHER, MAPPED, REFUSED, Case, cut
+from .case import EITHER, MAPPED, REFUSED, Case, cut, renamed
 from .las_file import cloud
 from .text_file import ply_file, ply_header
 
@@ -23,15 +23,10 @@ def ply_cases():
 def _counts():
     wild = {"10to12": 10**12, "2to63": 2**63, "10to30": 10**30, "one_more": 401, "negative": -5, "0": 0, "word": "many"}
     return [
-        _renamed(name, f"count-{word}", bases()[name].replace(_COUNT, f"element vertex {value}".encode()))
+        Case(renamed(name, f"count-{word}"), bases()[name].replace(_COUNT, f"element vertex {value}".encode()))
         for name in ("text.ply", "little.ply")
         for word, value in wild.items()
     ]
-
-
-def _renamed(name, word, data, exits=REFUSED):
-    stem, dot, suffix = name.partition(".")
-    return Case(f"{stem}-{word}{dot}{suffix}", data, exits)
 
 
 def _headers():

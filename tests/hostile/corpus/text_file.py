@@ -5,6 +5,10 @@ import struct
 import lzf
 import numpy as np
 
+from .las_file import ORIGIN  # noqa: F401 (finds the helpers)
+
+from ply_files import ply_bytes  # isort: skip
+
 __all__ = ["pcd_file", "pcd_header", "ply_file", "ply_header"]
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
@@ -19,17 +23,10 @@ def ply_header(form, elements):
 
 
 def ply_file(xyz, form):
-    """Bytes of a valid PLY file with double coordinates."""
-    head = ply_header(form, [("vertex", len(xyz), ["double x", "double y", "double z", "uchar class"])])
-    return head + b"".join(_row([*row, 2], _FORMATS[form], "dddB") for row in np.asarray(xyz, float).tolist())
-
-
-def _row(values, order, kinds):
-    if order == "=":
-        return (
-            " ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in values) + "\n"
-        ).encode()
-    return struct.pack(order + kinds, *values)
+    """Bytes of a valid PLY file with double coordinates, rounded to millimetres in a text."""
+    axes = np.round(np.asarray(xyz, float), 3) if form == "ascii" else np.asarray(xyz, float)
+    rows = np.rec.fromarrays([*axes.T, np.full(len(axes), 2, np.uint8)], names="x,y,z,class")
+    return ply_bytes([("vertex", rows)], _FORMATS[form])
 
 
 def pcd_header(count, encoding, **changes):

@@ -3,17 +3,18 @@
 import errno
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bumpymap.core.errors import OutputError
-from bumpymap.lab.settings import CalibrationSettings, LibraryJob, TableJob
+from bumpymap.lab.settings import CalibrationSettings
 from bumpymap.lab.simulate import calibrate as calibrate_module
-from bumpymap.lab.simulate.calibrate import calibrate_vehicle, class_limits
+from bumpymap.lab.simulate.calibrate import calibrate_vehicle, calibration_journal, class_limits, run_job
 from bumpymap.lab.simulate.drive import DriveSettings, PatchDrives
-from bumpymap.lab.simulate.jobs import Journal
-from bumpymap.lab.simulate.plan import library_terrains, run_job
+from bumpymap.lab.simulate.jobs import DriveJob
+from bumpymap.lab.simulate.plan import library_terrains
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating.calibration import Calibration, shipped_calibrations
 from bumpymap.rating.vehicle_profile import Vehicle, load_profile
@@ -28,6 +29,18 @@ SETTINGS = CalibrationSettings(
 TABLE, LIBRARY = 16, len(KINDS)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def without_fits():
+    """Only table and library: no crossings, no other speeds, no models."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrate_module, "refit", lambda made: made)
+        patch.setattr(calibrate_module, "fit_steps", lambda *_: None)
+        patch.setattr(calibrate_module, "fit_motion", lambda *_: SimpleNamespace(to_record=lambda: None))
+        for name in ("crossing_jobs", "motion_jobs"):
+            patch.setattr(calibrate_module, name, lambda _: [])
+        yield
+
+
 @pytest.fixture(scope="module")
 def calibration():
     return calibrate_vehicle(SETTINGS)
@@ -40,10 +53,11 @@ def fake_drives(monkeypatch):
 
     def run(settings, job):
         ran.append(job)
-        if isinstance(job, TableJob):
-            c_r = 0.03 * (1 + job.texture) * (1 + 5 * job.z) * (1 + 0.1 * job.patch)
+        purpose, first, *rest = job.key
+        if purpose == "table":
+            c_r = 0.03 * (1 + first) * (1 + 5 * rest[0]) * (1 + 0.1 * rest[1])
         else:
-            c_r = 0.01 * (1 + KINDS.index(job.kind))
+            c_r = 0.01 * (1 + KINDS.index(first))
         return PatchDrives(("completed",) * job.starts, (c_r,) * job.starts)
 
     monkeypatch.setattr(calibrate_module, "run_job", run)
@@ -70,17 +84,17 @@ def test_interruption_changes_nothing_and_driven_patches_are_not_driven_again(ca
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        calibrate_vehicle(SETTINGS, stop, journal=Journal(path, SETTINGS.to_dict()))
+        calibrate_vehicle(SETTINGS, stop, journal=calibration_journal(path, SETTINGS))
     assert len(path.read_text().splitlines()) == 1 + TABLE + 3
     ran = []
     monkeypatch.setattr(calibrate_module, "run_job", lambda s, job: ran.append(job) or run_job(s, job))
-    assert calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == calibration
+    assert calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS)) == calibration
     assert len(ran) == LIBRARY - 3
 
 
 def test_job_depends_on_nothing_but_the_settings(calibration):
     more = replace(SETTINGS, patches=5, starts=2, terrains=3, terrain_starts=3)
-    table, library = TableJob(3, 1, 1, 1), LibraryJob("furrows", 0, 2)
+    table, library = DriveJob(("table", 3, 1, 1), 1), DriveJob(("library", "furrows", 0), 2)
     assert run_job(more, replace(table, starts=2)).c_r[:1] == run_job(SETTINGS, table).c_r
     assert calibration.settings["patch_c_r"][3][1][1] == run_job(SETTINGS, table).c_r[0]
     made = run_job(SETTINGS, library)
@@ -88,27 +102,13 @@ def test_job_depends_on_nothing_but_the_settings(calibration):
     assert calibration.settings["library"]["furrows"]["c_r"] == [pytest.approx(made.mean_c_r, rel=1e-5)]
 
 
-def test_fit_gets_ground_and_drives_and_its_answer_is_kept(fake_drives, tmp_path):
-    seen = {}
-
-    def fit(profile, terrains, driven):
-        seen.update(profile=profile, terrains=terrains, driven=driven)
-        return {"c_r": [1.0, 2.0], "origin": {"terrains": len(driven)}}
-
-    made = calibrate_vehicle(replace(SETTINGS, terrains=2), fit=fit)
-    assert made.ride == {"c_r": [1.0, 2.0], "origin": {"terrains": 2 * LIBRARY}}
-    assert seen["profile"] == SETTINGS.profile
-    assert [t.kind for t in seen["terrains"]] == [d.kind for d in seen["driven"]]
-    assert seen["driven"] == library_terrains(Calibration.from_json(made.to_json(), "x"))
-
-
 def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
     path = tmp_path / "progress"
-    whole = calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    whole = calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
     lines = path.read_text().splitlines()
     path.write_text("\n".join(lines[:4]) + "\n" + lines[4][:25])
     fake_drives.clear()
-    assert calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict())) == whole
+    assert calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS)) == whole
     assert len(fake_drives) == TABLE + LIBRARY - 3
     assert "damaged line" in caplog.text
     assert path.read_text().splitlines() == lines
@@ -116,12 +116,12 @@ def test_cut_off_line_is_dropped(fake_drives, tmp_path, caplog):
 
 def test_progress_of_other_settings_is_refused_unless_told(fake_drives, tmp_path):
     path = tmp_path / "progress"
-    calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
     other = replace(SETTINGS, seed=5)
     with pytest.raises(OutputError, match=r"other settings.*--overwrite"):
-        calibrate_vehicle(other, journal=Journal(path, other.to_dict()))
+        calibrate_vehicle(other, journal=calibration_journal(path, other))
     fake_drives.clear()
-    calibrate_vehicle(other, journal=Journal(path, other.to_dict()), discard_other=True)
+    calibrate_vehicle(other, journal=calibration_journal(path, other), discard_other=True)
     assert len(fake_drives) == TABLE + LIBRARY
     assert json.loads(path.read_text().splitlines()[0])["settings"]["seed"] == 5
 
@@ -133,11 +133,11 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
     path = tmp_path / "progress"
     path.symlink_to(tmp_path / target)
     with pytest.raises(OutputError, match="is a link and was not touched"):
-        calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()), discard_other=True)
+        calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS), discard_other=True)
     assert (tmp_path / "mine").read_text() == "mine"
     assert not (tmp_path / "none").exists()
     path.unlink()
-    journal = Journal(path, SETTINGS.to_dict())
+    journal = calibration_journal(path, SETTINGS)
     driven = journal.resume(discard_other=False)
     path.unlink()
     path.symlink_to(tmp_path / "mine")  # swapped while the run is under way
@@ -149,7 +149,7 @@ def test_a_progress_file_that_is_a_link_is_left_alone(tmp_path, fake_drives, tar
 
 def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkeypatch):
     path = tmp_path / "progress"
-    calibrate_vehicle(SETTINGS, journal=Journal(path, SETTINGS.to_dict()))
+    calibrate_vehicle(SETTINGS, journal=calibration_journal(path, SETTINGS))
     before = path.read_text()
 
     def full(file, *_, **__):
@@ -160,7 +160,7 @@ def test_a_full_disk_does_not_cost_what_was_driven(tmp_path, fake_drives, monkey
     with monkeypatch.context() as patch:
         patch.setattr("pathlib.Path.write_text", full)
         with pytest.raises(OutputError, match="No space left"):
-            Journal(path, SETTINGS.to_dict()).resume(discard_other=False)
+            calibration_journal(path, SETTINGS).resume(discard_other=False)
     assert path.read_text() == before
 
 
@@ -177,9 +177,9 @@ def test_shipped_calibration_is_what_this_code_makes(name):
         k: v for k, v in settings.to_dict().items() if k not in ("versions", "vehicle")
     }
     for texture, z in ((0, 5), (3, 2)):
-        drives = run_job(settings, TableJob(texture, z, 0, settings.starts))
+        drives = run_job(settings, DriveJob(("table", texture, z, 0), settings.starts))
         assert drives.mean_c_r == pytest.approx(made["patch_c_r"][texture][z][0], rel=0.01)
-    drives = run_job(settings, LibraryJob("fractal_5", 1, settings.terrain_starts))
+    drives = run_job(settings, DriveJob(("library", "fractal_5", 1), settings.terrain_starts))
     assert drives.mean_c_r == pytest.approx(made["library"]["fractal_5"]["c_r"][1], rel=0.01)
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from known_grounds import PlaneGround, SineGround
 
 from bumpymap.core.errors import OutputError
 from bumpymap.lab.simulate import model
@@ -13,7 +14,7 @@ from bumpymap.lab.simulate.model import (
     DartVehicle,
     Physics,
 )
-from bumpymap.lab.simulate.terrain import PatchGround, PlaneGround, SineGround, Strip
+from bumpymap.lab.simulate.terrain import PatchGround, Strip
 from bumpymap.rating.textures import make_textures
 from bumpymap.rating.vehicle_profile import load_profile
 

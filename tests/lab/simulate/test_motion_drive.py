@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from known_grounds import PlaneGround, SineGround
 
 from bumpymap.lab.simulate.drive import Start
 from bumpymap.lab.simulate.motion_fit import drive_motion, weighted_acceleration
-from bumpymap.lab.simulate.terrain import PlaneGround, SineGround
 from bumpymap.rating import felt_response, load_profile
 
 WARTHOG = load_profile("warthog")

@@ -1,10 +1,9 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.refit import CrossingJob, add_steps, run_crossing, step_tile
+from bumpymap.lab.simulate.jobs import DriveJob
+from bumpymap.lab.simulate.refit import run_crossing, step_tile
 from bumpymap.rating import Calibration, load_profile
 
 SETTINGS = CalibrationSettings(load_profile("warthog"))
@@ -23,26 +22,16 @@ def test_a_tile_has_both_levels_and_their_mean_between(turn, offset):
 @pytest.mark.slow
 def test_a_low_kerb_is_crossed_and_a_high_wall_is_not():
     pytest.importorskip("dartpy")
-    for up in (True, False):
-        assert run_crossing(SETTINGS, CrossingJob(0.1, 0, up)).outcome == ("completed",)
-    assert run_crossing(SETTINGS, CrossingJob(0.7, 1, up=True)).outcome == ("stuck",)
+    for up in (1, 0):
+        assert run_crossing(SETTINGS, DriveJob(("crossing", "0.1", 0, up), 1)).outcome == ("completed",)
+    assert run_crossing(SETTINGS, DriveJob(("crossing", "0.7", 1, 1), 1)).outcome == ("stuck",)
 
 
 @pytest.mark.slow
 def test_a_crossing_repeats_and_is_that_of_the_shipped_calibration():
     pytest.importorskip("dartpy")
-    job = CrossingJob(0.4, 0, up=True)
+    job = DriveJob(("crossing", "0.4", 0, 1), 1)
     drives = run_crossing(SETTINGS, job)
     assert drives == run_crossing(SETTINGS, job)
     record = Calibration.shipped("warthog").steps["crossing"]
     assert drives.failed == record["fail_up"][record["height"].index(0.4)][0]
-
-
-def test_tiles_are_rated_again_from_the_file(monkeypatch):
-    """With the crossings at hand, the record of the shipped calibration can be made without driving."""
-    shipped = Calibration.shipped("warthog")
-    monkeypatch.setattr("bumpymap.lab.simulate.refit.drive_jobs", lambda *_, **__: {})
-    monkeypatch.setattr("bumpymap.lab.simulate.refit._crossings", lambda *_: shipped.steps["crossing"])
-    again = add_steps(replace(shipped, steps=None)).steps
-    np.testing.assert_allclose(again["tile"]["c_r"], shipped.steps["tile"]["c_r"], rtol=1e-4)
-    np.testing.assert_allclose(again["tile"]["p_fail"], shipped.steps["tile"]["p_fail"], rtol=1e-3)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from driven_ways import RecordSettings, ReliefGround, Stop, record_way
+from known_grounds import sine_c_r
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 from sensed_drives import (
@@ -19,7 +20,6 @@ from sensed_drives import (
     write_drive_files,
 )
 
-from bumpymap.lab.simulate.jobs import sine_c_r
 from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")

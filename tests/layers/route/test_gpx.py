@@ -9,7 +9,7 @@ import shapely
 from hypothesis import given, strategies as st
 from pyogrio.raw import read
 from pyproj import CRS, Transformer
-from route_records import CORNERS, FIGURES, UTM, make_route
+from route_records import CORNERS, UTM, make_route
 
 from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers.route_lines import track_points, write_gpx
@@ -53,14 +53,6 @@ def test_the_structure_is_that_of_the_schema(tmp_path):
         "via 1",
         "goal",
     ]
-
-
-def test_metres_on_obstacles_are_told(tmp_path):
-    clear, touching = make_route(), make_route(figures=replace(FIGURES, obstacle_m=3.25))
-    write_gpx([replace(clear, figures=replace(FIGURES, obstacle_m=0.0)), touching], tmp_path / "route.gpx")
-    texts = [track.findtext(f"{NAMESPACE}desc") for track in checked(tmp_path / "route.gpx").iter(f"{NAMESPACE}trk")]
-    assert "obstacles" not in texts[0]
-    assert "touches obstacles on 3.2 m" in texts[1]
 
 
 def test_gdal_reads_the_track_where_the_way_is(tmp_path):
@@ -107,11 +99,6 @@ def test_a_point_on_the_antimeridian_is_west_of_it(tmp_path):
     corners = np.array([[x, y], [x + 50.0, y]])
     write_gpx([make_route(corners=corners, georeference=Georeference(zone))], tmp_path / "route.gpx")
     checked(tmp_path / "route.gpx")
-
-
-def test_a_way_of_length_0(tmp_path):
-    write_gpx([make_route(corners=CORNERS[:1])], tmp_path / "route.gpx")
-    assert len(list(checked(tmp_path / "route.gpx").iter(f"{NAMESPACE}trkpt"))) == 1
 
 
 def test_without_a_crs_it_is_refused(tmp_path):

@@ -45,13 +45,6 @@ def test_every_number_of_the_profile_is_there(georeference, tmp_path):
     np.testing.assert_allclose(np.column_stack([x, y]), np.column_stack([expected["x"], expected["y"]]), atol=0.015)
 
 
-def test_several_routes_stand_one_after_the_other(tmp_path):
-    routes = [make_route("one, two"), make_route('"three"', step=7.0)]
-    write_profile(routes, tmp_path / "profile.csv")
-    names = [row["route"] for row in table_of(tmp_path / "profile.csv")]
-    assert names == ["one, two"] * len(routes[0].profile.z) + ['"three"'] * len(routes[1].profile.z)
-
-
 def test_without_a_crs_longitude_and_latitude_are_empty(tmp_path):
     write_profile([make_route(georeference=Georeference(None))], tmp_path / "profile.csv")
     rows = table_of(tmp_path / "profile.csv")

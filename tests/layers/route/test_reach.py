@@ -1,4 +1,4 @@
-"""reach.tif, reach_back.tif and isochrones.geojson, read back by others."""
+"""reach.tif and isochrones.geojson, read back by others."""
 
 import json
 from dataclasses import replace
@@ -11,9 +11,9 @@ from pyproj import Geod
 from rio_cogeo.cogeo import cog_validate
 from route_records import UTM
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError
 from bumpymap.layers import ReachField
-from bumpymap.layers.reach import NO_MOVE, write_isochrones, write_reach, write_reach_back
+from bumpymap.layers.reach import write_isochrones, write_reach
 from bumpytiles import BLOCK_TILES, Grid, TileWindow
 
 WINDOW = TileWindow(160_003, 680_007, 3 * BLOCK_TILES + 5, 2 * BLOCK_TILES + 3)
@@ -25,9 +25,7 @@ def reach():
     rows, cols = np.mgrid[: WINDOW.rows, : WINDOW.cols]
     cost = (3.0 * np.hypot(rows - 20, cols - 15)).astype(np.float32)
     cost[:, -7:] = np.nan
-    back = np.where(np.isnan(cost) | (cost == 0), NO_MOVE, (rows + cols) % 32).astype(np.uint8)
-    moves = np.array([[number % 5 - 2, number // 5 - 3] for number in range(32)])
-    return ReachField(UTM, Grid(), WINDOW, cost, cost / 60.0, back, moves)
+    return ReachField(UTM, Grid(), WINDOW, cost, cost / 60.0)
 
 
 @pytest.mark.parametrize("with_minutes", [True, False])
@@ -44,22 +42,6 @@ def test_another_reader_reads_the_raster_bit_for_bit(reach, with_minutes, tmp_pa
         if with_minutes:
             np.testing.assert_array_equal(file.read(2), reach.minutes)
         assert file.xy(0, 0) == (WINDOW.col * 3.0 + 1.5, (WINDOW.row + WINDOW.rows) * 3.0 - 1.5)
-
-
-def test_back_links_come_with_their_moves(reach, tmp_path):
-    write_reach_back(reach, tmp_path / "reach_back.tif")
-    assert cog_validate(tmp_path / "reach_back.tif")[0]
-    with rasterio.open(tmp_path / "reach_back.tif") as file:
-        np.testing.assert_array_equal(file.read(1), reach.back)
-        assert (file.nodata, json.loads(file.tags()["moves"])) == (NO_MOVE, reach.moves.tolist())
-        assert file.tags()["straight_to_start"] == "254"
-
-
-def test_arrays_that_do_not_fit_are_refused(reach):
-    with pytest.raises(ValueError, match="cost"):
-        replace(reach, cost=reach.cost[1:])
-    with pytest.raises(ValueError, match="moves"):
-        replace(reach, moves=None)
 
 
 def isochrones(reach, levels, path, by="cost"):
@@ -102,21 +84,8 @@ def test_minutes_and_what_none_can_reach(reach, tmp_path):
     assert (shapes, "bbox" in collection) == ([None], False)
 
 
-def test_without_a_crs_isochrones_say_so(reach, tmp_path):
-    collection, (shape,) = isochrones(
-        replace(reach, georeference=Georeference(None, 0.5)), [60.0], tmp_path / "a.geojson"
-    )
-    assert "local_coordinates" in collection
-    assert shape.area == pytest.approx(9.0 / 0.25 * (reach.cost <= 60.0).sum())
-
-
 @pytest.mark.parametrize("levels", [[], [0.0], [-1.0, 5.0], [float("nan")], [float("inf")]])
 def test_levels_that_mean_nothing_are_refused(reach, levels, tmp_path):
     with pytest.raises(BadInputError, match="positive"):
         write_isochrones(reach, levels, tmp_path / "a.geojson", by="cost")
     assert not list(tmp_path.iterdir())
-
-
-def test_minutes_that_are_not_known_are_refused(reach, tmp_path):
-    with pytest.raises(BadInputError, match="minutes"):
-        write_isochrones(replace(reach, minutes=None), [5.0], tmp_path / "a.geojson", by="minutes")

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import shapely
 from hypothesis import given, strategies as st
-from pyogrio.raw import read
 from pyproj import CRS, Geod, Transformer
 from route_records import CORNERS, FIGURES, make_route
 
@@ -70,18 +69,6 @@ def test_a_line_lies_where_the_way_is(epsg, unit, middle, tmp_path):
     assert collection["bbox"] == pytest.approx([lon.min(), lat.min(), lon.max(), lat.max()])
 
 
-def test_another_reader_reads_lines_and_figures(tmp_path):
-    routes = [make_route(), make_route("alternative 1", CORNERS + np.array([0.0, 30.0]))]
-    write_route_geojson(routes, tmp_path / "route.geojson")
-    meta, _, geometries, columns = read(tmp_path / "route.geojson")
-    shapes = shapely.from_wkb(geometries)
-    assert meta["crs"] == "EPSG:4326"
-    assert [shape.geom_type for shape in shapes] == ["LineString"] * 2 + ["Point"] * 4
-    values = dict(zip(meta["fields"], columns, strict=True))
-    assert values["name"][:2].tolist() == ["route", "alternative 1"]
-    assert values["length_m"][0] == FIGURES.length_m
-
-
 def test_figures_are_those_of_the_route_and_what_is_unknown_is_null(tmp_path):
     route = replace(make_route(), figures=replace(FIGURES, c_r_mean=float("nan"), p_fail_max=float("nan")))
     (line,) = lines_of(written([route], tmp_path / "route.geojson"))
@@ -103,19 +90,6 @@ def test_stops_have_roles_and_shared_ones_are_written_once(tmp_path):
         {"role": "via", "name": "via 1"},
         {"role": "goal", "name": "goal"},
     ]
-
-
-def test_a_way_back_to_its_start_has_both_ends(tmp_path):
-    there_and_back = np.concatenate([CORNERS, CORNERS[1::-1]])
-    stops = stops_of(written([make_route(corners=there_and_back)], tmp_path / "route.geojson"))
-    assert [stop["properties"]["role"] for stop in stops] == ["start", "goal"]
-    assert stops[0]["geometry"] == stops[1]["geometry"]
-
-
-def test_a_way_of_length_0_is_a_line_of_two_positions(tmp_path):
-    (line,) = lines_of(written([make_route(corners=CORNERS[:1])], tmp_path / "route.geojson"))
-    first, second = line["geometry"]["coordinates"]
-    assert first == second
 
 
 def test_without_a_crs_the_file_says_what_its_coordinates_are(tmp_path):
@@ -173,16 +147,3 @@ def test_a_cut_line_is_the_line(steps, first):
         assert np.min(near, axis=0).max() < 1e-6
     length = sum(shapely.length(shapely.linestrings(part)) for part in parts)
     assert length == pytest.approx(shapely.length(whole), abs=1e-5)
-
-
-def test_any_name_is_json(tmp_path):
-    name = 'a "quoted" \\ name \udce9 \x01 é'
-    (line,) = lines_of(written([make_route(name)], tmp_path / "route.geojson"))
-    assert line["properties"]["name"].startswith('a "quoted" \\ name')
-
-
-def test_where_its_crs_does_not_reach_a_way_keeps_the_coordinates_of_the_survey(tmp_path):
-    """As cost.geojson of such a survey, which is mapped with ``local`` only."""
-    beyond = make_route(corners=CORNERS + 1e9)
-    collection = written([beyond], tmp_path / "route.geojson")
-    assert "local_coordinates" in collection

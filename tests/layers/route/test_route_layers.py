@@ -1,17 +1,14 @@
 """Routes over layers that a run has written: the relief of pictures, and every file together."""
 
-import json
-
 import numpy as np
 import pytest
-import rasterio
 from route_maps import write_folder
 from route_records import make_route
 
-from bumpymap.core import BadInputError, Georeference
+from bumpymap.core import BadInputError
 from bumpymap.layers import open_map
 from bumpymap.route.output import write_routes
-from bumpytiles import Grid, TileWindow
+from bumpytiles import Grid
 
 SMALL = Grid(3.0, 4)
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -20,14 +17,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreference
 @pytest.fixture(scope="module")
 def folder(make_field, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("relief") / "layers", make_field(40, 30, grid=SMALL, seed=4))
-
-
-def test_relief_at_full_size_is_the_heightmap(folder):
-    found = open_map([folder])
-    whole = found.window
-    np.testing.assert_array_equal(found.relief(whole, (whole.rows * 4, whole.cols * 4)), found.heights(whole))
-    part = TileWindow(whole.col - 5, whole.row + 20, 25, 22)  # beyond the map to the west and the north
-    np.testing.assert_array_equal(found.relief(part, (88, 100)), found.heights(part))
 
 
 def test_coarse_relief_holds_means(folder):
@@ -51,19 +40,6 @@ def test_sheets_make_one_relief(make_field, tmp_path):
     for half, folder in ((relief[:, :40], west), (relief[:, 40:], east)):
         alone = open_map([folder])
         np.testing.assert_array_equal(half, alone.relief(alone.window, (60, 40)))
-
-
-def test_a_run_leaves_all_its_files(folder, tmp_path):
-    found = open_map([folder])
-    bounds = found.grid.window_bounds(found.window)
-    corners = np.array([[bounds.west + 10, bounds.south + 10], [bounds.east - 30, bounds.north - 8]])
-    route = make_route(corners=corners, georeference=Georeference(found.georeference.crs))
-    write_routes([route], found, tmp_path / "out", manifest={"settings": {}})
-    record = json.loads((tmp_path / "out" / "route.json").read_text())
-    assert record["layers"][0]["path"] == str(folder)
-    assert record["vehicle"]["name"] == "warthog"
-    with rasterio.open(tmp_path / "out" / "route.png") as file:
-        assert file.width == 1600
 
 
 def test_damaged_layers_leave_nothing(make_field, tmp_path):

@@ -1,15 +1,11 @@
 """gathered.laz: points of the frames in the frame of the world."""
 
-from contextlib import contextmanager
-
 import laspy
 import numpy as np
-import pytest
 from pyproj import CRS
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core.errors import OutputError
-from bumpymap.layers import open_accumulated, output_errors
+from bumpymap.layers import open_accumulated
 
 
 def pose(turn, place):
@@ -40,34 +36,3 @@ def test_without_a_crs_the_file_has_none_and_the_same_points_give_the_same_bytes
             gathered.add_points(scan.points.astype(float), scan.points[:, 2] < 0.0)
     assert laspy.open(tmp_path / "a.laz").header.parse_crs() is None
     assert (tmp_path / "a.laz").read_bytes() == (tmp_path / "b.laz").read_bytes()
-
-
-def test_a_drive_without_points_is_a_file_without_points(tmp_path):
-    with open_accumulated(tmp_path / "a.laz", np.eye(4), None):
-        pass
-    assert laspy.open(tmp_path / "a.laz").header.point_count == 0
-
-
-def test_a_full_disk_is_said(scan, tmp_path):
-    class Full:
-        """Stands for a path on a disk with little room."""
-
-        @contextmanager
-        def open(self, mode):
-            with (tmp_path / "a.laz").open(mode) as stream:
-                write = stream.write
-
-                class Stream:
-                    def write(self, data):
-                        if stream.tell() > 20_000:
-                            raise OSError(28, "No space left on device")
-                        return write(data)
-
-                    def __getattr__(self, name):
-                        return getattr(stream, name)
-
-                yield Stream()
-
-    with pytest.raises(OutputError, match="nothing half-written"), output_errors(tmp_path):  # noqa: SIM117
-        with open_accumulated(Full(), np.eye(4), None) as gathered:
-            gathered.add_points(scan.points.astype(float), scan.points[:, 2] < 0.0)

@@ -16,14 +16,6 @@ def names(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-def test_a_new_folder_is_made_and_one_with_other_things_is_fine(tmp_path):
-    check_scan_folder(tmp_path / "new" / "deep", overwrite=False)
-    assert (tmp_path / "new" / "deep").is_dir()
-    fill(tmp_path, "notes.txt")
-    check_scan_folder(tmp_path, overwrite=False)
-    assert names(tmp_path) == ["notes.txt"]
-
-
 @pytest.mark.parametrize("name", ["scan.json", "sectors.parquet", "gathered.laz", "frames/a.png", "map/run.json"])
 def test_products_of_an_earlier_run_need_a_word(tmp_path, name):
     fill(tmp_path, name)

@@ -1,7 +1,5 @@
 """sectors.parquet against the sectors it was made of."""
 
-from dataclasses import replace
-
 import numpy as np
 import pyarrow.parquet as pq
 
@@ -69,13 +67,3 @@ def test_row_groups_keep_memory_bounded(classed, tmp_path, monkeypatch):
     assert file.metadata.num_rows == 9 * len(classed.class_id)
     assert file.metadata.num_row_groups > 1
     assert file.read(["frame"])["frame"].to_pylist() == [str(n) for n in range(9) for _ in classed.class_id]
-
-
-def test_the_learned_method_has_no_stripes_and_unlabelled_scans_no_label(classed, tmp_path):
-    unlabelled = replace(classed.sectors, label=np.full_like(classed.sectors.label, -1))
-    found = write(tmp_path / "a.parquet", ("one", replace(classed, sectors=unlabelled, stripes=None, method="learned")))
-    assert found["stripes"].null_count == found["label"].null_count == found.num_rows
-
-
-def test_no_frame_at_all_gives_a_table_without_rows(tmp_path):
-    assert write(tmp_path / "a.parquet").num_rows == 0

@@ -3,14 +3,7 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.layers import SheetLayout, check_extent, suggested_sheets
-from bumpytiles import BLOCK_TILES, Grid, TileWindow
-
-
-@pytest.mark.parametrize(
-    ("size", "kilometres", "side"), [(3.0, 5, 1664), (2.5, 5, 2000), (5.0, 1, 192), (3.0, 0.03, 16), (3.0, 30, 10_000)]
-)
-def test_sides_are_whole_blocks(size, kilometres, side):
-    assert SheetLayout.of(Grid(size, 15), kilometres).side == side
+from bumpytiles import Grid, TileWindow
 
 
 @pytest.mark.parametrize(("grid", "kilometres"), [(Grid(), 0.02), (Grid(), 31), (Grid(0.1, 5), 5), (Grid(3.0, 60), 10)])
@@ -34,12 +27,6 @@ def test_a_name_is_that_of_one_place(col, row):
     across, along = name.split("_")
     assert (letters[across[0]] * int(across[1:]), letters[along[0]] * int(along[1:])) == (col, row)
     assert len(name) == 11
-
-
-def test_names_of_one_hemisphere_sort_as_the_sheets_lie():
-    layout = SheetLayout(Grid(), BLOCK_TILES)
-    places = [(col, row) for col in (0, 9, 10, 99_999, 100_000) for row in (7, 80, 200_000)]
-    assert sorted(places, key=layout.name) == places
 
 
 def test_too_many_sheets_are_refused_with_a_size_that_would_do():

@@ -17,8 +17,8 @@ from sheet_maps import SMALL, write_in_sheets as write
 
 import bumpymap
 from bumpymap.core.errors import BadInputError, OutputError
-from bumpymap.core.types import CostTable, Georeference, Reason
-from bumpymap.layers import check_folder, open_map, open_pair, sheets as writing, write_products
+from bumpymap.core.types import CostTable, Reason
+from bumpymap.layers import open_map, sheets as writing, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.sheet_paths import sheet_folders
 from bumpymap.views import write_map_views
@@ -99,12 +99,6 @@ def test_each_sheet_is_a_map_and_says_where_it_lies(sheets):
     assert sum(int(row["tiles"]) for row in rows) == totals["tiles"]
 
 
-def test_counts_and_medians_are_those_of_the_whole(whole, sheets):
-    one, other = (json.loads((folder / "run.json").read_text()) for folder in (whole, sheets))
-    assert other["counts"] == one["counts"]
-    assert {key: other[key] for key in ("crs", "grid", "cost")} == {key: one[key] for key in ("crs", "grid", "cost")}
-
-
 def test_same_map_same_bytes(made, sheets, tmp_path):
     shuffled = part_of(made, np.random.default_rng(1).permutation(len(made.class_id)))
     write(shuffled, tmp_path / "again", blocks=4)
@@ -139,13 +133,6 @@ def test_sites_far_apart_need_no_room_between(tmp_path):
         assert file.read(1, window=((500, 502), (500, 502))).tolist() == [[255, 255], [255, 255]]  # no points
 
 
-def test_ground_without_a_crs(tmp_path):
-    local = make_field(20, 20, grid=SMALL, west=0, south=0, georeference=Georeference(None))
-    write(local, tmp_path)
-    with rasterio.open(tmp_path / "cost.vrt") as file:
-        assert file.crs is None
-
-
 def test_one_map_is_opened(whole, sheets):
     one, several = bumpymap.open(whole), bumpymap.open(sheets)
     assert several.sheets == sheet_folders(sheets)
@@ -176,18 +163,6 @@ def test_a_way_crosses_borders_of_sheets_at_the_same_cost(tmp_path):
     assert len({(done.files[0].parent / "map.pgm").read_bytes() for done in exported}) == 1
 
 
-def test_sites_too_wide_to_compare_at_once_are_refused_before_they_are_read(tmp_path):
-    far = make_map([0, 333_333], [0, 333_333], [0, 1], [0, 0], grid=SMALL)
-    for name in ("before", "after"):
-        write(far, tmp_path / name, blocks=100)
-    with pytest.raises(BadInputError, match="Compare one sheet of both at a time"):
-        open_pair(tmp_path / "before", tmp_path / "after")
-    with pytest.raises(BadInputError, match=r"Export a part of it with `around"):
-        bumpymap.open(tmp_path / "before").export(tmp_path / "nav2", to="nav2")
-    sheet = sheet_folders(tmp_path / "before")[0]
-    assert open_pair(sheet, tmp_path / "after" / "sheets" / sheet.name).window.cols == 1
-
-
 class TestUnfinished:
     """A run that is killed while it writes."""
 
@@ -212,13 +187,6 @@ class TestUnfinished:
             )
         )  # fmt: skip
         return tmp_path / "out", written
-
-    def test_it_is_no_map_and_says_so(self, killed):
-        folder, _ = killed
-        with pytest.raises(BadInputError, match=r"sheets are not complete.*same map command again"):
-            bumpymap.open(folder)
-        with pytest.raises(OutputError, match="already holds 3 sheets of a run that did not end"):
-            check_folder(folder, overwrite=False)
 
     def test_it_goes_on_and_keeps_what_is_finished(self, killed, made, sheets):
         folder, written = killed
@@ -302,9 +270,6 @@ class TestReplacing:
 
 
 class TestFolders:
-    def test_a_map_is_its_own_sheet(self, whole):
-        assert sheet_folders(whole) == [whole]
-
     def test_a_missing_sheet_is_named(self, sheets, tmp_path):
         shutil.copytree(sheets, tmp_path / "out")
         gone = sheet_folders(tmp_path / "out")[1]

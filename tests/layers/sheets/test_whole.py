@@ -1,30 +1,24 @@
 """What leads to the sheets of a map: its page, styles, a QGIS project, attribute tables, a thumbnail."""
 
-import io
 import json
 import re
 import shutil
-from dataclasses import replace
 from urllib.parse import unquote
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from cost_maps import make_field, make_map
-from PIL import Image
+from cost_maps import make_map
 from route_maps import RUN
 from sheet_maps import SMALL, write_in_sheets as write
 
 from bumpymap.core.types import CostTable
-from bumpymap.layers import SheetLayout, remove_sheets, write_catalog, write_products
+from bumpymap.layers import remove_sheets, write_catalog, write_products
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.layers.sheet_paths import sheet_folders
-from bumpymap.layers.sheets import write_virtual
-from bumpymap.views import read_thumbnail, write_map_views, write_reports
+from bumpymap.views import read_thumbnail, write_map_views
 from bumpymap.views.page import site as pages
-from bumpymap.views.page.map_page import write_maps
 from bumpymap.views.page.site import Site
-from bumpytiles import BLOCK_TILES
 
 
 def record_of(folder):
@@ -60,37 +54,6 @@ class TestPage:
         assert 'href="#sheets"' in page
         assert 'id="sheets"' in page
 
-    def test_the_page_of_a_sheet_says_which_it_is(self, sheets):
-        for folder in sheet_folders(sheets):
-            assert f"<h1>Survey, sheet {folder.name}</h1>" in (folder / "report.html").read_text()
-        assert "<h1>Survey</h1>" in (sheets / "report.html").read_text()
-
-    def test_it_is_made_again(self, sheets):
-        before = (sheets / "report.html").read_bytes()
-        (sheets / "report.html").write_text("")
-        assert write_reports([sheets]) == sheets / "report.html"
-        assert (sheets / "report.html").read_bytes() == before
-
-    def test_elsewhere_it_has_no_links_that_lead_nowhere(self, whole, sheets, tmp_path):
-        for layers in ([sheets], [sheets, whole]):
-            page = write_reports(layers, tmp_path / "page.html", overwrite=True).read_text()
-            assert "href" not in page
-            assert sheet_folders(sheets)[0].name in page
-
-    def test_one_map_has_no_sheets(self, whole):
-        assert "sheets" not in (whole / "report.html").read_text().partition('id="again"')[0]
-
-    def test_ten_thousand_sheets_leave_room_for_the_map(self, sheets, tmp_path):
-        record = record_of(sheets)
-        few = Site.read(sheets, record)
-        many = replace(few, record=record | {"sheets": record["sheets"] * 2500})
-        for site in (few, many):
-            write_maps([site], tmp_path / f"{len(site.sheets)}.html")
-        text = (tmp_path / "10000.html").read_text()
-        assert "10,000 sheets" in text
-        assert "the first 500" in text
-        assert len(text) - len((tmp_path / "4.html").read_text()) < 200_000
-
     def test_sites_far_apart_have_a_page_and_a_picture(self, tmp_path):
         """Nothing that takes room or time lies between them: 2.8 million million pixels."""
         far = tmp_path / "far"
@@ -118,41 +81,6 @@ class TestQgisFiles:
         )
         assert found == [name.replace(".tif", ".vrt") for name in expected if name.endswith(".tif")]
 
-    @pytest.mark.parametrize("name", ["class", "reason", "barred"])
-    def test_counts_are_those_of_all_sheets(self, whole, sheets, name):
-        def rows(path):
-            table = ET.parse(path).find(".//GDALRasterAttributeTable")  # noqa: S314 (ours)
-            return [[cell.text for cell in row] for row in table.iter("Row")]
-
-        assert rows(sheets / f"{name}.vrt") == rows(whole / f"{name}.tif.aux.xml")
-
-    def test_without_all_counts_there_are_none(self, sheets, tmp_path):
-        shutil.copytree(sheets, tmp_path / "out")
-        table = CostTable.of(make_field(70, 50, grid=SMALL, west=-37, south=-20, seed=8))
-        from bumpymap.layers.placement import Placement
-
-        place = Placement(table.georeference, table.tiles.grid, table.tiles.window)
-        windows = {}
-        for entry in record_of(sheets)["sheets"]:
-            window = SheetLayout(SMALL, 4 * BLOCK_TILES).window((entry["column"], entry["row"]))
-            windows[entry["folder"]] = table.tiles.part(window).window
-        write_virtual(tmp_path / "class.vrt", tmp_path / "out", place, windows)
-        assert (tmp_path / "class.vrt").read_bytes() == (sheets / "class.vrt").read_bytes()
-        (sheet_folders(tmp_path / "out")[2] / "class.tif.aux.xml").unlink()
-        write_virtual(tmp_path / "class.vrt", tmp_path / "out", place, windows)
-        assert b"AttributeTable" not in (tmp_path / "class.vrt").read_bytes()
-        assert b"<Category>smooth</Category>" in (tmp_path / "class.vrt").read_bytes()
-
-
-def test_the_thumbnail_is_that_of_one_map(whole, sheets):
-    one, several = (
-        np.asarray(Image.open(io.BytesIO(read_thumbnail(folder, 50_000))).convert("RGB"), np.float64)
-        for folder in (whole, sheets)
-    )
-    assert one.shape == several.shape
-    assert np.abs(one - several).max() < 40  # of 255: the relief is averaged from other overviews
-    assert one.std() > 20
-
 
 def test_the_catalogue_has_every_sheet(sheets):
     pystac = pytest.importorskip("pystac")
@@ -162,12 +90,6 @@ def test_the_catalogue_has_every_sheet(sheets):
     write_catalog(sheets.parent, [sheets.name, "nothing"], title="Night")
     night = pystac.Catalog.from_file(str(sheets.parent / "catalog.json"))
     assert [item.get_self_href() for item in night.get_items(recursive=True)] == folders
-
-
-def test_the_catalogue_of_a_batch_stays(whole, tmp_path):
-    (tmp_path / "catalog.json").write_text("{}")
-    remove_sheets(tmp_path)
-    assert (tmp_path / "catalog.json").exists()
 
 
 def test_one_map_replaces_sheets_and_all_that_led_to_them(made, sheets, whole, tmp_path):

@@ -5,7 +5,6 @@ import json
 import shutil
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import rasterio
 import shapely
@@ -14,7 +13,6 @@ from stac_check import faults
 
 from bumpymap.core.types import CostTable, Georeference
 from bumpymap.layers import write_products
-from bumpymap.layers.colours import CLASS_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.layers.stac import write_item
 from bumpymap.views import write_map_views
@@ -64,7 +62,7 @@ def assets_with(item, key):
 def test_an_item_is_valid(item):
     assert faults(item) == []
     assert {name.split("/")[3] for name in item["stac_extensions"]} == {
-        *("projection", "file", "classification", "processing", "table"),
+        *("projection", "file", "processing"),
     }
 
 
@@ -79,77 +77,19 @@ def test_every_file_is_an_asset_with_its_size_and_checksum(item, folder):
         assert asset["file:size"] == len(content)
         assert bytes.fromhex(asset["file:checksum"]) == b"\x12\x20" + hashlib.sha256(content).digest()
         assert asset["roles"] == ["data"]
-    assert item["assets"]["run.json"]["roles"] == ["metadata"]
+    roles = {name: asset["roles"] for name, asset in item["assets"].items() if name not in with_checksum}
+    assert roles["run.json"] == roles["class.qml"] == ["metadata"]
+    assert roles["map.qgs"] == roles["report.html"] == ["overview"]
 
 
 def test_rasters_are_described_as_they_are(item, folder):
-    assert set(assets_with(item, "bands")) == {name for name in PRODUCT_NAMES if name.endswith(".tif")}
-    for name, asset in assets_with(item, "bands").items():
+    assert set(assets_with(item, "proj:shape")) == {name for name in PRODUCT_NAMES if name.endswith(".tif")}
+    for name, asset in assets_with(item, "proj:shape").items():
         with rasterio.open(folder / name) as raster:
             assert asset["proj:shape"] == list(raster.shape)
             assert asset["proj:transform"] == list(raster.transform)[:6]
             assert asset["proj:bbox"] == list(raster.bounds)
-            assert tuple(band["name"] for band in asset["bands"]) == raster.descriptions
-            assert tuple(band.get("unit") for band in asset["bands"]) == raster.units
-            assert tuple(band["data_type"] for band in asset["bands"]) == raster.dtypes
-            for number, band in enumerate(asset["bands"], 1):
-                nodata = raster.nodatavals[number - 1]
-                assert band["nodata"] == ("nan" if np.isnan(nodata) else nodata)
-                values = raster.read(number, masked=True)
-                if raster.dtypes[number - 1] == "float32":
-                    values = np.ma.masked_invalid(values)
-                if name in {"class.tif", "reason.tif", "barred.tif"}:  # a mean of codes says nothing
-                    assert "statistics" not in band
-                elif values.count():
-                    assert band["statistics"]["maximum"] == pytest.approx(float(values.max()), rel=1e-6)
-                    assert band["statistics"]["mean"] == pytest.approx(float(values.mean()), rel=1e-5)
-
-
-def classes(item, name, band):
-    asset = item["assets"][name]
-    (own,) = [one for one in asset["bands"] if one["name"] == band]
-    return own.get("classification:classes") or asset["classification:classes"]
-
-
-def test_codes_have_names_meanings_and_the_colours_of_the_raster(item, folder):
-    found = classes(item, "class.tif", "class")
-    assert [one["title"] for one in found] == ["smooth", "fair", "rough", "very rough", "no data"]
-    assert [one["description"] for one in found[:4]] == [
-        *("c_r below 0.1 rad/m", "c_r 0.1 to 0.2 rad/m", "c_r 0.2 to 0.4 rad/m", "c_r from 0.4 rad/m"),
-    ]
-    assert found[4] == {"value": 255, "name": "nodata", "title": "no data", "nodata": True}
-    for name, band in (("class.tif", "class"), ("barred.tif", "barred"), ("obstacle.tif", "obstacle")):
-        with rasterio.open(folder / name) as raster:
-            colours = raster.colormap(1)
-            held = set(np.unique(raster.read(1)).tolist())
-        listed = {one["value"]: one for one in classes(item, name, band)}
-        assert held <= set(listed)
-        hints = {value: one["color_hint"] for value, one in listed.items() if "color_hint" in one}
-        assert hints == {value: "{:02X}{:02X}{:02X}".format(*colours[value]) for value in hints}
-    assert classes(item, "class.tif", "class")[3]["color_hint"] == "{:02X}{:02X}{:02X}".format(*CLASS_COLOURS[3])
-    assert not assets_with(item, "classification:classes").keys() & {
-        "roughness.tif",
-        "cost.tif",
-        "heightmap.tif",
-        "relief.tif",
-    }
-    assert all("classification:classes" not in band for band in item["assets"]["roughness.tif"]["bands"])
-
-
-def test_classes_that_a_table_of_textures_made_have_no_limits(folder, tmp_path):
-    item = described(folder, tmp_path / "a", settings={"rating": "table"})
-    assert all("description" not in one for one in classes(item, "class.tif", "class"))
-
-
-def test_columns_are_those_of_the_table(item, folder):
-    asset, schema = item["assets"]["tiles.parquet"], pq.read_schema(folder / "tiles.parquet")
-    assert [column["name"] for column in asset["table:columns"]] == schema.names
-    assert asset["table:row_count"] == pq.read_metadata(folder / "tiles.parquet").num_rows
-    assert asset["table:columns"][0] == {
-        "name": "col",
-        "type": "int32",
-        "description": "tile column: floor(x / tile_size), x in metres",
-    }
+            assert asset["title"] == raster.tags()["title"]
 
 
 def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
@@ -195,16 +135,6 @@ def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dat
     assert faults(item) == []
 
 
-@pytest.mark.parametrize(
-    ("name", "identifier"),
-    [("", "old-quarry-1"), ("測量", "survey-ecea53ea"), ("a\udce9/b", "a-udce9-b"), ("..", "survey-5ec1f7e7")],
-)
-def test_ids_of_odd_names(folder, tmp_path, name, identifier):
-    item = described(folder, tmp_path / "a", survey=SURVEY | {"name": name, "checksum": None})
-    assert item["id"] == identifier
-    assert faults(item) == []
-
-
 def test_surveys_of_one_name_and_the_sheets_of_one_survey_have_ids_of_their_own(folder, tmp_path):
     """A catalogue of them would hold one item, for programs that find items by their ids."""
     surveys = [SURVEY | {"checksum": f"blake3-1MiB:{digit * 64}"} for digit in "ab"]
@@ -246,14 +176,6 @@ def test_feet_and_heights_of_a_compound_crs(make_field, tmp_path):
     assert shapely.geometry.shape(item["geometry"]).area > 0
 
 
-def test_a_crs_without_a_code_is_written_out(make_field, tmp_path):
-    crs = CRS("+proj=tmerc +lat_0=40 +lon_0=-99.3 +x_0=500000 +y_0=100000 +ellps=GRS80 +units=m")
-    item = item_of(write(make_field(9, 7, west=166_000, south=30_000, georeference=Georeference(crs)), tmp_path / "a"))
-    assert item["properties"]["proj:code"] is None
-    assert CRS.from_wkt(item["properties"]["proj:wkt2"]) == crs
-    assert faults(item) == []
-
-
 def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
     crs = CRS("+proj=tmerc +lat_0=0 +lon_0=180 +x_0=500000 +y_0=0 +ellps=WGS84 +units=m")
     field = make_field(9, 7, west=500_000 // 3 - 4, south=400_000, georeference=Georeference(crs))
@@ -263,20 +185,6 @@ def test_an_outline_across_the_antimeridian_is_cut(make_field, tmp_path):
     assert west > 179
     assert east < -179
     assert faults(item) == []
-
-
-def test_files_to_look_at_are_assets_without_a_checksum(folder, tmp_path, monkeypatch):
-    names = ("class.qml", "map.qgs", "report.html")
-    monkeypatch.setattr("bumpymap.layers.stac.EVERY_VIEW_NAME", (*names, "not_there.qml"))
-    shutil.copytree(folder, tmp_path / "b")
-    for name in names:
-        (tmp_path / "b" / name).write_text("x")
-    item = described(tmp_path / "b", tmp_path / "a")
-    assert faults(item) == []
-    roles = {name: item["assets"][name]["roles"] for name in names}
-    assert roles == {"class.qml": ["metadata"], "map.qgs": ["overview"], "report.html": ["overview"]}
-    assert not assets_with(item, "file:checksum").keys() & set(names)
-    assert "not_there.qml" not in item["assets"]
 
 
 def test_the_same_map_has_the_same_item_wherever_it_lies(folder, cost_map, tmp_path):

@@ -169,7 +169,7 @@ def test_a_wrong_model_error_is_refused(wrong):
 def test_a_vehicle_that_completes_nothing_is_refused():
     driven = made_up()
     stuck = replace(driven, completed=np.zeros(COUNT, int), failed=np.full(COUNT, 8))
-    with pytest.raises(BumpymapError, match="--check"):
+    with pytest.raises(BumpymapError, match="wrong number in its profile"):
         fit_correction(stuck, no_noise())
 
 

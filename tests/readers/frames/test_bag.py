@@ -114,32 +114,6 @@ def test_messages_of_one_time_are_told_apart(tmp_path):
         np.testing.assert_array_equal(scan.points, points(number))
 
 
-def test_an_mcap_without_index_is_read_too(tmp_path):
-    whole = write_bag(tmp_path / "drive", clouds(12)) / "drive.mcap"
-    plain = tmp_path / "plain.mcap"
-    plain.write_bytes(_without_chunks(whole.read_bytes()))
-    bag, sources = BagReader(plain), found_in(plain)
-    assert len(sources) == 12
-    for number in (0, 1, 11, 5):
-        scan = read_message(bag, sources[number].message, Robot(0.0), "")
-        np.testing.assert_array_equal(scan.points, points(number))
-
-
-def _without_chunks(data):
-    """The records of the chunks of an uncompressed mcap, one after another, and no summary."""
-    out, place = [data[:8]], 8
-    while place < len(data) - 8:
-        kind, size = data[place], int.from_bytes(data[place + 1 : place + 9], "little")
-        body = data[place + 9 : place + 9 + size]
-        if kind == 0x06:
-            out.append(body[40:])  # start, end, size, checksum, no compression, length
-        elif kind == 0x01:
-            out.append(data[place : place + 9 + size])
-        place += 9 + size
-    footer = bytes([2]) + (20).to_bytes(8, "little") + bytes(20)
-    return b"".join([*out, bytes([15]) + (4).to_bytes(8, "little") + bytes(4), footer, data[:8]])
-
-
 def test_poses_from_transforms(tmp_path):
     rng = np.random.default_rng(0)
     base = Rotation.random(random_state=1), rng.normal(0, 5, 3)
@@ -242,35 +216,6 @@ def test_a_bag_that_was_cut_off_is_refused(storage, cut, tmp_path):
     for path in (file, folder):
         with pytest.raises(BadInputError, match=r"cannot read the bag .*ros2 bag reindex"):
             found_in(path)
-
-
-@pytest.mark.parametrize("name", ["drive #1", "50%41", "a?b"])
-def test_a_path_that_rosbags_cannot_open_is_told(name, tmp_path):
-    folder = write_bag(tmp_path / "drive", clouds(1), "sqlite3")
-    odd = tmp_path / name
-    folder.rename(odd)
-    for path in (odd, odd / "drive.db3"):
-        with pytest.raises(BadInputError, match=r"Rename it"):
-            found_in(path)
-    assert len(found_in(write_bag(tmp_path / "own" / name, clouds(1)))) == 1  # mcap has no such limit
-
-
-@pytest.mark.later
-def test_damage_inside_a_bag_is_refused(tmp_path):
-    file = write_bag(tmp_path / "drive", clouds(30), compression="STORAGE") / "drive.mcap"
-    whole = file.read_bytes()
-    rng = np.random.default_rng(0)
-    for _ in range(60):
-        damaged = bytearray(whole)
-        for place in rng.integers(0, len(whole), 4).tolist():
-            damaged[place] ^= int(rng.integers(1, 256))
-        file.write_bytes(damaged)
-        try:
-            bag, sources = BagReader(file), found_in(file)
-            for source in sources:
-                read_message(bag, source.message, Robot(0.0), "")
-        except BadInputError:
-            continue
 
 
 def test_a_bag_that_changes_while_it_is_read(tmp_path):

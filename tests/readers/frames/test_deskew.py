@@ -42,34 +42,12 @@ def test_points_are_where_the_sensor_sees_them_at_the_time_of_the_frame(first):
     np.testing.assert_allclose(deskew(scan, track()).points, wanted, atol=1e-3)
 
 
-def test_order_and_other_values_stay():
-    scan, wanted = spin()
-    order = np.random.default_rng(1).permutation(len(scan.points))
-    mixed = Scan(scan.points[order], np.arange(len(order), dtype=np.float32), name="a", time=scan.time[order])
-    moved = deskew(mixed, track())
-    np.testing.assert_allclose(moved.points, wanted[order], atol=1e-3)
-    assert (moved.name, moved.intensity is mixed.intensity, moved.time is mixed.time) == ("a", True, True)
-
-
-def test_a_sensor_that_stands_measures_what_it_sees():
-    scan, _ = spin()
-    still = PoseTrack(np.array([-1.0, 0.1, 1.0]), np.tile(track().poses[3], (3, 1, 1)))
-    np.testing.assert_allclose(deskew(scan, still).points, scan.points, atol=1e-4)
-
-
 def test_without_times_or_poses_nothing_moves():
     scan, _ = spin()
     assert deskew(Scan(scan.points), track()).points is scan.points
     assert deskew(scan, track(start=-3.0, end=-2.0)) is scan
     empty = Scan(np.empty((0, 3), np.float32), time=np.empty(0, np.float32))
     assert deskew(empty, track()) is empty
-
-
-def test_one_time_for_all_points():
-    scan, _ = spin(count=500)
-    same = Scan(scan.points, time=np.full(500, 0.05, np.float32))
-    turns, places = pose_at(np.float64(np.float32(0.05)))
-    np.testing.assert_allclose(deskew(same, track()).points, turns.apply(same.points) + places, atol=1e-3)
 
 
 # ---- units of time ----

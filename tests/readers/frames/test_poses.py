@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from ply_files import write_ply
-from pypcd4 import Encoding, PointCloud
 from scipy.spatial.transform import Rotation, Slerp
 
 from bumpymap.core import LONGEST_GAP_S, NEAREST_S, PoseTrack
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import files_beside_poses, read_poses, read_scan
-from bumpymap.readers.frames.pose_files import read_pose_file, seconds_of_names
+from bumpymap.readers import files_beside_poses, read_poses
+from bumpymap.readers.frames.poses import _read_file as read_pose_file, seconds_of_names
 
 TURNS = Rotation.random(6, random_state=3)
 PLACES = np.random.default_rng(4).normal(size=(6, 3)) * 1e4
@@ -49,7 +47,6 @@ FORMATS = {
     "tum": (numbers(TIMES, PLACES, QUATS), None, " "),
     "tum with a remark": (numbers(TIMES, PLACES, QUATS), "# timestamp tx ty tz qx qy qz qw", " "),
     "csv": (numbers(TIMES, PLACES, QUATS), "time,x,y,z,qx,qy,qz,qw", ","),
-    "csv, header as a remark": (numbers(TIMES, PLACES, QUATS), "#timestamp,x,y,z,qx,qy,qz,qw", ","),
     "csv, other case and order": (
         numbers(QUATS[:, 3], QUATS[:, :3], PLACES, TIMES),
         "Qw, Qx, Qy, Qz, X, Y, Z, Stamp",
@@ -88,23 +85,6 @@ def test_kitti_has_no_times(tmp_path):
     found = read_pose_file(write(tmp_path / "poses.txt", kitti_rows(MATRICES), separator=" "))
     np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
     assert found.times is None
-
-
-@pytest.mark.parametrize("stamp", ["12:30:01", "noon", "nan"])
-def test_words_that_are_no_times_are_ignored(tmp_path, stamp):
-    rows = [[stamp, *row] for row in numbers(PLACES, QUATS)]
-    found = read_pose_file(write(tmp_path / "p.csv", rows, "time,x,y,z,qx,qy,qz,qw"))
-    np.testing.assert_allclose(found.poses, MATRICES, atol=1e-9)
-    assert found.times is None
-
-
-def test_rounding_of_matrices_is_removed(tmp_path):
-    header = ",".join(f"T{r}{c}" for r in range(3) for c in range(4))
-    rows = [[f"{v:.3f}" for v in pose[:3].ravel()] for pose in MATRICES]
-    poses = read_pose_file(write(tmp_path / "p.csv", rows, header)).poses
-    np.testing.assert_allclose(poses, MATRICES, atol=2e-3)
-    turns = poses[:, :3, :3]
-    np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (6, 1, 1)), atol=1e-12)
 
 
 def test_transforms_of_several_frames_are_refused(tmp_path):
@@ -240,30 +220,19 @@ def test_times_in_names(names, seconds):
         np.testing.assert_allclose(found, seconds, atol=1e-6)
 
 
-@pytest.mark.parametrize("dates", [False, True])
 @pytest.mark.parametrize("chosen", [slice(None), slice(3, 7)])
-def test_a_list_of_times_belongs_to_the_frames_of_its_sequence(tmp_path, dates, chosen):
+def test_a_list_of_times_belongs_to_the_frames_of_its_sequence(tmp_path, chosen):
     times, poses = drive(100, rate=100.0)
     wanted = np.arange(10) * 0.0977
-    shift = np.datetime64("2011-09-26T13:02:25").astype(float) if dates else 0.0
-    lines = [
-        str(np.datetime64(round((shift + t) * 1e9), "ns")).replace("T", " ") if dates else f"{t:e}" for t in wanted
-    ]
     frames = numbered(tmp_path / "velodyne", 10)
-    (tmp_path / ("timestamps.txt" if dates else "times.txt")).write_text("\n".join(lines) + "\n")
-    found = read_poses(tum(tmp_path / "odometry.txt", shift + times, poses), frames[chosen])
+    (tmp_path / "times.txt").write_text("\n".join(f"{t:e}" for t in wanted) + "\n")
+    path = tum(tmp_path / "odometry.txt", times, poses)
+    found = read_poses(path, frames[chosen])
     np.testing.assert_allclose(found.poses, interpolated(times, poses, wanted)[chosen], atol=1e-5)
-
-
-def test_a_list_of_times_of_another_length_is_refused(tmp_path):
-    times, poses = drive()
-    frames = numbered(tmp_path / "velodyne", 4)
-    (tmp_path / "times.txt").write_text("0\n1\n2\n")
-    with pytest.raises(BadInputError, match=r"3 times, but .* 4 frames"):
-        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
-    (tmp_path / "times.txt").write_text("once\n")
-    with pytest.raises(BadInputError, match="not a list of times"):
-        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
+    for other in ("0\n1\n2\n", "once\n"):
+        (tmp_path / "times.txt").write_text(other)
+        with pytest.raises(BadInputError, match="no list of times of the 10 frames"):
+            read_poses(path, frames)
 
 
 def test_without_times_of_the_frames_the_order_counts(tmp_path):
@@ -276,27 +245,12 @@ def test_without_times_of_the_frames_the_order_counts(tmp_path):
         read_poses(path, numbered(tmp_path / "frames", 5))
 
 
-@pytest.mark.parametrize("count", [5, 7])
-def test_another_number_of_frames_is_refused(tmp_path, count):
-    _, poses = drive(6)
-    path = write(tmp_path / "poses.txt", kitti_rows(poses), separator=" ")
-    with pytest.raises(BadInputError, match=f"6 poses, but there are {count} frames;"):
-        read_poses(path, numbered(tmp_path / "frames", count))
-
-
-def test_other_clocks_are_refused_with_both_spans(tmp_path):
-    times, poses = drive(20)
-    frames = files(tmp_path / "frames", ["1700000000.5", "1700000001.5"])
-    with pytest.raises(BadInputError, match=r"no frame has a pose: .* span 0\.000 to 0\.950 s, .* 1700000000\.500 to"):
-        read_poses(tum(tmp_path / "p.txt", times, poses), frames)
-
-
 def test_frames_without_a_pose_are_counted(tmp_path):
     times, poses = drive(100, rate=10.0)
     keep = (times < 3.0) | (times > 6.0)
     wanted = 1.7e9 + np.array([-1.0, -NEAREST_S / 2, 1.0, 3.05, 4.5, 9.95, 12.0])
     frames = files(tmp_path / "frames", [f"{time:.2f}" for time in wanted])
-    with pytest.raises(BadInputError, match=r"3 of 7 frames have no pose .* 2 lie outside .* 1 in gaps .* number 0"):
+    with pytest.raises(BadInputError, match="3 of 7 frames have no pose, the first is number 0"):
         read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[keep], poses[keep]), frames)
 
 
@@ -312,26 +266,6 @@ def test_times_that_go_back_are_refused_and_repeated_ones_count_once(tmp_path):
         read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 1, 3, 2]], poses), frames)
     found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times[[0, 0, 1, 2]], poses), frames)
     np.testing.assert_allclose(found.poses, poses[:1], atol=1e-6)
-
-
-@pytest.mark.parametrize("suffix", ["ply", "pcd"])
-def test_times_of_day_of_points_are_times_of_frames(tmp_path, suffix):
-    times, poses = drive(100, rate=50.0)
-    frames = []
-    for number, start in enumerate([1.7e9 + 0.31, 1.7e9 + 1.27]):
-        columns = [np.full(50, 5.0), np.arange(50.0), np.full(50, -1.0), start + np.linspace(0.0, 0.1, 50)]
-        frames.append(tmp_path / f"{number}.{suffix}")
-        if suffix == "ply":
-            rows = np.rec.fromarrays(columns, dtype=[("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("timestamp", "<f8")])
-            write_ply(frames[-1], rows)
-        else:
-            types = (np.float32, np.float32, np.float32, np.float64)
-            cloud = PointCloud.from_points(columns, ("x", "y", "z", "timestamp"), types)
-            cloud.save(str(frames[-1]), encoding=Encoding.BINARY)
-    found = read_poses(tum(tmp_path / "p.txt", 1.7e9 + times, poses), frames)
-    assert found.matched_by == "time"
-    np.testing.assert_allclose(found.poses, interpolated(times, poses, np.array([0.31, 1.27])), atol=1e-4)
-    np.testing.assert_allclose(read_scan(frames[0]).time, np.linspace(0.0, 0.1, 50), atol=1e-6)
 
 
 # ---- frames of the poses ----
@@ -377,12 +311,10 @@ def test_camera_poses_without_calib_are_refused(tmp_path):
     ):
         with pytest.raises(BadInputError, match=message):
             read_poses(path, frames)
-    (tmp_path / "calib.txt").write_text("P0: 1 2 3\n")
-    with pytest.raises(BadInputError, match="poses of a camera"):
-        read_poses(tmp_path / "poses.txt", frames)
-    (tmp_path / "calib.txt").write_text("Tr: 1 2 3\n")
-    with pytest.raises(BadInputError, match="is not a transform"):
-        read_poses(tmp_path / "poses.txt", frames)
+    for calib in ("P0: 1 2 3\n", "Tr: 1 2 3\n"):
+        (tmp_path / "calib.txt").write_text(calib)
+        with pytest.raises(BadInputError, match="is not a transform"):
+            read_poses(tmp_path / "poses.txt", frames)
 
 
 def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
@@ -393,13 +325,6 @@ def test_poses_of_the_lidar_beside_a_calib_stay(tmp_path):
     found = read_poses(path, numbered(tmp_path / "velodyne", 40))
     np.testing.assert_allclose(found.poses, poses, atol=1e-9)
     assert found.calib is None
-
-
-def test_a_camera_that_stands_is_one_too(tmp_path):
-    _, poses = drive()
-    write_calib(tmp_path)
-    path = write(tmp_path / "poses.txt", kitti_rows(of_camera(poses[:1])), separator=" ")
-    assert read_poses(path, numbered(tmp_path / "velodyne", 1)).calib is not None
 
 
 @pytest.mark.parametrize("world", [TR, np.diag([1.0, -1.0, -1.0, 1.0])])
@@ -422,16 +347,9 @@ def test_backwards_uphill_and_sideways_are_a_lidar(tmp_path):
 
 
 @pytest.mark.realdata
-@pytest.mark.parametrize(("robot", "reason"), [("husky", "1666877650.268 to"), ("husky_oru", "1 in gaps of more than")])
+@pytest.mark.parametrize(("robot", "reason"), [("husky", "1666877650.268 to"), ("husky_oru", "1 of 1 frames have no")])
 def test_real_frames_without_a_pose(shared_data, robot, reason):
     """One frame was taken before the first pose, the other in a gap of 5 s."""
     folder = shared_data / "scans" / "monoforce" / robot
     with pytest.raises(BadInputError, match=reason):
         read_poses(folder / "lidar_poses.csv", list(folder.glob("*.ply")))
-
-
-@pytest.mark.realdata
-def test_real_poses_every_second(shared_data, tmp_path):
-    found = read_poses(shared_data / "scans/monoforce/husky/lidar_poses.csv", files(tmp_path, ["1666877651_500000000"]))
-    assert found.matched_by == "time"
-    assert found.poses[0, 2, 2] > 0.99

@@ -45,11 +45,3 @@ def test_the_summary_and_the_page_show_sheets_like_one_map(tmp_path):
     again = batch(tmp_path / "night.csv", "--out", tmp_path / "out")
     assert again.exit_code == 0, again.output
     assert {row["status"] for row in rows(tmp_path / "out").values()} == {"already done"}
-
-
-def test_sheets_are_not_uploaded(tmp_path):
-    write_survey(tmp_path / "flights" / "a.laz")
-    refused = batch(tmp_path / "flights", "--out", "memory://night", "--set", "sheets=1")
-    assert refused.exit_code == 2, refused.output
-    assert "layers in sheets cannot be uploaded" in refused.output
-    assert "or no --set sheets" in refused.output

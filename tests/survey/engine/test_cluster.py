@@ -51,11 +51,6 @@ class Deadly:
             Path(self.mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return self.work(points, ground_only)
-
-def fail(number):
-    if number == 5:
-        raise ValueError("five")
-    return number * number
 '''
 
 
@@ -196,26 +191,9 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
     records = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("one", "many")]
     assert len(records[0]["skipped"]) == 2
-    for key in ("skipped", "inputs", "points", "ground_only"):
+    assert records[0]["skipped"].keys() == records[1]["skipped"].keys()
+    for key in ("inputs", "points", "ground_only"):
         assert records[0][key] == records[1][key], key
-
-
-def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
-    """As long as others of the survey count; where none does, all are named, with the sum of their points."""
-    side = np.linspace(0.5, 59.5, 250)
-    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
-    columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
-    noise = [write_part(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
-    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
-        result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
-        assert result.exit_code == 0, result.output
-    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    words = ("map", *noise, "--out", tmp_path / "none", "--skip-bad")
-    refused = [run(*words), run(*words, "--set", "scheduler=here")]
-    assert [result.exit_code for result in refused] == [3, 3]
-    said = [result.output.splitlines()[-1] for result in refused]
-    assert said[0] == said[1]
-    assert "of the 125,000 points" in said[0]
 
 
 def killed_at(place, out, left, monkeypatch, arguments):
@@ -298,7 +276,7 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     (context.tiles / ALIVE).unlink()
     assert "folders that every worker sees" in missing_on_worker(context, versions.copy, versions)
     with pytest.raises(OutputError, match="folders that every worker sees"):
-        read_ranges(context, [(file, (known["size"], known["digest"]))], whole_file(), False)
+        read_ranges(context, [(file, (known["size"], known["digest"]))], whole_file())
 
 
 boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200) for _ in range(2)))
@@ -319,7 +297,7 @@ def test_a_block_that_two_tasks_reach_is_complete_for_neither(found, done, whole
         for box in bounds
     ]
     unread, read = ranges[done:], ranges[:done]
-    tasks = list(shared_tasks(grid, unread, read, set(), workers=2))
+    tasks = list(shared_tasks(unread, read, set(), workers=2))
     assert sorted(part.first for task in tasks for part in task.ranges) == list(range(done, len(ranges)))
     for task in tasks:
         own = [part.bounds for part in task.ranges]
@@ -438,21 +416,6 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
-
-
-def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
-    pytest.importorskip("distributed")
-    from bumpytiles import ClusterError, Workers
-
-    client = Mock()
-    client.run.return_value = {"a": OSError("Connection refused"), "b": None, "c": ValueError("mine")}
-    assert list(Workers(client).each(len)) == ["b", "c"]
-    client.run.return_value = {"a": OSError("Connection refused"), "b": OSError("Timed out")}
-    with pytest.raises(ClusterError, match="all 2 workers were lost"):
-        Workers(client).each(len)
-    client.run.return_value = {}
-    with pytest.raises(ClusterError, match="the last worker was lost"):
-        Workers(client).each(len)
 
 
 @pytest.mark.parametrize("when", ["look", "read", "finish"])

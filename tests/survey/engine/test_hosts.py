@@ -18,7 +18,7 @@ def test_a_host_that_is_lost_changes_no_byte(tmp_path):
     script, survey = ROOT / "tests" / "benchmarks" / "hosts.py", ROOT / "sample_data" / "quarry.laz"
     for number in range(4):
         shutil.copy(survey, tmp_path / f"{number}.laz")
-    command = [sys.executable, script, *sorted(tmp_path.glob("*.laz")), "--data", tmp_path, "--no-s3", "--saved", "0"]
+    command = [sys.executable, script, *sorted(tmp_path.glob("*.laz")), "--data", tmp_path, "--saved", "0"]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=180, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     assert "files, the same" in ended.stdout

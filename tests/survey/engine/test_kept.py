@@ -199,6 +199,28 @@ def test_a_bad_input_leaves_nothing(surveys, tmp_path, after_tiles):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_killed_run_remembers_the_file_that_it_left_out(surveys, tmp_path, monkeypatch):
+    out, left, fetched, fetch = tmp_path / "out", tmp_path / "left", [], LasSurvey.fetch
+    content = bytearray((surveys / "a.laz").read_bytes())
+    content[-10_000:-9_000] = bytes(1000)
+    (tmp_path / "a.laz").write_bytes(content)
+    words = ("map", tmp_path / "a.laz", surveys / "b.laz", "--skip-bad")
+
+    def killed(*_):
+        shutil.copytree(out, left)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("bumpymap.survey.engine.run.decide_ground", killed)
+        assert run(*words, "--out", out).exit_code == 130
+    monkeypatch.setattr(LasSurvey, "fetch", lambda self, chunk: fetched.append(self.info.path) or fetch(self, chunk))
+    assert run(*words, "--out", left).exit_code == 4
+    assert tmp_path / "a.laz" not in fetched
+    assert list(json.loads((left / "run.json").read_text())["skipped"]) == [str(tmp_path / "a.laz")]
+    assert run("map", surveys / "b.laz", "--out", tmp_path / "b").exit_code == 0
+    assert layers_of(left) == layers_of(tmp_path / "b")
+
+
 def test_packs_that_a_power_cut_spoilt_are_made_anew(surveys, plain, tmp_path, monkeypatch):
     out = tmp_path / "out"
     with monkeypatch.context() as patch:

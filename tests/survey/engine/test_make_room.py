@@ -10,7 +10,7 @@ from bumpymap.core.interrupts import SilentProgress
 from bumpymap.core.types import PointCloud
 from bumpymap.readers import Chunk, ChunkPoints, PointStats
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
-from bumpymap.survey.engine.plan import cut_ranges, single_task
+from bumpymap.survey.engine.plan import ReadTask, cut_ranges
 from bumpymap.survey.engine.reading import OpenRange, RangeReader
 from bumpytiles import Bounds, Column, Grid, MemoryLimits, Pack, TileBuckets
 
@@ -101,7 +101,7 @@ class Run:
         store.done = set(finished)
         work = BlockWork(GRID, COLUMNS, rate, "auto")
         sinks = {kind: TileSink(self.folder, kind, COLUMNS) for kind in work.kinds}
-        task = single_task(unread, finished, waiting)
+        task = ReadTask(tuple(unread), (), frozenset(finished), frozenset(waiting))
         reading = RangeReader(task, ranges, store, work, sinks, 2, SilentProgress())
         results = []
         for result in reading.run():

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from bumpymap.core import BadInputError, corners_join
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.graph import SQUARES, FreeGround, line_cost, make_lattice, make_squares
+from bumpymap.views.export.graph import SQUARES, FreeGround, join, line_cost, thin
 
 
 def load_graph(path):
@@ -123,6 +123,10 @@ def in_pixels(free, pixels, *, corners):
     return FreeGround(np.ones(shape), pixels, read, corners)
 
 
+def make_lattice(ground, largest, origin):
+    return join(ground, thin(ground, largest, origin)[1])
+
+
 def ways(lattice):
     """Cost of the cheapest way between any two nodes."""
     number = len(lattice.row)
@@ -145,22 +149,6 @@ def test_on_level_ground_a_way_through_the_graph_is_at_most_8_percent_too_long()
     ratio = ways(lattice)[straight > 0] / straight[straight > 0]
     assert ratio.min() >= 1.0 - 1e-12
     assert ratio.max() <= 1.0 / np.cos(np.pi / 8) + 1e-12  # 8 directions
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_squares_cover_the_open_tiles_and_are_open_and_alike(seed):
-    factor = field(seed, 0.3)
-    for largest in SQUARES:
-        squares = make_squares(factor, largest, (-17, 5))
-        np.testing.assert_array_equal(squares.number >= 0, np.isfinite(factor))
-        tiles = np.bincount(squares.number[squares.number >= 0], minlength=len(squares.row))
-        np.testing.assert_array_equal(tiles, squares.side**2)
-        assert set(squares.side.tolist()) <= {side for side in SQUARES if side <= largest}
-        for number in range(len(squares.row)):
-            costs = factor[squares.number == number]
-            assert costs.max() <= 1.5 * costs.min()
-            row, col = np.nonzero(squares.number == number)
-            assert (row.mean(), col.mean()) == (squares.row[number], squares.col[number])
 
 
 @pytest.mark.parametrize("corners", [False, True])
@@ -190,28 +178,6 @@ def test_ways_over_large_squares_cost_little_more_than_over_tiles(seed):
     ratio = ways(thin)[far] / ways(fine)[np.ix_(same, same)][far]
     assert np.median(ratio) < 1.03
     assert np.quantile(ratio, 0.99) < 1.15
-
-
-def test_crops_of_one_map_share_their_squares():
-    factor = field(3, 0.2, (60, 70))
-    whole = make_squares(factor, 9, (-60, 4))
-    cut = make_squares(factor[6:51, 5:59], 9, (-54, 9))  # whole squares of 9
-    places = set(zip(whole.row.tolist(), whole.col.tolist(), strict=True))
-    assert {(row + 6, col + 5) for row, col in zip(cut.row.tolist(), cut.col.tolist(), strict=True)} <= places
-
-
-@pytest.mark.parametrize(("corners", "left_out"), [(False, 5), (True, 0)])
-def test_ways_lead_over_a_corner_where_the_vehicle_fits(corners, left_out):
-    factor = np.full((9, 9), np.inf)
-    factor[:3] = 1.0
-    factor[3, 3] = factor[4, 4] = 1.0  # touch at a corner
-    factor[5:7, 5:7] = 1.0
-    lattice = make_lattice(bare(factor, corners=corners), 3, (0, 0))
-    assert lattice.tiles_left_out == left_out
-    if corners:
-        place = {(row, col): number for number, (row, col) in enumerate(zip(lattice.row, lattice.col, strict=True))}
-        found = ways(lattice)[place[3, 3], [place[4, 4], place[6, 6]]]
-        assert found == pytest.approx(np.sqrt([2.0, 18.0]))
 
 
 @pytest.mark.parametrize("height", [1, 10**9])

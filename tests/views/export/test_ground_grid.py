@@ -39,15 +39,6 @@ def test_points_and_cells_agree(seed, polar, resolution, reach):
     assert (~same).sum() <= 2 * grid.side
 
 
-def test_a_grid_serves_scans_with_other_starts_and_other_polar_grids(scan):
-    grid = GroundGrid(0.5, 20.0)
-    turned = Scan(scan.points @ np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], np.float32))
-    for polar in (*GRIDS, GRIDS[0]):
-        for each in (scan, turned):
-            stack = polar_sectors(each, polar)
-            np.testing.assert_array_equal(grid.rows(stack), GroundGrid(0.5, 20.0).rows(stack))
-
-
 def test_occupancy_says_class_and_obstacle(classed):
     classed = replace(classed, sectors=replace(classed.sectors, obstacle=np.arange(len(classed.class_id)) % 5 == 0))
     values = sector_occupancy(classed)
@@ -99,13 +90,6 @@ def test_layers_are_those_of_the_sectors_and_the_mean_height_of_ground(scan, cla
     assert np.isfinite(layers["elevation"]).mean() > 0.3
 
 
-def test_a_scan_without_sectors_is_unknown_everywhere(nothing):
-    scan, classed = nothing
-    grid = GroundGrid()
-    assert (grid.occupancy(classed) == -1).all()
-    assert all(np.isnan(layer).all() for layer in grid.layers(scan, classed).values())
-
-
 def test_a_message_is_filled_by_its_attributes(classed):
     part = SimpleNamespace
     message = part(info=part(origin=part(position=part(x=0.0, y=0.0, z=0.0), orientation=part(w=0.0))))
@@ -132,9 +116,3 @@ def test_a_message_is_filled_by_its_attributes(classed):
 def test_grids_without_cells_or_with_too_many(resolution, reach, said):
     with pytest.raises(UsageError, match=said):
         GroundGrid(resolution, reach)
-
-
-def test_the_reach_is_whole_cells():
-    assert GroundGrid(0.3, 1.0).side == 8
-    assert GroundGrid(0.3, 1.0).reach_m == pytest.approx(1.2)
-    assert GroundGrid(0.1, 0.3).side == 6  # 0.3 / 0.1 is a little less than 3

@@ -32,14 +32,6 @@ def test_the_integral_over_every_tile(seed, row, col, to_row, to_col, closed):
     assert line_cost(factor, *ends[::-1])[0] == pytest.approx(found, rel=1e-12)
 
 
-@pytest.mark.parametrize("closed", [[(0, 1)], [(1, 0)], [(0, 1), (1, 0)]])
-def test_no_line_slips_past_a_corner(closed):
-    factor = np.ones((2, 2))
-    for place in closed:
-        factor[place] = np.inf
-    assert line_cost(factor, np.array([[0, 0]]), np.array([[1, 1]]))[0] == np.inf
-
-
 def test_a_line_of_many_tiles_in_parts(monkeypatch):
     factor = np.random.default_rng(0).uniform(1, 2, (40, 50))
     start = np.random.default_rng(1).integers(0, 40, (300, 2))

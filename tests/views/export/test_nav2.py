@@ -6,7 +6,7 @@ nav2_map_server/src/map_io.cpp (loadMapYaml, loadMapFromFile, mode raw), nav2_co
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ from PIL import Image
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, UsageError
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.area import CostScale, cost_values, keepout_values, speed_values
+from bumpymap.views.export.area import CostScale
 from bumpymap.views.export.nav2 import travel_multiplier
 
 FREE, LETHAL, INSCRIBED, NO_INFORMATION = 0, 254, 253, 255
@@ -170,27 +170,6 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     assert np.fmod(abs(grid.x) + 1e-7, grid.resolution) < 1e-5  # aligned with the origin
     if around is not None:
         assert grid.data.shape == (7 * round(3 / size), 7 * round(3 / size))
-
-
-def test_where_objects_are_part_of_the_relief_pixels_are_as_their_tile(easy_map, easy_folder, tmp_path):
-    """A survey without ground classes: obstacle.tif is unknown throughout."""
-    with rasterio.open(easy_folder / "obstacle.tif") as file:
-        assert set(np.unique(file.read(1))) == {3, 255}
-    _, _, tiles = exported(easy_map, tmp_path / "tiles")
-    _, _, pixels = exported(easy_map, tmp_path / "pixels", resolution="pixel")
-    for coarse, fine in zip(tiles, pixels, strict=True):
-        np.testing.assert_array_equal(fine.data, np.repeat(np.repeat(coarse.data, 15, axis=0), 15, axis=1))
-
-
-def test_unknown_ground_is_never_free(route_map):
-    field = route_map.read(route_map.window)
-    lost = replace(field, barred=np.zeros_like(field.barred))  # passable as they say, but with no ride cost
-    for one in (field, lost):
-        blind = np.isnan(one.c_r) | np.isin(one.barred, [Barred.UNKNOWN, NO_TILE])
-        assert blind.any()
-        assert (cost_values(one, CostScale(3.0))[blind] == 255).all()
-        assert (keepout_values(one)[blind] == 100).all()
-        assert (speed_values(one, 0.3)[np.isnan(one.c_r)] == 1).all()
 
 
 def test_cost_is_scaled_linearly_and_the_same_in_every_crop_if_asked(route_map, tmp_path):

@@ -9,10 +9,8 @@ import pytest
 from pyproj import CRS
 
 from bumpymap.core import (
-    BANDS,
     BARRED_TEXT,
     CLASS_NAMES,
-    FAIL_SHARE,
     OBJECT_NAMES,
     REASON_TEXT,
     Barred,
@@ -20,12 +18,11 @@ from bumpymap.core import (
     Georeference,
 )
 from bumpymap.layers import write_products
-from bumpymap.layers.check_vectors import OFF_KINDS
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
-from bumpymap.views.gis.styles import write_check_style, write_styles
+from bumpymap.views.gis.styles import write_styles
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
@@ -121,14 +118,6 @@ def test_the_ride_cost_has_the_colours_of_the_classes_of_the_vehicle(alone):
     assert [colour for _, _, colour in items] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
 
 
-def test_without_limits_the_ride_cost_of_the_map_sets_the_scale(tmp_path, cost_map):
-    write_products(CostTable.of(cost_map), tmp_path, views=write_map_views, local=False, manifest={})
-    items = [float(item.get("value")) for item in read(tmp_path / "roughness.qml").iter("item")]
-    assert items == pytest.approx([0.0, items[-1] / 3, 2 * items[-1] / 3, items[-1]])
-    assert 0.1 <= items[-1] <= 2.0
-    assert [label for label, _, _ in palette(read(tmp_path / "class.qml")).values()] == list(CLASS_NAMES)
-
-
 @pytest.mark.parametrize("settings", [{"compat": "paper"}, SimpleNamespace(compat="paper")])
 def test_classes_of_the_paper_are_not_said_to_be_intervals_of_ride_cost(alone, settings):
     styles = styled(alone, settings=settings)
@@ -193,24 +182,6 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     assert not {"speeds.tif", "speeds.qml"} & {path.name for path in tmp_path.iterdir()}
 
 
-def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
-    """The c_r there is that of the drives that got through, which may be low."""
-    root = read(folder / "map.qgs")
-    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
-    ride = next(group for group in root.iter("layer-tree-group") if group.get("name") == "Ride")
-    (both,) = (group for group in ride if group.get("name") == "ride cost c_r")
-    assert [leaf.get("id") for leaf in both] == ["bumpymap_roughness_tif_p_fail", "bumpymap_roughness_tif"]
-    assert both.get("checked") == "Qt::Unchecked"
-    assert ride.get("mutually-exclusive-child") == "0"
-    renderer = layers["bumpymap_roughness_tif_p_fail"].find("pipe/rasterrenderer")
-    assert int(renderer.get("band")) == 1 + [band.name for band in BANDS].index("p_fail")
-    shader = renderer.find("rastershader/colorrampshader")
-    assert shader.get("clip") == "1"  # what is below the first stop is not drawn
-    assert [float(item.get("value")) for item in shader.iter("item")] == [FAIL_SHARE, 1.0]
-    red = "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[3])
-    assert {item.get("color") for item in shader.iter("item")} == {red}
-
-
 def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     layers = {layer.find("datasource").text: layer for layer in read(folder / "map.qgs").find("projectlayers")}
     order = [*layers]
@@ -224,15 +195,6 @@ def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     alpha = {int(entry.get("value")): int(entry.get("alpha")) for entry in palette_of}
     assert 128 < alpha.pop(Barred.UNKNOWN) < 255  # the relief shows through
     assert set(alpha.values()) == {255}
-
-
-def test_a_project_shows_all_of_the_survey(folder, cost_map):
-    root = read(folder / "map.qgs")
-    assert root.find("properties/Paths/Absolute").text == "false"
-    extent = {side.tag: float(side.text) for side in root.find("mapcanvas/extent")}
-    col, row = cost_map.patches.col, cost_map.patches.row
-    assert extent["xmin"] < 3 * col.min() < 3 * col.max() + 3 < extent["xmax"]
-    assert extent["ymin"] < 3 * row.min() < 3 * row.max() + 3 < extent["ymax"]
 
 
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
@@ -266,12 +228,6 @@ def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
     assert "c0ffee" in root.find("projectMetadata/abstract").text
     assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
     assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
-
-
-def test_stretches_that_errors_do_not_explain_are_larger(tmp_path):
-    write_check_style(tmp_path / "check.qml")
-    style = (tmp_path / "check.qml").read_text()
-    assert style.count("if(&quot;explained&quot; = false, 4.2, 2.6)") == len(OFF_KINDS)
 
 
 def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):

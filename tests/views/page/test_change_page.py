@@ -7,14 +7,14 @@ import shutil
 import numpy as np
 import pytest
 import rasterio
-from page_outline import Outline, require_no_requests
+from page_outline import Outline
 from pyproj import Transformer
 from route_maps import write_folder
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
-from bumpymap.views import write_reports
+from bumpymap.views import write_report
 from bumpymap.views.page.change_page import NOT_COMPARED, ChangeSite
 from bumpymap.views.words import area
 
@@ -27,12 +27,6 @@ def band(folder, name):
 def number_of(row):
     """The number of the place in a row of the table."""
     return re.match(r"\d+", row[0])[0]
-
-
-def test_the_page_parses_and_asks_nobody(comparison, read_page):
-    page = read_page(comparison / "report.html")
-    require_no_requests(page.text)
-    assert len(page.text.encode()) < 300_000
 
 
 def test_tables_equal_the_counts_of_the_record(comparison, read_page):
@@ -85,16 +79,6 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
         known = np.isfinite(wanted)
         off = np.abs(np.sign(shown) * np.sqrt(np.abs(shown)) - np.sign(wanted) * np.sqrt(np.abs(wanted)))
         assert off[known].max() <= grid["step"] / 2 + 1e-6, key
-        most = re.search(rf"{grid['label']} at most ±([0-9.e-]+)", page.text)[1]
-        assert np.abs(shown - wanted)[known].max() <= 1.5 * float(most)
-
-
-def test_the_headline_counts_ground(comparison, read_page):
-    counts = json.loads((comparison / "change.json").read_text())["counts"]
-    text = read_page(comparison / "report.html").text
-    places = "1 place has" if counts["regions"] == 1 else f"{counts['regions']} places have"
-    assert f"{places} changed, {area(9 * counts['changed'])} of {area(9 * counts['compared'])} compared" in text
-    assert f"{area(9 * counts['by_change']['rougher'])} became rougher" in text
 
 
 def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
@@ -106,7 +90,7 @@ def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read
     record = json.loads((folder / "change.json").read_text())
     record["counts"] |= {"compared": 0}
     (folder / "change.json").write_text(json.dumps(record))
-    assert "is not known" in read_page(write_reports([folder])).text
+    assert "is not known" in read_page(write_report(folder)).text
 
 
 @pytest.mark.parametrize("step", [2, 7])
@@ -119,7 +103,10 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, s
     monkeypatch.setattr(module, "_SIDE", -(-max(rows, cols) // step))
     monkeypatch.setattr(module, "_STRIP_TILES", 100)
     many = ChangeSite.read(comparison, record)
-    assert many.step == step
+    assert many.spot.step == step
+    grid = many.grids[0]
+    root = np.where(grid.codes == 255, np.nan, grid.low + grid.step * grid.codes)
+    shown = root * np.abs(root)
     heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
     for row, line in enumerate(many.kinds):
         for col, kind in enumerate(line):
@@ -131,35 +118,26 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, s
             else:
                 assert kind == tiles.max()
                 if kind == NOT_COMPARED:
-                    assert np.isnan(many.grids[0].values()[row, col])
+                    assert np.isnan(shown[row, col])
                     continue
             farthest = np.nanmax(np.abs(heights[part]))
-            assert abs(many.grids[0].values()[row, col]) == pytest.approx(farthest, abs=0.01)
+            assert abs(shown[row, col]) == pytest.approx(farthest, abs=0.01)
 
 
 def test_the_page_made_again_has_the_same_bytes(comparison, tmp_path):
     twin = shutil.copytree(comparison, tmp_path / "caf\udce9")
     (twin / "report.html").unlink()
-    assert write_reports([twin]) == twin / "report.html"
+    assert write_report(twin) == twin / "report.html"
     assert (twin / "report.html").read_bytes() == (comparison / "report.html").read_bytes()
-    out = write_reports([twin], tmp_path / "elsewhere.html")
+    out = write_report(twin, tmp_path / "elsewhere.html")
     assert out.read_bytes() == (comparison / "report.html").read_bytes()
     with pytest.raises(OutputError, match="exists"):
-        write_reports([twin], out)
-
-
-def test_folders_of_the_machine_are_not_in_the_page(comparison, tmp_path):
-    text = (comparison / "report.html").read_text()
-    assert str(comparison.parent) not in text
-    assert str(tmp_path.parent) not in text
-    assert "<b>" not in text.split("<main>")[0].split("<body>")[1]
+        write_report(twin, out)
 
 
 def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
-    with pytest.raises(UsageError, match="give it alone"):
-        write_reports([may, comparison], tmp_path / "a.html")
     with pytest.raises(UsageError, match="`route`"):
-        write_reports([comparison], route=may)
+        write_report(comparison, route=may)
     for name, content, told in (
         ("change.json", "{", r"change\.json is not that of a comparison"),
         ("change.json", '{"format": "bumpymap-change"}', r"change\.json is damaged"),
@@ -169,11 +147,11 @@ def test_what_cannot_be_made_says_why(comparison, may, tmp_path):
         twin = shutil.copytree(comparison, tmp_path / f"{name}{len(content)}")
         (twin / name).write_text(content)
         with pytest.raises(BadInputError, match=told):
-            write_reports([twin])
+            write_report(twin)
     twin = shutil.copytree(comparison, tmp_path / "gone")
     (twin / "change.tif").unlink()
     with pytest.raises(BadInputError, match=r"change\.tif is missing"):
-        write_reports([twin])
+        write_report(twin)
 
 
 def test_without_a_crs(tmp_path, read_page):

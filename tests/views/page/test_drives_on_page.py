@@ -1,23 +1,20 @@
-"""The page of a map with real drives over it."""
+"""check.html: real drives over the map they were checked against."""
 
-import json
 import re
 from dataclasses import replace
 from html import unescape
-from pathlib import Path
 
 import numpy as np
 import pytest
 from check_records import made_up_check, make_check, stretches_at
 from page_outline import Outline
 from route_maps import copy_folder
-from route_records import MadeUpMap
 
 from bumpymap.check.pipeline import write_check
-from bumpymap.core import CLASS_NAMES, BadInputError, UsageError
+from bumpymap.core import CLASS_NAMES
 from bumpymap.layers import open_map
 from bumpymap.layers.check_vectors import MapOffset
-from bumpymap.views import check_headline, write_reports
+from bumpymap.views import check_headline
 from bumpymap.views.page.charts import along_chart, drive_chart
 
 
@@ -42,14 +39,8 @@ def checked(site, tmp_path_factory):
     return out, result
 
 
-@pytest.fixture(scope="module")
-def drawn(site, checked, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("drawn")
-    return write_reports([site], folder / "page.html", check=checked[0])
-
-
-def test_every_stretch_is_on_the_map(drawn, checked, read_page):
-    (about,) = read_page(drawn).data["maps"]
+def test_every_stretch_is_on_the_map(checked, read_page):
+    (about,) = read_page(checked[0] / "check.html").data["maps"]
     stretches, offset = checked[1].stretches, MapOffset.of(checked[1].stretches)
     found = about["stretches"]
     assert [spot["east"] for spot in found] == pytest.approx(stretches.easting, abs=0.01)
@@ -66,74 +57,24 @@ def test_without_a_check_nothing_of_drives_is_on_the_page(site, read_page):
     assert page.data["maps"][0]["stretches"] == []
 
 
-def test_layers_that_were_written_again_are_told(site, checked, tmp_path, read_page):
-    later = copy_folder(site, tmp_path / "later", name="later")
-    page = read_page(write_reports([later], check=checked[0] / "check.json"))
-    assert "The layers were written again after this check" in page.text
-
-
-def test_the_check_of_another_map_is_refused(site, checked, tmp_path):
-    other = copy_folder(site, tmp_path / "other", calibration={"id": "beef", "vehicle": "husky"})
-    with pytest.raises(BadInputError, match=r"check of another map than .*the calibration is c0ffee there, beef here"):
-        write_reports([other], check=checked[0])
-    crs = json.loads((site / "run.json").read_text())["crs"]
-    moved = copy_folder(site, tmp_path / "moved", crs=crs | {"code": "EPSG:32615"})
-    with pytest.raises(BadInputError, match="the CRS is EPSG:32614 there, EPSG:32615 here"):
-        write_reports([moved], check=checked[0])
-
-
-def test_of_two_maps_the_checked_one_has_the_drives(site, checked, tmp_path, read_page):
-    other = copy_folder(site, tmp_path / "other", calibration={"id": "beef", "vehicle": "husky"})
-    page = read_page(write_reports([other, site], tmp_path / "two.html", check=checked[0]))
-    assert [len(about["stretches"]) for about in page.data["maps"]] == [0, 50]
-    with pytest.raises(BadInputError, match="check of another map"):
-        write_reports([other, other], tmp_path / "none.html", check=checked[0])
-    assert not (tmp_path / "none.html").exists()
-
-
-def test_drives_without_a_map_are_refused(site, tmp_path):
-    write_check(made_up_check(ground=False), tmp_path / "alone")
-    with pytest.raises(BadInputError, match=r"were measured without a map\. Check this map"):
-        write_reports([site], tmp_path / "a.html", check=tmp_path / "alone")
-
-
-def test_a_folder_without_a_check_and_a_comparison_are_refused(site, comparison, checked, tmp_path):
-    with pytest.raises(BadInputError, match=r"no file .*check\.json"):
-        write_reports([site], tmp_path / "a.html", check=tmp_path)
-    with pytest.raises(UsageError, match="`check` is drawn on the page of a map"):
-        write_reports([comparison], check=checked[0])
-
-
-def test_nothing_to_compare_is_drawn_without_a_chart(site, tmp_path, read_page):
-    result, _ = on_site(made_up_check(6, unknown=range(5)), site)
-    result = replace(result, stretches=replace(result.stretches, measured=np.zeros(6)), agreement=None, by_class={})
-    write_check(result, tmp_path / "out", ground=MadeUpMap.around())
-    page = read_page(write_reports([site], tmp_path / "a.html", check=tmp_path / "out"))
-    assert "Against real drives" in page.text
-    assert "chart-drives" not in page.text
-
-
-def test_both_pages_hold_map_figures_and_drives(checked, drawn, read_page):
+def test_the_page_holds_map_figures_and_drives(checked, read_page):
     out, result = checked
-    for path in (out / "check.html", drawn):
-        page = read_page(path)
-        outline = Outline(page.text)
-        (about,) = page.data["maps"]
-        assert len(about["stretches"]) == 50
-        assert check_headline(result) in unescape(page.text)
-        rows = outline.tables["Map against drives"]
-        classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
-        assert [row[0] for row in rows[1:]] == ["all", *classes]
-        assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
-        (worst,) = (table for title, table in outline.tables.items() if title.startswith("Stretches that are off"))
-        measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
-        assert 0 < len(worst) - 1 <= 10
-        assert np.array([float(row[6]) for row in worst[1:]]) == pytest.approx(c_r / measured, rel=0.03)
-        why = outline.tables["Parts of the ways that do not count"][1:]
-        assert why == [["turning", "241 m"], ["no position", "178 m"]]
-        assert "onerror=alert(1)&gt;" in page.text
-        assert "<img src=x" not in page.text
-        assert page.text.count("<circle") == 49 + 50
+    page = read_page(out / "check.html")
+    outline = Outline(page.text)
+    (about,) = page.data["maps"]
+    assert len(about["stretches"]) == 50
+    assert check_headline(result) in unescape(page.text)
+    rows = outline.tables["Map against drives"]
+    classes = [f"{code} {name}" for code, name in enumerate(CLASS_NAMES) if code in result.by_class]
+    assert [row[0] for row in rows[1:]] == ["all", *classes]
+    assert sum(int(row[1]) for row in rows[2:]) == int(rows[1][1]) == 49
+    (worst,) = (table for title, table in outline.tables.items() if title.startswith("Stretches that are off"))
+    measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
+    assert 0 < len(worst) - 1 <= 10
+    assert np.array([float(row[6]) for row in worst[1:]]) == pytest.approx(c_r / measured, rel=0.03)
+    assert "onerror=alert(1)&gt;" in page.text
+    assert "<img src=x" not in page.text
+    assert page.text.count("<circle") == 49 + 50
 
 
 def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
@@ -146,7 +87,6 @@ def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
     assert "Spearman" not in page.text
     assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
     assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
-    assert "<li>drive 2: times are Unix seconds</li>" in page.text
 
 
 def test_layers_that_cannot_be_drawn_leave_a_page_without_a_map(site, checked, tmp_path, read_page):
@@ -162,7 +102,7 @@ MARK, TICK = r'<circle cx="(.*?)" cy="(.*?)"', r'<text x="([\d.]+)" y="\d+" text
 
 def test_a_mark_lies_at_what_map_and_drive_say():
     result = make_check(stretches_at(np.zeros((2, 2)), [0.1, 0.4], np.array([1.0, 3.0])))
-    chart, along = ("".join(draw(result, "").elements) for draw in (drive_chart, along_chart))
+    chart, along = ("".join(draw(result).elements) for draw in (drive_chart, along_chart))
     (x, y), (right, top) = np.array(re.findall(MARK, chart), float)
     ticks = np.array(re.findall(TICK, chart), float)
     scale = np.polyfit(np.log(ticks[:, 1]), ticks[:, 0], 1)
@@ -172,16 +112,6 @@ def test_a_mark_lies_at_what_map_and_drive_say():
     zero = float(re.search(r'y="([\d.]+)" text-anchor="end">0</text>', along)[1]) - 4
     assert (zero - second[1]) / (zero - first[1]) == pytest.approx(12.0, rel=0.01)
     assert second[0] - first[0] == pytest.approx((1120 - 64 - 12) / 2, abs=0.2)
-
-
-@pytest.mark.parametrize("case", ["one stretch", "nearly nothing known", "nothing measured", "many"])
-def test_odd_findings_are_drawn_too(case):
-    number = {"one stretch": 1, "many": 3000}.get(case, 8)
-    result = made_up_check(number, unknown=range(7) if case == "nearly nothing known" else ())
-    if case == "nothing measured":
-        result = replace(result, stretches=replace(result.stretches, measured=np.full(8, np.nan)), agreement=None)
-    for chart in (drive_chart(result, "a"), along_chart(result, "b")):
-        assert chart is None or "nan" not in "".join(chart.elements)
 
 
 _ON_SCREEN = """at => {
@@ -195,7 +125,7 @@ _ON_SCREEN = """at => {
 
 @pytest.mark.chromium
 @pytest.mark.parametrize("width", [1400, 400])
-def test_in_a_browser_marks_have_their_colour_and_words_and_axe_finds_nothing(browser, drawn, checked, width):
+def test_in_a_browser_marks_have_their_colour_and_words_and_axe_finds_nothing(browser, checked, width):
     from axe_playwright_python.sync_playwright import Axe
 
     from bumpymap.layers.colours import OFF_COLOURS
@@ -205,7 +135,7 @@ def test_in_a_browser_marks_have_their_colour_and_words_and_axe_finds_nothing(br
     page.on("console", lambda message: complaints.append(message.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
-    page.goto(Path(drawn).as_uri())
+    page.goto((checked[0] / "check.html").as_uri())
     page.wait_for_selector("html[data-ready]")
     page.locator(".stage").first.scroll_into_view_if_needed()
     offset = MapOffset.of(checked[1].stretches)

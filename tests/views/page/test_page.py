@@ -45,4 +45,4 @@ def test_a_page_is_made_where_nothing_can_be_kept(kept, monkeypatch):
 
 def test_what_a_record_lacks_is_no_empty_text():
     with pytest.raises(LookupError, match="'title' is undefined"):
-        page.render_page("batch.html", note="", links=[], places=None, rows=[], unknown_colour=(0, 0, 0))
+        page.render_page("batch.html", note="", links=[], rows=[], unknown_colour=(0, 0, 0))

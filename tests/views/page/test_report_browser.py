@@ -6,7 +6,7 @@ from route_maps import RUN, copy_folder
 
 from bumpymap.core import CostTable
 from bumpymap.layers import SheetLayout, SheetRun, write_sheets
-from bumpymap.views import write_map_views, write_reports
+from bumpymap.views import write_map_views, write_report
 from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.chromium
@@ -38,7 +38,7 @@ def visit(browser):
 
 @pytest.fixture(scope="module")
 def pages(site, comparison, make_field, tmp_path_factory):
-    """The page of a map, of two maps, of one whose names are markup, of a map in sheets, and of what has changed."""
+    """The page of a map, of one whose names are markup, of a map in sheets, and of what has changed."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
@@ -48,8 +48,7 @@ def pages(site, comparison, make_field, tmp_path_factory):
     write_sheets(table, sheets, run, views=write_map_views, local=False, manifest=RUN)
     return {
         "one": site / "report.html",
-        "two": write_reports([site, odd], folder / "two.html"),
-        "odd": write_reports([odd]),
+        "odd": write_report(odd),
         "sheets": sheets / "report.html",
         "change": comparison / "report.html",
     }
@@ -60,7 +59,7 @@ def outside(page):
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "two", "odd", "sheets", "change"])
+@pytest.mark.parametrize("name", ["one", "odd", "sheets", "change"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -225,52 +224,12 @@ def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_
     assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
 
 
-def test_tiles_smaller_than_a_pixel_that_cannot_be_crossed_are_not_skipped(visit, pages):
-    page = visit(pages["one"])
-    for key in ("objects", "relief"):
-        page.uncheck(f"input[value={key}]")
-    found = page.evaluate(
-        """() => { const map = window.reportMaps[0];
-        map.ground.fill(0); map.barred.fill(0); map.layers = {};
-        map.barred[15 * map.about.cols + 20] = 3;
-        map.masks.unknown = map.tiles(() => null);
-        map.masks.barred = map.tiles((at) => map.barred[at] && [0, 0, 0, 255]);
-        map.atAll = false;
-        map.scale = 0.4 / map.about.metres / map.dense;
-        return [0, 0.5, 1, 1.5, 2, 2.5].map((tiles) => {
-          map.middle = [(20 + tiles) * map.about.metres, (15 + tiles) * map.about.metres];
-          map.draw();
-          const half = [map.canvas.width / 2, map.canvas.height / 2].map(Math.round);
-          const colours = map.context.getImageData(half[0] - 4, half[1] - 4, 8, 8).data;
-          return Math.min(...colours.filter((_, at) => at % 4 === 2));
-        }); }"""
-    )
-    assert max(found) < 182 - 10  # the blue of smooth ground, and darker than it
-
-
-def test_two_maps_of_one_place_move_together(visit, pages):
-    page = visit(pages["two"])
-    page.focus("canvas")
-    page.keyboard.press("+")
-    page.keyboard.press("ArrowLeft")
-    first, second = page.evaluate("window.reportMaps.map((map) => [map.scale, ...map.middle])")
-    assert first == pytest.approx(second)
-    page.check("figure:nth-of-type(1) input[value=slope]")
-    assert page.evaluate("window.reportMaps.map((map) => map.chosen)") == ["slope", "slope"]
-
-
 def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
     page = visit(pages["one"], java_script_enabled=False)
     assert page.is_visible("img.still")
     assert not page.is_visible("canvas")
     assert not page.is_visible(".controls")
     assert page.is_visible("table")
-
-
-def test_it_prints_on_a_few_sheets(visit, pages):
-    printed = visit(pages["one"]).pdf(format="A4", print_background=True)
-    assert printed.startswith(b"%PDF")
-    assert 2 <= printed.count(b"/Type /Page\n") <= 8
 
 
 POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];

@@ -5,7 +5,6 @@ import json
 import re
 import shutil
 from base64 import b64decode
-from html import unescape
 
 import numpy as np
 import pyarrow as pa
@@ -20,7 +19,7 @@ from route_maps import VEHICLE, copy_folder, write_folder
 import bumpymap
 from bumpymap.core import CLASS_NAMES, NO_CLASS, OBSTACLE, BadInputError, OutputError, UsageError
 from bumpymap.layers.manifest import describe_file
-from bumpymap.views import write_reports
+from bumpymap.views import write_report
 from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, PageTiles, Spot
 from bumpymap.views.words import area, number, share
 
@@ -126,7 +125,7 @@ def test_a_large_map_is_shown_in_larger_pixels_and_says_so(site, tmp_path, monke
 
     twin = shutil.copytree(site, tmp_path / "large")
     monkeypatch.setattr(pages, "_TILES", 100)
-    write_reports([twin])
+    write_report(twin)
     page = read_page(twin / "report.html")
     about = page.data["maps"][0]
     assert about["metres"] == 12
@@ -184,7 +183,7 @@ def test_smooth_ground_looks_drivable_only_if_it_is_in_the_picture_without_scrip
     folder = write_folder(tmp_path / "easy", make_field(30, 20, easy=True, holes=0.0))
     blue, dark = {}, {}
     for bar in (None, "too steep", "unknown ground"):
-        page = read_page(write_reports([change_bars(folder, {0}, bar)]))
+        page = read_page(write_report(change_bars(folder, {0}, bar)))
         picture, ground = still_of(page), page.codes("ground")
         factor = picture.shape[0] // ground.shape[0]
         assert picture.shape[:2] == tuple(factor * side for side in ground.shape)
@@ -204,36 +203,21 @@ def test_the_headline_counts_as_smooth_only_what_can_be_crossed(tmp_path, read_p
     calm = before["by_class"]["smooth"] + before["by_class"]["fair"]
     wanted = "{} of the ground can be crossed and is smooth or fair to ride on."
     assert wanted.format(share(calm, before["tiles"])) in read_page(folder / "report.html").text
-    page = read_page(write_reports([change_bars(folder, {0}, "obstacle")]))
+    page = read_page(write_report(change_bars(folder, {0}, "obstacle")))
     assert wanted.format(share(before["by_class"]["fair"], before["tiles"])) in page.text
 
 
-def test_the_roughest_class_says_that_steep_ground_is_in_it(tmp_path, read_page):
-    """Its median ride cost may lie below its limit."""
-    known = {"id": "c0ffee", "vehicle": "warthog", "class_limits": [0.1, 0.2, 0.3]}
-    folder = write_folder(tmp_path / "steep", make_field(6, 5), calibration=known)
-    page = read_page(folder / "report.html")
-    row = Outline(page.text).tables["Classes"][4]
-    assert row[0] == "3 very rough"
-    assert row[4] == "0.3 and more, or too steep, or drives fail"
-    assert f"3 very rough: C_r {row[4]}" in page.text
-
-
-def test_places_of_the_machine_and_times_are_not_in_the_page(site, tmp_path, read_page):
-    settings = {
-        "surveys": ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"],
-        "ground": "csf",
-        "vehicle": "/home/me/rover.toml",
-        "crs": "WGS 84 / UTM zone 14N",
-    }
-    twin = copy_folder(site, tmp_path / "twin", settings=settings)
-    write_reports([twin])
-    text = unescape(read_page(twin / "report.html").text)
-    assert "bumpymap map 'a b.laz' c.laz d.laz --out LAYERS --ground csf --vehicle rover.toml" in text
-    assert "--crs 'WGS 84 / UTM zone 14N'" in text
-    assert "key=1" not in text
-    assert "/home" not in text
-    assert str(tmp_path) not in text
+def test_places_of_the_machine_are_not_in_the_page(site, tmp_path, read_page):
+    places = ["/home/me/a b.laz", "C:\\me\\c.laz", "https://example.org/d.laz?key=1"]
+    inputs = [{"path": path, "format": "LAZ", "points": 1} for path in places]
+    twin = copy_folder(site, tmp_path / "twin", inputs=inputs, warnings=[f"{places[0]} is odd"])
+    write_report(twin)
+    page = read_page(twin / "report.html")
+    rows = Outline(page.text).tables["Files of the survey"][1:]
+    assert [row[0] for row in rows] == ["a b.laz", "c.laz", "d.laz"]
+    assert "a b.laz is odd" in page.text
+    for private in ("key=1", "/home", str(tmp_path)):
+        assert private not in page.text
 
 
 def test_a_record_of_little_is_enough(tmp_path):
@@ -243,67 +227,28 @@ def test_a_record_of_little_is_enough(tmp_path):
     assert "The vehicle can cross" in (folder / "report.html").read_text()
 
 
-@pytest.mark.parametrize(
-    ("speeds", "told"),
-    [
-        ({}, "driven in simulation at 1.00 m/s."),
-        ({"drives_mps": 1.0}, "driven in simulation at 1.00 m/s."),
-        (
-            {"speed_mps": 2.0, "drives_mps": 1.0},
-            "driven in simulation at 1.00 m/s; the ride costs of this map are for 2.00 m/s.",
-        ),
-    ],
-)
-def test_a_map_at_another_speed_says_at_which_it_was_driven(site, tmp_path, read_page, speeds, told):
-    twin = copy_folder(site, tmp_path / "twin", vehicle=VEHICLE | speeds)
-    assert told in " ".join(read_page(write_reports([twin])).text.split())
-
-
-def test_two_maps_are_compared(site, tmp_path, read_page):
-    other = write_folder(tmp_path / "other", make_field(30, 30, seed=9))
-    write_reports([site, other], tmp_path / "two.html")
-    page = read_page(tmp_path / "two.html")
-    outline = Outline(page.text)
-    assert len(page.data["maps"]) == 2
-    assert page.data["together"] is True
-    first, second = (json.loads((folder / "run.json").read_text())["counts"] for folder in (site, other))
-    row = {row[0]: row for row in outline.tables["Classes"][1:]}["smooth"]
-    one, two = (counts["by_class"]["smooth"] / counts["tiles"] for counts in (first, second))
-    assert row[1:] == [
-        area(9 * first["by_class"]["smooth"]),
-        share(first["by_class"]["smooth"], first["tiles"]),
-        area(9 * second["by_class"]["smooth"]),
-        share(second["by_class"]["smooth"], second["tiles"]),
-        f"{100 * (two - one):+.1f}",
-    ]
-    with pytest.raises(OutputError, match="exists"):
-        write_reports([site, other], tmp_path / "two.html")
-    write_reports([site, other], tmp_path / "two.html", overwrite=True)
-
-
 def test_what_cannot_be_made_says_why(site, tmp_path):
-    with pytest.raises(UsageError, match="3 folders"):
-        write_reports([site, site, site])
-    with pytest.raises(UsageError, match="name the file with `out`"):
-        write_reports([site, site])
     with pytest.raises(UsageError, match=r"ends in \.html"):
-        write_reports([site], tmp_path / "run.json")
+        write_report(site, tmp_path / "run.json")
     with pytest.raises(BadInputError, match="holds no complete run"):
-        write_reports([tmp_path])
+        write_report(tmp_path)
     with pytest.raises(OutputError, match="no folder"):
-        write_reports([site], tmp_path / "no" / "a.html")
+        write_report(site, tmp_path / "no" / "a.html")
+    (tmp_path / "there.html").touch()
+    with pytest.raises(OutputError, match="exists"):
+        write_report(site, tmp_path / "there.html")
     (tmp_path / "a.html").mkdir()
     with pytest.raises(OutputError, match="is a folder"):
-        write_reports([site], tmp_path / "a.html")
+        write_report(site, tmp_path / "a.html")
     with pytest.raises(BadInputError, match=r"no file .*route\.geojson"):
-        write_reports([site], tmp_path / "b.html", route=tmp_path)
+        write_report(site, tmp_path / "b.html", route=tmp_path)
     twin = shutil.copytree(site, tmp_path / "twin")
     (twin / "tiles.parquet").write_bytes(b"PAR1 and no more")
     with pytest.raises(BadInputError, match=r"tiles\.parquet"):
-        write_reports([twin])
+        write_report(twin)
     (twin / "tiles.parquet").unlink()
     with pytest.raises(BadInputError, match=r"tiles\.parquet"):
-        write_reports([twin])
+        write_report(twin)
     assert not list(tmp_path.glob("b.html"))
 
 
@@ -330,7 +275,7 @@ def test_a_damaged_record_is_told(site, tmp_path, damage):
     record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
     (folder / "run.json").write_text(json.dumps(record | damage), encoding="utf-8")
     with pytest.raises(BadInputError, match=r"run\.json is |run.json is missing or not that of a map"):
-        write_reports([folder])
+        write_report(folder)
     assert (folder / "report.html").read_text() == "of before"
 
 
@@ -349,7 +294,7 @@ def test_a_damaged_record_is_told(site, tmp_path, damage):
 def test_a_route_that_is_none(site, tmp_path, content):
     (tmp_path / "route.geojson").write_bytes(content.encode("utf-8", "surrogateescape"))
     with pytest.raises(BadInputError, match=r"route\.geojson"):
-        write_reports([site], tmp_path / "a.html", route=tmp_path)
+        write_report(site, tmp_path / "a.html", route=tmp_path)
 
 
 def test_a_way_lies_on_the_map(site, tmp_path, read_page):
@@ -361,7 +306,7 @@ def test_a_way_lies_on_the_map(site, tmp_path, read_page):
     about = {"name": "<b>way</b>", "length_m": 1234.5, "c_r_mean": 0.123456, "p_arrives": 0.998}
     collection = {"type": "FeatureCollection", "features": [{"type": "Feature", "properties": about, "geometry": line}]}
     (tmp_path / "route.geojson").write_text(json.dumps(collection))
-    page = read_page(write_reports([site], tmp_path / "a.html", route=tmp_path))
+    page = read_page(write_report(site, tmp_path / "a.html", route=tmp_path))
     (way,) = page.data["maps"][0]["ways"]
     assert np.allclose(way["lines"][0], corners, atol=0.02)
     table = Outline(page.text).tables["Figures of the way"]

@@ -105,20 +105,6 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
     assert off <= 0.02 * len(classed.class_id)  # under the words of the range rings
 
 
-def test_the_whole_grid_is_drawn_up_to_the_given_range(nothing):
-    picture = paint(*nothing, 20.0).astype(int)
-    start = nothing[1].sectors.settings.zone_starts_m[0]
-    bearing = np.radians(np.arange(5, 360, 10) + 2.5)
-    for distance, drawn in ((start, True), (start * 0.5, False)):
-        lit = 0
-        for turn in bearing:
-            row, column = pixel(distance * np.cos(turn), distance * np.sin(turn), 20.0)
-            lit += (picture[row - 1 : row + 2, column - 1 : column + 2].max(axis=2) > 50).any()
-        assert (lit > 0.9 * len(bearing)) == drawn
-    near, far = paint(*nothing, 20.0), paint(*nothing, 80.0)
-    assert (near[:, :SIDE] != far[:, :SIDE]).any()
-
-
 def test_the_legend_has_a_swatch_of_every_style_and_says_when_there_is_nothing(scan, classed, nothing):
     full, empty = (paint(*known)[:, SIDE:] for known in ((scan, classed), nothing))
     for panel in (full, empty):

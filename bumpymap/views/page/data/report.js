@@ -86,7 +86,6 @@
       this.context = this.canvas.getContext("2d");
       this.layers = {};
       this.pointers = new Map();
-      this.others = [];
       this.masks = {
         objects: this.objects && paint(about.objects.rows, about.objects.cols, (at) => {
           const code = this.objects[at];
@@ -149,27 +148,13 @@
       this.draw();
     }
 
-    /** Show the layers of the other map, as far as there are such. */
-    choose(other) {
-      const same = this.figure.querySelector(`input[type=radio][value=${other.chosen}]`);
-      if (same) same.checked = true;
-      for (const box of this.figure.querySelectorAll("input[type=checkbox]")) {
-        if (other.figure.querySelector(`input[value=${box.value}]`)) box.checked = other.shows(box.value);
-      }
-      this.show();
-    }
-
     listen() {
       const { canvas, figure } = this;
-      figure.querySelector(".controls").addEventListener("change", () => {
-        this.show();
-        for (const other of this.others) other.choose(this);
-      });
+      figure.querySelector(".controls").addEventListener("change", () => this.show());
       figure.querySelector(".zoom").addEventListener("click", (event) => {
         const action = event.target.value;
         if (action === "all") this.showAll();
         else if (action) this.zoom(action === "in" ? 1.6 : 1 / 1.6);
-        this.share();
       });
       canvas.addEventListener("keydown", (event) => this.key(event));
       canvas.addEventListener("blur", () => { this.crosshair = false; this.draw(); });
@@ -177,7 +162,6 @@
         if (document.activeElement !== canvas && !event.ctrlKey) return;  // else the page scrolls
         event.preventDefault();
         this.zoom(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0018)), this.at(event));
-        this.share();
       }, { passive: false });
       canvas.addEventListener("pointerdown", (event) => {
         canvas.setPointerCapture(event.pointerId);
@@ -208,7 +192,6 @@
           this.zoom(length(now) / Math.max(length(before), 1), now.map((value, i) => (value + others[0][i]) / 2));
         }
         this.pointers.set(event.pointerId, now);
-        this.share();
       }
       this.read(now);
     }
@@ -223,7 +206,6 @@
       else return;
       event.preventDefault();
       this.crosshair = true;
-      this.share();
       this.read([this.width / 2, this.height / 2]);
       this.draw();
     }
@@ -275,19 +257,6 @@
     hold() {
       const { width, height } = this.about;
       this.middle = [Math.min(Math.max(this.middle[0], 0), width), Math.min(Math.max(this.middle[1], 0), height)];
-    }
-
-    /** Show the same ground in the other map. */
-    share() {
-      for (const other of this.others) {
-        other.atAll = false;
-        other.scale = this.scale;
-        other.middle = [
-          this.middle[0] + this.about.west - other.about.west,
-          this.middle[1] - this.about.north + other.about.north,
-        ];
-        other.draw();
-      }
     }
 
     /** Metres right of the west edge and below the north edge. */
@@ -550,7 +519,6 @@
   const start = async () => {
     const figures = [...document.querySelectorAll("figure.map")];
     const maps = await Promise.all(figures.map((figure, at) => ReportMap.of(figure, data.maps[at])));
-    if (data.together) for (const map of maps) map.others = maps.filter((other) => other !== map);
     document.documentElement.dataset.ready = "yes";
     window.reportMaps = maps;
   };

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import Scan
+from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.evaluate.scans import (
     DEVIATION,
     ClassedSectorTable,
@@ -17,7 +18,6 @@ from bumpymap.lab.evaluate.scans import (
     join_sectors,
     z_deviation,
 )
-from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import classify_filter, polar_sectors
 
 TABLE = ClassedSectorTable(

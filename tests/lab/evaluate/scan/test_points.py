@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bumpymap.core import ClassedSectors, Scan
+from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.evaluate.scans import ground_score, mean_ground, obstacle_score
-from bumpymap.readers import LABEL_SETS
 from bumpymap.scan import polar_sectors
 
 KITTI = LABEL_SETS["kitti"]

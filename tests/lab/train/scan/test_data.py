@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.scan_types import PolarSettings, Scan
+from bumpymap.lab import LABEL_SETS
 from bumpymap.lab.train.scan_sectors import (
     Sectors,
     crowns_as_bushes,
@@ -14,7 +15,6 @@ from bumpymap.lab.train.scan_sectors import (
     folder_sectors,
     labelled_sectors,
 )
-from bumpymap.readers import LABEL_SETS
 from bumpymap.scan.learned import CHANNELS, MEASURES
 
 pytestmark = pytest.mark.slow

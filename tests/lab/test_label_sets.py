@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core import BadInputError, UsageError
-from bumpymap.readers import LABEL_SETS, label_set, require_label_set, tell_label_set
+from bumpymap.lab.label_sets import LABEL_SETS, label_set, require_label_set, tell_label_set
 
 KITTI = np.array([0, 1, 9, 14, 15, 17, 18])
 SEMANTIC = np.array([0, 40, 52, 70, 71, 72, 80])
@@ -48,29 +48,16 @@ def test_a_set_from_a_file(tmp_path):
     assert known.names == {1: "lawn", 2: "wall", 7: "id 7"}
 
 
-def test_two_columns_are_enough(tmp_path):
-    (tmp_path / "a.csv").write_text("id, class\n3, 1\n")
-    assert label_set(tmp_path / "a.csv").class_of == {3: 1}
-
-
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ("", "first line"),
-        ("label,class\n1,2\n", "first line"),
-        ("id,class\n", "no labels"),
-        ("id,class\n1\n", "1 values; 2"),
-        ("id,class\n1,3\n", "class is '3'.*from -1 to 2"),
-        ("id,class\n70000,1\n", "id is '70000'"),
-        ("id,class\n1,0\n1,0\n", "two meanings"),
-        ("id,class,kind\n1,0,floor\n", "the kind 'floor'"),
-        ("id,class,color\n1,0,red\n", "the unknown key color"),
-        ("id,class\n1.5,0\n", "id is '1.5'"),
+        *("", "label,class\n1,2\n", "id,class\n", "id,class\n1\n", "id,class\n1,3\n", "id,class\n70000,1\n"),
+        *("id,class\n1,0\n1,0\n", "id,class,kind\n1,0,floor\n", "id,class,color\n1,0,red\n", "id,class\n1.5,0\n"),
     ],
 )
-def test_a_file_that_is_no_set_is_refused(tmp_path, text, message):
+def test_a_file_that_is_no_set_is_refused(tmp_path, text):
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(BadInputError, match=message):
+    with pytest.raises(BadInputError, match="label set"):
         label_set(tmp_path / "a.csv")
 
 
@@ -86,37 +73,13 @@ def test_the_set_is_told_from_the_ids_and_others_are_refused(labels, name):
     assert tell_label_set(labels, "a.label").name == name
     require_label_set(labels, LABEL_SETS[name], "a.label")
     for other in set(LABEL_SETS) - {name}:
-        with pytest.raises(BadInputError, match=f"not those of the set {other}.*`labels='{name}'`"):
+        with pytest.raises(BadInputError, match=f"not those of the set {other}"):
             require_label_set(labels, LABEL_SETS[other], "a.label")
 
 
-def test_ids_that_exist_in_two_sets_are_told_by_their_ground():
+def test_ids_that_exist_in_two_sets_are_told_by_their_ground_and_doubt_is_said():
     assert tell_label_set(np.array([3, 4, 19]), "a").name == "rellis"  # kitti: motorcycles, trucks, signs
     assert tell_label_set(np.array([9, 15, 17]), "a").name == "kitti"  # rellis: objects, logs, persons
-
-
-def test_doubt_is_said():
-    with pytest.raises(BadInputError, match="fit kitti and rellis; say which"):
-        tell_label_set(np.array([10, 18]), "a.label")
-    with pytest.raises(BadInputError, match="fit no label set"):
-        tell_label_set(np.array([0, 500]), "a.label")
-    with pytest.raises(BadInputError, match="ids none"):
-        tell_label_set(np.zeros(5, np.uint16), "a.label")
-    require_label_set(np.zeros(5, np.uint16), LABEL_SETS["kitti"], "a.label")
-
-
-def test_a_set_of_a_file_is_refused_where_most_ids_are_foreign(tmp_path):
-    (tmp_path / "a.csv").write_text("id,class\n900,0\n901,2\n")
-    own = label_set(tmp_path / "a.csv")
-    require_label_set(np.array([900, 901, 500]), own, "a.label")
-    with pytest.raises(BadInputError, match="67% of the labelled points have other ids"):
-        require_label_set(np.array([900, 500, 501]), own, "a.label")
-
-
-@pytest.mark.parametrize("name", ["kitti_labelled", "solid_state_labelled"])
-def test_real_labels(shared_data, name):
-    wanted = {"kitti_labelled": "kitti", "solid_state_labelled": "semantic-kitti"}[name]
-    files = sorted((shared_data / "scans" / name).glob("*.label"))
-    assert files
-    for file in files:
-        assert tell_label_set(np.fromfile(file, "<u4") & 0xFFFF, str(file)).name == wanted
+    for labels, words in (([10, 18], "fit kitti and rellis; say which"), ([0, 500], "fit no"), ([0, 0], "ids none")):
+        with pytest.raises(BadInputError, match=words):
+            tell_label_set(np.array(labels), "a.label")

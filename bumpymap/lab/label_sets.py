@@ -7,7 +7,7 @@ wanted, ``name`` and ``kind``.
 """
 
 import csv
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,22 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CLASSES, BadInputError, UsageError
-from bumpymap.readers.source import open_source
+from bumpymap.core import CLASSES, BadInputError, UsageError, read_regular
 
 __all__ = ["LABEL_SETS", "LabelSet", "label_set", "require_label_set", "tell_label_set"]
 
 _NO_CLASS = -1
-_MOST_ID = 65_535
-_MOST_BYTES = 1 << 20
-"""Size limit of a label set in CSV."""
 _LEAST_KNOWN = 0.5
 """A set is refused if fewer of the labelled points than this have ids of the set."""
 _LEAST_GROUND = 0.02
 """A set explains labels if at least this share of the labelled points is ground: most scans outdoors have more, and ids
 that are read with a set they are not of are rarely ground."""
 _KINDS = ("ground", "obstacle", "")
-_KEYS = ("id", "class", "name", "kind")
 _SHOWN = 8
 """Number of ids that a message names."""
 
@@ -55,41 +50,28 @@ class LabelSet:
         """Return the class of each label; -1 if it has none or is not of the set."""
         table = np.full(max(self.class_of, default=0) + 2, _NO_CLASS, np.int16)
         table[list(self.class_of)] = list(self.class_of.values())
-        classes: NDArray[np.int16] = table[_places(labels, len(table) - 1)]
+        outside = len(table) - 1
+        classes: NDArray[np.int16] = table[
+            np.where((labels >= 0) & (labels < outside), labels, outside).astype(np.intp)
+        ]
         return classes
 
     def is_ground(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
         """Return which labels are of ground."""
-        return _among(labels, self.ground)
+        return np.isin(labels, [*self.ground])
 
     def is_obstacle(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
         """Return which labels are of obstacles."""
-        return _among(labels, self.obstacle)
+        return np.isin(labels, [*self.obstacle])
 
     def is_known(self, labels: NDArray[np.integer[Any]]) -> NDArray[np.bool_]:
         """Return which labels are ids of the set."""
-        return _among(labels, self.class_of)
+        return np.isin(labels, [*self.class_of])
 
-    def explains(self, labels: NDArray[np.integer[Any]]) -> bool:
-        """Return whether all labels except 0 are ids of the set, and enough of them are ground."""
-        labelled = labels[labels > 0]
-        return bool(
-            len(labelled)
-            and self.is_known(labelled).all()
-            and self.is_ground(labelled).mean() >= (_LEAST_GROUND if self.ground else 0.0)
-        )
-
-
-def _places(labels: NDArray[np.integer[Any]], last: int) -> NDArray[np.intp]:
-    return np.where((labels >= 0) & (labels < last), labels, last).astype(np.intp)
-
-
-def _among(labels: NDArray[np.integer[Any]], ids: Iterable[int]) -> NDArray[np.bool_]:
-    wanted = np.fromiter(ids, np.intp)
-    table = np.zeros(int(wanted.max(initial=0)) + 2, np.bool_)
-    table[wanted] = True
-    among: NDArray[np.bool_] = table[_places(labels, len(table) - 1)]
-    return among
+    def fits(self, labelled: NDArray[np.integer[Any]]) -> bool:
+        """Return whether all of some labels are ids of the set, and enough of them its ground."""
+        is_ground = not self.ground or self.is_ground(labelled).mean() >= _LEAST_GROUND
+        return bool(is_ground and self.is_known(labelled).all())
 
 
 def _built_in(name: str, *groups: tuple[int, str, Mapping[int, str]]) -> LabelSet:
@@ -164,64 +146,43 @@ def label_set(name_or_path: str | Path) -> LabelSet:
     path = Path(text)
     if not (path.suffix.lower() == ".csv" or path.exists() or len(path.parts) > 1):
         raise UsageError(f"`labels` is '{text}'; it must be {', '.join(LABEL_SETS)}, or a file that ends in .csv")
-    return _from_rows(path, _csv_rows(path))
+    return _read_set(path)
 
 
-def _csv_rows(path: Path) -> list[dict[str, str]]:
-    with open_source(path) as stream:
-        content = stream.read(_MOST_BYTES + 1)
-    if len(content) > _MOST_BYTES:
-        raise BadInputError(f"{path} has more than {_MOST_BYTES // 1024} kB; is it a label set?")
-    lines = [line for line in content.decode("utf-8-sig", "replace").splitlines() if line.strip()]
-    table = csv.reader(line for line in lines if not line.startswith("#"))
+def _read_set(path: Path) -> LabelSet:
     try:
-        head = [word.strip().lower() for word in next(table, [])]
-        rows = [[word.strip() for word in row] for row in table]
+        lines = read_regular(path).decode("utf-8-sig", "replace").splitlines()
+    except OSError as error:
+        raise BadInputError(f"cannot read the label set {path}: {error.strerror or error}") from error
+    table = csv.reader((line for line in lines if line.strip() and not line.startswith("#")), skipinitialspace=True)
+    try:
+        head, *rows = [[word.strip() for word in row] for row in table] or [[]]
     except csv.Error as error:
         raise BadInputError(f"{path} is not a label set: {error}") from error
-    if not {"id", "class"} <= set(head):
+    if not {"id", "class"} <= {*head} <= {"id", "class", "name", "kind"} or not rows:
         raise BadInputError(
-            f"{path} is not a label set: its first line is '{','.join(head)[:80]}'; it must be id,class or "
-            "id,class,name,kind, with one line per id below"
+            f"{path} is not a label set: its first line is '{','.join(head)[:80]}', with {len(rows)} lines below; it "
+            "must be id,class or id,class,name,kind, with one line per id below"
         )
-    short = next((row for row in rows if len(row) != len(head)), None)
-    if short is not None:
-        raise BadInputError(
-            f"{path}: the line {','.join(short)[:80]} has {len(short)} values; {len(head)} are required"
-        )
-    return [dict(zip(head, row, strict=True)) for row in rows]
-
-
-def _from_rows(path: Path, rows: list[dict[str, str]]) -> LabelSet:
-    if not rows:
-        raise BadInputError(f"{path} holds no labels; a label set has one line per id: id,class")
     class_of: dict[int, int] = {}
     kinds: dict[str, set[int]] = {kind: set() for kind in _KINDS}
     names: dict[int, str] = {}
     for row in rows:
-        number, class_id = _whole(path, row, "id", 0, _MOST_ID), _whole(path, row, "class", _NO_CLASS, CLASSES - 1)
-        kind = row.get("kind", "")
-        unknown = sorted(set(row) - set(_KEYS))
-        if unknown or number in class_of or kind not in _KINDS:
-            what = f"the unknown key {unknown[0]}" if unknown else f"the kind '{kind}'" if kind else "two meanings"
+        found = dict(zip(head, row, strict=False))
+        try:
+            number, class_id, kind = int(found["id"]), int(found["class"]), found.get("kind", "")
+            is_valid = 0 <= number <= 65_535 and _NO_CLASS <= class_id < CLASSES and len(row) == len(head)
+        except (KeyError, ValueError):
+            is_valid = False
+        if not is_valid or number in class_of or kind not in _KINDS:
             raise BadInputError(
-                f"{path}: id {number} has {what}; each id stands once, with class and, if wanted, name and kind "
-                "(ground, obstacle, or empty)"
+                f"{path}: the line {','.join(row)[:80]} is not one of a label set. Each id (0 to 65,535) stands once, "
+                "with a class from -1 to 2 and, if wanted, name and kind (ground, obstacle, or empty)"
             )
         class_of[number] = class_id
         kinds[kind].add(number)
-        names[number] = row.get("name") or f"id {number}"
+        names[number] = found.get("name") or f"id {number}"
     return LabelSet(str(path), class_of, frozenset(kinds["ground"]), frozenset(kinds["obstacle"]), names)
-
-
-def _whole(path: Path, row: Mapping[str, str], key: str, least: int, most: int) -> int:
-    try:
-        number = int(row[key])
-    except ValueError:
-        number = least - 1
-    if not least <= number <= most:
-        raise BadInputError(f"{path}: {key} is {row[key][:40]!r}; it must be a whole number from {least} to {most:,}")
-    return number
 
 
 def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin: str) -> None:
@@ -230,7 +191,7 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
     Parameters
     ----------
     labels : array of int
-        Semantic ids; 0 and below are unlabelled in every set.
+        Semantic ids, best of many frames; 0 and below are unlabelled in every set.
     known : LabelSet
     origin : str
         Where the labels are from, for the message.
@@ -241,21 +202,18 @@ def require_label_set(labels: NDArray[np.integer[Any]], known: LabelSet, origin:
         Most ids are not of the set; or they do not fit it (unknown ids, no ground) while they fit a built-in one.
     """
     labelled = labels[labels > 0]
-    if not len(labelled) or known.explains(labelled):
+    if not len(labelled) or known.fits(labelled):
         return
-    fitting = [other.name for other in LABEL_SETS.values() if other.name != known.name and other.explains(labelled)]
-    if fitting or known.is_known(labelled).mean() < _LEAST_KNOWN:
-        foreign = labelled[~known.is_known(labelled)]
-        what = f"none of the ids ({_listed(np.unique(labelled))}) is ground there"
-        if len(foreign):
-            share = len(foreign) / len(labelled)
-            what = f"{share:.0%} of the labelled points have other ids ({_listed(np.unique(foreign))})"
-        advice = f"They fit `labels='{fitting[0]}'`" if fitting else "Name the set they are of, or a file with it"
-        raise BadInputError(f"the labels of {origin} are not those of the set {known.name}: {what}. {advice}")
+    if known.is_known(labelled).mean() < _LEAST_KNOWN or any(other.fits(labelled) for other in LABEL_SETS.values()):
+        raise BadInputError(
+            f"the labels of {origin} (ids {_listed(labels)}) are not those of the set {known.name}: "
+            f"{known.is_known(labelled).mean():.0%} of the labelled points have ids of the set, "
+            f"{known.is_ground(labelled).mean():.0%} are its ground. Name the set they are of, or a file with it"
+        )
 
 
 def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
-    """Return the one built-in set that fits labels.
+    """Return the one built-in set of which all labels are, and enough of them ground.
 
     Parameters
     ----------
@@ -269,17 +227,17 @@ def tell_label_set(labels: NDArray[np.integer[Any]], origin: str) -> LabelSet:
     BadInputError
         No set fits, or several do.
     """
-    fitting = [known for known in LABEL_SETS.values() if known.explains(labels)]
+    labelled = labels[labels > 0]
+    fitting = [known for known in LABEL_SETS.values() if len(labelled) and known.fits(labelled)]
     if len(fitting) == 1:
         return fitting[0]
-    ids = np.unique(labels[labels > 0])
     what = f"fit {' and '.join(known.name for known in fitting)}" if fitting else "fit no label set that is built in"
     raise BadInputError(
-        f"the labels of {origin} (ids {_listed(ids)}) {what}; say which they are: `labels='NAME'` "
-        f"({', '.join(LABEL_SETS)}), or `labels='FILE.csv'` with the columns id,class,name,kind"
+        f"the labels of {origin} (ids {_listed(labels)}) {what}; say which they are: {', '.join(LABEL_SETS)}, or a "
+        "file FILE.csv with the columns id,class,name,kind"
     )
 
 
-def _listed(ids: NDArray[np.integer[Any]]) -> str:
-    more = ", .." if len(ids) > _SHOWN else ""
-    return ", ".join(str(number) for number in ids[:_SHOWN]) + more if len(ids) else "none"
+def _listed(labels: NDArray[np.integer[Any]]) -> str:
+    ids = np.unique(labels[labels > 0])
+    return ", ".join(map(str, ids[:_SHOWN])) + (", .." if len(ids) > _SHOWN else "") if len(ids) else "none"

@@ -1,0 +1,178 @@
+"""Transforms between coordinate frames over time, as the messages of a bag tell them."""
+
+from array import array
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import BadInputError, PoseTrack
+
+__all__ = ["FIXED_FRAMES", "FrameTree", "Trajectory", "frame_name", "from_quaternions", "refuse_poses", "seconds_since"]
+
+ROUNDING = 0.02
+"""Tolerance of rotation matrices and quaternions: some files have only three decimals."""
+
+FIXED_FRAMES = ("map", "odom")
+"""Coordinate frames that a drive can be mapped in; the first one that is known is taken (REP-105)."""
+
+
+def frame_name(name: str) -> str:
+    """Return the name of a coordinate frame without the slash that older drivers put before it."""
+    return name.strip("/")
+
+
+def seconds_since(origin_ns: int, times_ns: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Return times in seconds after an origin; equal times stay equal."""
+    seconds: NDArray[np.float64] = (times_ns - origin_ns) * np.float64(1e-9)
+    return seconds
+
+
+class Trajectory:
+    """The transform from one coordinate frame to another over time; 64 bytes a sample.
+
+    Parameters
+    ----------
+    name : str
+        For messages.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._times = array("q")
+        self._rows = array("d")
+
+    def add(self, stamp: Any, place: Any, turn: Any) -> None:
+        """Add a sample: time (``sec``, ``nanosec``), place (``x`` to ``z``, m) and quaternion (``x`` to ``w``)."""
+        self._times.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        self._rows.extend((place.x, place.y, place.z, turn.x, turn.y, turn.z, turn.w))
+
+    def track(self, origin_ns: int) -> PoseTrack:
+        """Return the samples in the order of time, in seconds after an origin; of equal times the last one counts.
+
+        Raises
+        ------
+        BadInputError
+            A sample is not finite, or the length of its quaternion is not 1.
+        """
+        times, rows = np.frombuffer(self._times, np.int64), np.frombuffer(self._rows, np.float64).reshape(-1, 7)
+        if not np.isfinite(rows).all():
+            raise BadInputError(f"{self._name} holds a transform that is not finite")
+        order = np.argsort(times, kind="stable")
+        order = order[np.append(np.diff(times[order]) > 0, True)]
+        return PoseTrack(seconds_since(origin_ns, times[order]), from_quaternions(self._name, rows[order]))
+
+
+class FrameTree:
+    """The coordinate frames of ``/tf`` and ``/tf_static``, each with its parent."""
+
+    def __init__(self) -> None:
+        self._parent: dict[str, str] = {}
+        self._static: dict[str, Trajectory] = {}
+        self._moving: dict[str, Trajectory] = {}
+
+    def add(self, message: Any, *, static: bool) -> None:
+        """Add the transforms of a message ``tf2_msgs/TFMessage``."""
+        for each in message.transforms:
+            child = frame_name(each.child_frame_id)
+            self._parent[child] = frame_name(each.header.frame_id)
+            if static:
+                self._static.pop(child, None)  # the last one counts
+            samples = self._static if static else self._moving
+            part = each.transform
+            samples.setdefault(child, Trajectory(f"tf of {child}")).add(
+                each.header.stamp, part.translation, part.rotation
+            )
+
+    def mount(self, base: str, sensor: str) -> NDArray[np.float64] | None:
+        """Return the fixed transform (4, 4) from a sensor to the base; None if it is unknown or the sensor moves."""
+        if base == sensor:
+            return np.eye(4)
+        up, down = self._ancestors(sensor), self._ancestors(base)
+        common = next((frame for frame in up if frame in down), None)
+        if common is None:
+            return None
+        ways = [way[: way.index(common)] for way in (up, down)]
+        if any(frame in self._moving for way in ways for frame in way):
+            return None
+        ends = [_product([self._fixed(frame) for frame in way]) for way in ways]
+        pose: NDArray[np.float64] = np.linalg.inv(ends[1]) @ ends[0]
+        return pose
+
+    def track(self, sensor: str, origin_ns: int, times: NDArray[np.float64]) -> PoseTrack | None:
+        """Return the poses of a sensor in a fixed frame.
+
+        Parameters
+        ----------
+        sensor : str
+            Its coordinate frame.
+        origin_ns : int
+        times : (n,) float64
+            Times at which poses are wanted, s after the origin.
+
+        Returns
+        -------
+        PoseTrack or None
+            At these times and at those of all transforms between, as far as all of them are known. None if the sensor
+            is not connected with a fixed frame, or at no such time.
+        """
+        chain = self._ancestors(sensor)
+        fixed = next((frame for frame in FIXED_FRAMES if frame in chain[1:]), None)
+        if fixed is None:
+            return None
+        links = chain[: chain.index(fixed)]
+        moving = {frame: self._moving[frame].track(origin_ns) for frame in links if frame in self._moving}
+        times = np.unique(np.concatenate([times, *(track.times for track in moving.values())]))
+        for track in moving.values():
+            times = times[track.covers(times)]
+        if not len(times):
+            return None
+        steps = [moving[frame].at(times) if frame in moving else self._fixed(frame) for frame in links]
+        return PoseTrack(times, np.broadcast_to(_product(steps), (len(times), 4, 4)))
+
+    def _ancestors(self, frame: str) -> list[str]:
+        """Return a frame, its parent, and so on up to the root."""
+        found = [frame]
+        while (parent := self._parent.get(found[-1])) is not None and parent not in found:
+            found.append(parent)
+        return found
+
+    def _fixed(self, frame: str) -> NDArray[np.float64]:
+        """Return the fixed transform (4, 4) from a frame to its parent."""
+        transform: NDArray[np.float64] = self._static[frame].track(0).poses[-1]
+        return transform
+
+
+def _product(steps: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Multiply transforms, (4, 4) or (n, 4, 4), each from a frame to its parent, beginning with the lowest frame."""
+    product = np.eye(4)
+    for step in steps:
+        product = step @ product
+    return product
+
+
+def from_quaternions(path: Path | str, table: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the transforms (n, 4, 4) of places (m) and quaternions, (n, 7): x, y, z, qx, qy, qz, qw.
+
+    Raises BadInputError: a quaternion is invalid; ``path`` says where the poses are from.
+    """
+    length = np.linalg.norm(table[:, 3:], axis=1)
+    far = np.abs(length - 1.0)
+    refuse_poses(path, np.isnan(far) | (far > ROUNDING), "a quaternion whose length is not 1")
+    x, y, z, w = (table[:, 3:] / length[:, None]).T
+    poses = np.tile(np.eye(4), (len(table), 1, 1))
+    poses[:, :3, 3] = table[:, :3]
+    poses[:, 0, :3] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=1)
+    poses[:, 1, :3] = np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=1)
+    poses[:, 2, :3] = np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=1)
+    return poses
+
+
+def refuse_poses(path: Path | str, bad: NDArray[np.bool_], what: str) -> None:
+    """Raise BadInputError if any of some poses (n,) is bad: the first one is named."""
+    if bad.any():
+        raise BadInputError(
+            f"pose {int(bad.argmax()):,} of {path} (counted from 0) has {what}; {int(bad.sum()):,} of {len(bad):,} do"
+        )
