@@ -108,7 +108,7 @@ def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = 
         spearman=spearman(stretches.c_r[on], stretches.measured[on]),
         median_ratio=float(np.median(offset.ratio[on])),
         median_error=float(np.median(np.abs(offset.ratio[on] - 1.0))),
-        inside=float(1.0 - offset.is_off[on].mean()),
+        inside=float((~offset.is_off[on]).mean()),
         same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
     )
 
