@@ -91,9 +91,9 @@ class ByteGrid:
 
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
-        ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        plain = {"log": math.exp, "root": lambda root: root * abs(root)}.get(self.scale, float)
-        values = [plain(round(end, 12)) + 0.0 for end in ends]
+        values = [round(self.low + self.step * part * _STEPS, 12) + 0.0 for part in (0.0, 0.5, 1.0)]
+        if self.scale != "linear":
+            values = [math.exp(value) if self.scale == "log" else value * abs(value) for value in values]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
 
     def record(self) -> dict[str, Any]:
