@@ -63,7 +63,7 @@ def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given:
     forced = {} if given["force_crs"] is None else {"force_crs": given["force_crs"]}
     refuse_clashes(run.given | forced, OF_CRS, option_name)
     settings = EvaluateSettings(**_chosen(run, EvaluateSettings))
-    subject = _subject(given, settings)
+    subject = _subject(given)
     from bumpymap.lab import (
         TrialOptions,
         evaluate_survey,
@@ -123,13 +123,13 @@ def _chosen(run: Run, owner: type) -> dict[str, Any]:
     return {name: value for name, value in run.changed().items() if name in names}
 
 
-def _subject(given: dict[str, Any], settings: EvaluateSettings) -> "Subject":
+def _subject(given: dict[str, Any]) -> "Subject":
     """Return the vehicle with the ratings that are held against its drives."""
     from bumpymap.lab import Subject
     from bumpymap.rating import TextureModel, find_calibration
 
     calibration = find_calibration(given["vehicle"], given["calibration"])
-    return Subject.of(calibration, TextureModel.shipped(), settings.rating)
+    return Subject.of(calibration, TextureModel.shipped())
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:

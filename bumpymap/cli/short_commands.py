@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
+from bumpymap.cli._options import PATH, Run, grouped_option, job
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic, settings_template
 
@@ -38,7 +38,7 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
+@job("demo")
 @click.option(
     "--out",
     default="demo_out",

@@ -6,7 +6,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from bumpymap.core import FeatureSettings, Rating, Setting, UsageError, check_settings
+from bumpymap.core import FeatureSettings, Setting, UsageError, check_settings
 
 if TYPE_CHECKING:
     from bumpymap.lab.simulate.drive import DriveSettings, Effort
@@ -111,8 +111,6 @@ class EvaluateSettings:
     max_starts: Annotated[int, Setting("Maximum number of drives per patch", "N", rare=True)] = 48
     """They stop once the standard error of the mean C_r is below 5 % of it."""
     seed: Annotated[int, Setting("Random seed", "N", 0, rare=True)] = 7
-    rating: Annotated[Rating, Setting("table: evaluate without the ride model", rare=True)] = "ride"
-    """Rating of `map`; ``ride`` evaluates both ratings, ``table`` only the table."""
     drive: "DriveSettings" = field(default_factory=_drive_settings)
     features: FeatureSettings = field(default_factory=FeatureSettings)
 

@@ -200,8 +200,6 @@ class Agreement:
     fail: dict[str, Any] | None = None
     """Of p_fail: ``auc``, ``auc_below_limit`` (within the slope limit, beyond which p_fail is 1 by definition) and
     `reliability`; None if the predictor has no p_fail. All patches have the same weight."""
-    fitted_error: float = math.nan
-    """Only for plain predictors: median error after the best fit to all compared patches, without cross-validation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,10 +277,9 @@ def compare(
         found[name] = agreement(own.c_r, own.c_r, own.class_id[level], coverage=held, fail=fail(own.p_fail))
     for name, predictor in plain.items() if good.any() else ():
         fitted = monotone_fit(predictor[good], truth, predictor)
-        best = float(np.median(np.abs(fitted[good] - truth) / truth))
         fitted[good] = cross_validated_fit(predictor[good], truth)
         predicted = np.searchsorted(np.array(limits), fitted[level], side="right")
-        found[name] = agreement(predictor, fitted, predicted, fitted_error=best)
+        found[name] = agreement(predictor, fitted, predicted)
     relative, most = driven.error[good] / truth, fail(share)
     return Comparison(
         patches=len(good),

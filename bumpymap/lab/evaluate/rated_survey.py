@@ -22,7 +22,6 @@ from bumpymap.core import (
     OutputError,
     PatchStack,
     Progress,
-    Rating,
     TextureMap,
     UsageError,
     common_georeference,
@@ -76,13 +75,13 @@ class Subject:
     textures: TextureModel
 
     @classmethod
-    def of(cls, calibration: Calibration, textures: TextureModel, rating: Rating) -> "Subject":
-        """Make the ratings of a calibration.
+    def of(cls, calibration: Calibration, textures: TextureModel) -> "Subject":
+        """Make the ratings of a calibration; one without a ride model has its table alone.
 
         Raises
         ------
         UsageError
-            The calibration has no ride model but the rating needs one, or the texture network is for other tiles.
+            The texture network is for other tiles.
         """
         textures.require_grid(calibration.tile_size, calibration.pixels)
         calibration = calibration.without_floor()  # it is held against simulated drives, which have none
@@ -92,7 +91,7 @@ class Subject:
             return rate(patches, seen, calibration, place)
 
         ratings: dict[str, Rate] = {}
-        if rating != "table":
+        if calibration.ride is not None:
             ratings["ride"] = RideModel(calibration).rate
         return cls(calibration, profile, ratings | {"table": by_table}, textures)
 

@@ -175,12 +175,17 @@ def _predictor_lines(found: Comparison) -> list[str]:
     rows = []
     for name, own in found.agreement.items():
         ranks = (f"{own.spearman:.4f}", f"{1 - own.spearman:.4f}") if math.isfinite(own.spearman) else (_NONE, _NONE)
-        shares = (own.median_error, own.fitted_error)
         held = percent(own.coverage["held"]) if own.coverage else _NONE
         auc = [number(own.fail[kind]) if own.fail else _NONE for kind in ("auc", "auc_below_limit")]
-        row = [f"`{name}`", *ranks, *map(percent, shares), number(own.median_ratio), *map(percent, own.steps.values())]
+        row = [
+            f"`{name}`",
+            *ranks,
+            percent(own.median_error),
+            number(own.median_ratio),
+            *map(percent, own.steps.values()),
+        ]
         rows.append([*row, held, *auc])
-    header = ("predictor", "Spearman", "1 - Spearman", "median error", "fitted to these", "median predicted / driven")
+    header = ("predictor", "Spearman", "1 - Spearman", "median error", "median predicted / driven")
     more = ("same class", "one off", "two or more off", "80 % interval contains it", "p_fail AUC", "within slope limit")
     return table((*header, *more), rows)
 
@@ -202,8 +207,7 @@ def _method(found: Comparison) -> str:
         f"As some drives over a patch fail and others do not, no p_fail can reach an AUC above {found.auc_most:.3f}, "
         f"or above {found.auc_most_below_limit:.3f} within the slope limit. Plain "
         "predictors get C_r from their best monotone fit to the drives over the other patches, which a map does not "
-        "have; *fitted to these* is the error if the fit includes the patch itself. The drives run on the measured "
-        "relief and contain its noise; `ride` predicts the ground without noise."
+        "have. The drives run on the measured relief and contain its noise; `ride` predicts the ground without noise."
     )
 
 

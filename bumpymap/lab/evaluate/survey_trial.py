@@ -31,7 +31,7 @@ from bumpymap.lab.evaluate.agreement import (
 from bumpymap.lab.evaluate.rated_survey import MeasuredSurvey, Subject, Verdict, load_survey
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import PatchDrives, drive_patch
-from bumpymap.lab.simulate.jobs import Journal, Key, drive_jobs
+from bumpymap.lab.simulate.jobs import DriveJob, Journal, Key, drive_jobs
 from bumpymap.lab.simulate.model import require_dart
 from bumpymap.rating import Vehicle
 from bumpymap.readers import ReadOptions, SurveyReader, identity
@@ -140,16 +140,14 @@ def driven_ground(patches: PatchStack) -> Floats:
 
 
 @dataclass(frozen=True, slots=True)
-class _PatchJob:
-    """A patch to drive over; see `Job`."""
+class PatchJob(DriveJob):
+    """Drives over one patch of the survey."""
 
-    key: Key
     heights: NDArray[np.floating]
     """(pixels, pixels) m, north row first, without NaN."""
-    starts: int
 
 
-def drive_job(profile: Vehicle, tile_size: float, settings: EvaluateSettings, job: _PatchJob) -> PatchDrives:
+def drive_job(profile: Vehicle, tile_size: float, settings: EvaluateSettings, job: PatchJob) -> PatchDrives:
     """Drive over one patch until its mean C_r reaches the target error; its starts depend on seed and key alone."""
     # A hash of the key: the numbers of a random stream are neither text nor negative.
     digest = hashlib.sha256(json.dumps(job.key).encode()).digest()
@@ -270,7 +268,7 @@ def _compare_drives(
     """
     keys: list[Key] = list(zip(patches.col.tolist(), patches.row.tolist(), strict=True))
     jobs = [
-        _PatchJob(key, heights, settings.min_starts) for key, heights in zip(keys, driven_ground(patches), strict=True)
+        PatchJob(key, settings.min_starts, heights) for key, heights in zip(keys, driven_ground(patches), strict=True)
     ]
     recorded = {
         "vehicle": subject.profile.to_dict(),

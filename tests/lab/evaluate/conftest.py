@@ -37,7 +37,7 @@ def subject(ride_record):
     """The shipped table with that ride model."""
     vehicle = load_profile("warthog").to_dict()
     calibration = replace(Calibration.shipped("warthog"), vehicle=vehicle, ride=ride_record)
-    return Subject.of(calibration, TextureModel.shipped(), "both")
+    return Subject.of(calibration, TextureModel.shipped())
 
 
 @pytest.fixture(scope="session")

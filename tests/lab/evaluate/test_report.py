@@ -65,4 +65,3 @@ def test_json_holds_every_number_and_none_for_the_unknown(findings, tmp_path):
     assert record["patches"]["names"][2] == [2, -2]
     own = record["comparison"]["agreement"]["ride"]
     assert own["spearman"] == pytest.approx(findings.comparison.agreement["ride"].spearman, rel=1e-5)
-    assert record["comparison"]["agreement"]["ride"]["fitted_error"] is None

@@ -45,7 +45,7 @@ def test_drives_are_not_made_twice_even_for_another_calibration(quarry, subject,
     assert len(fake_drives) == 10
     assert plain_record(asdict(again)) == plain_record(asdict(first))
     other = replace(subject.calibration, class_limits=(0.05, 0.2, 0.4))
-    evaluate(quarry, Subject.of(other, subject.textures, "both"), settings, tmp_path)
+    evaluate(quarry, Subject.of(other, subject.textures), settings, tmp_path)
     assert len(fake_drives) == 10
     evaluate(quarry, subject, replace(settings, total_patches=15), tmp_path)
     assert len(fake_drives) == 15
@@ -63,9 +63,8 @@ def cli(*words):
 
 def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives):
     out, calibration = tmp_path / "trust", tmp_path / "own.json"
-    calibration.write_text(subject.calibration.to_json())
-    words = [quarry, "--out", out, "--calibration", calibration, "--set", "rating=table", "--set", "total_patches=10"]
-    words += ["--jobs", "1"]
+    calibration.write_text(replace(subject.calibration, ride=None).to_json())
+    words = [quarry, "--out", out, "--calibration", calibration, "--set", "total_patches=10", "--jobs", "1"]
     result = cli(*words)
     assert result.exit_code == 0, result.output
     record = json.loads((out / "report.json").read_text())
@@ -118,11 +117,3 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
     assert result.exit_code == 0, result.output
     assert len(fake_drives) == 12
     assert "12 patches, 24 drives, 0 failed" in result.output
-
-
-def test_a_calibration_without_a_ride_model_names_the_way_out(subject, tmp_path):
-    bare = replace(subject.calibration, ride=None)
-    (tmp_path / "bare.json").write_text(bare.to_json())
-    result = cli("site.laz", "--calibration", tmp_path / "bare.json", "--out", tmp_path / "o")
-    assert result.exit_code == 2
-    assert "--set rating='table'" in result.output

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from bumpymap.lab.evaluate.survey_trial import _PatchJob, drive_job
+from bumpymap.lab.evaluate.survey_trial import PatchJob, drive_job
 from bumpymap.lab.settings import EvaluateSettings
 from bumpymap.lab.simulate.drive import Drive, DriveSettings, Effort, PatchDrives, drive_patch
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
@@ -20,7 +20,7 @@ SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 def drive_patches(patches, starts, *, seed=1, drive=None, **how):
     """Drive over patches of a survey, as an evaluation does."""
     settings = EvaluateSettings(min_starts=starts, max_starts=starts, seed=seed, drive=drive or DriveSettings())
-    jobs = [_PatchJob(key, heights, starts) for key, heights in patches.items()]
+    jobs = [PatchJob(key, starts, heights) for key, heights in patches.items()]
     return drive_jobs(partial(drive_job, WARTHOG, 3.0, settings), jobs, **how)
 
 

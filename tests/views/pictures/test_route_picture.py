@@ -85,13 +85,13 @@ def test_closed_pixels_are_hatched_and_not_whole_tiles(ground):
 
 def test_reading_strip_by_strip_paints_the_same(view, ground, monkeypatch):
     whole, _ = paint_ground(ground, view)
-    assert len(ground.windows_read) == 1
+    assert len(ground.windows) == 1
     monkeypatch.setattr(drawing, "_STRIP_TILES", 300)
     pieces, _ = paint_ground(ground, view)
-    assert len(ground.windows_read) > 5
+    assert len(ground.windows) > 5
     np.testing.assert_array_equal(whole, pieces)
-    tallest = max(window.rows for window in ground.windows_read[1:])
-    assert tallest < ground.windows_read[0].rows / 3
+    tallest = max(window.rows for window in ground.windows[1:])
+    assert tallest < ground.windows[0].rows / 3
 
 
 def test_slopes_to_the_north_west_are_bright(view, ground):
