@@ -10,6 +10,7 @@ from rich.filesize import decimal
 
 from bumpymap.cli._text import Styled, Table, about, as_options
 from bumpymap.core import (
+    GROUND_CLASSES,
     REASON_TEXT,
     BadInputError,
     FeatureSettings,
@@ -80,7 +81,7 @@ class FileReport:
 
     @property
     def has_ground(self) -> bool:
-        """True if points of class 2 were read."""
+        """True if ground points were read."""
         return self.summary is not None and self.summary.ground_share > 0
 
 
@@ -186,13 +187,13 @@ class Report:
         """Forecast the tiles that ``map`` will make with the rating of a vehicle that is included."""
         if summary is None:
             return None
-        # Without class 2 although it is required: map will raise an error, info reports that all tiles lack ground.
+        # Without ground points although they are required, map ends with an error; here all tiles lack ground.
         ground = self.config.ground
         ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
         return Outcome(
             tiles=summary.tiles,
             unknown=summary.ground_unknown if ground_only else summary.unknown,
-            measured="ground points (class 2)" if ground_only else "points",
+            measured="ground points" if ground_only else "points",
             points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
             all_points_per_tile=summary.points / summary.tiles,
             thin=True,
@@ -322,7 +323,7 @@ class Report:
         if file.density is not None:
             rows.append(("density", self._density(file.density, summary)))
         if file.dropped is not None or info.has_classes is False:
-            rows += _classified(file)
+            rows += _classified(file, self.config.ground_classes)
         if text := describe_lines(file.lines, "report"):
             rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
@@ -350,18 +351,31 @@ def _map_options(config: MapConfig, place: Georeference | None) -> Iterator[str]
         yield from ("--set", "trust_points=true")
     if config.ground != "auto":
         yield from ("--ground", config.ground)
+    if config.ground_classes != GROUND_CLASSES:
+        yield from ("--ground-classes", ",".join(map(str, config.ground_classes)))
 
 
-def _classified(file: FileReport) -> list[tuple[str, str]]:
+_CLASS_NAMES = (
+    *("never classified", "unassigned", "ground", "low plants", "medium plants", "high plants", "building", "noise"),
+    *("key point", "water", "rail", "road surface", "overlap", "wire guard", "wire", "tower", "wire connector"),
+    *("bridge deck", "high noise"),
+)
+"""Of LAS classes 0 to 18."""
+
+
+def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> list[tuple[str, str]]:
     """Return whether points have classes, and those of a classified survey by what `map` takes their points for."""
     if not file.has_ground or file.summary is None:
         none = file.info is not None and file.info.has_classes is False
-        why = "the file has no classes" if none else "no point has class 2 (ground)"
+        why = "the file has no classes" if none else "no point has a ground class"
         return [("classified", f"no: {why}; all points will be measured, so what stands on the ground is relief")]
-    points, taken = file.summary.points, {2: "as ground", 6: "as obstacles"}
-    rows = {"classified": f"yes: {file.summary.ground_share:.0%} of the points are ground (class 2)"}
+    points, taken = file.summary.points, {6: "as obstacles"} | dict.fromkeys(ground_classes, "as ground")
+    rows = {"classified": f"yes: {file.summary.ground_share:.0%} of the points are ground"}
     for code, count in file.classes.items():
-        name, text = taken.get(code, "by height"), f"class {code} {count / points:.1%}"
+        name, text = (
+            taken.get(code, "by height"),
+            " ".join((str(code), *_CLASS_NAMES[code : code + 1], f"{count / points:.1%}")),
+        )
         rows[name] = f"{rows[name]}, {text}" if name in rows else text
     if "by height" in rows:
         rows["by height"] += ": obstacle or canopy, and if no ground is seen beneath, obstacle"

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _BAD_INPUT = 3
-_OF_MAP = ("crs", "force_crs", "z_unit", "trust_points", "tile_size", "pixels", "memory", "threads")
+_OF_MAP = ("crs", "force_crs", "z_unit", "trust_points", "ground_classes", "tile_size", "pixels", "memory", "threads")
 
 
 @job("info", settings_options(MapConfig, *_OF_MAP), owners=(MapConfig,), clashes=OF_CRS, quiet="Print no progress.")
@@ -53,7 +53,13 @@ def command(run: Run, quick: bool) -> None:
     limited = with_memory(config)
     grid, budget = Grid(config.tile_size, config.pixels), Budget(memory_bytes(limited.memory), config.threads)
     options = ReadOptions(
-        config.crs, config.z_unit, config.trust_points, budget.memory, lines=True, force_crs=config.force_crs
+        config.crs,
+        config.z_unit,
+        config.trust_points,
+        budget.memory,
+        lines=True,
+        force_crs=config.force_crs,
+        ground_classes=config.ground_classes,
     )
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:

@@ -13,6 +13,8 @@ from bumpymap.core.settings import NameOrFile, Setting, check_settings
 
 __all__ = [
     "CLASHES",
+    "DECK_CLASS",
+    "GROUND_CLASSES",
     "OF_CRS",
     "VEHICLE_OR_CALIBRATION",
     "Align",
@@ -38,6 +40,10 @@ Compat = Literal["none", "paper"]
 Align = Literal["off", "report", "on"]
 Rating = Literal["ride", "table"]
 ZUnit = Literal["m", "ft", "us-ft"]
+GROUND_CLASSES = (2, 11, 17)
+"""LAS classes that are ground: ground, road surface, bridge deck."""
+DECK_CLASS = 17
+"""The one that hides the ground beneath."""
 ScanMethod = Literal["filter", "learned"]
 
 _MOST_SPEEDS = 16
@@ -45,7 +51,7 @@ _MOST_SECTORS = 32_767
 """Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 _MOST_GRID_CELLS = 4_000_000
 _CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` uses only points of class 2 if more than this share of the tiles has such points."""
+"""``ground = "auto"`` uses only ground points if more than this share of the tiles has such points."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,8 +130,13 @@ class MapConfig:
     tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
     pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255, rare=True)] = 15
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
-    """Points that are measured: ``all``; those of ``class`` 2; ``auto``: class 2 if most tiles have such points, else
-    all; or those found by a cloth simulation filter (``csf``)."""
+    """Points that are measured: ``all``; those whose ``class`` is ground; ``auto``: these if most tiles have such
+    points, else all; or those found by a cloth simulation filter (``csf``)."""
+    ground_classes: Annotated[
+        tuple[int, ...], Setting("Classes of ground: 2,8,11,40", "LIST", 1, 255, default="2,11,17", group="Ground")
+    ] = GROUND_CLASSES
+    """LAS classes whose points are ground with ``ground = "auto"`` or ``"class"``: ground, road surface, bridge deck.
+    Points of class 17, a bridge deck, hide the ground beneath them."""
     align: Annotated[Align, Setting("Height steps of flight lines: off, report, on", "WHAT", group="Ground")] = "report"
     """Height steps between flight lines: ``report`` measures them, ``on`` also takes them off where an offset or a
     tilt of each line explains them (which reads the survey twice), ``off`` does not measure them."""
@@ -352,10 +363,13 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     tiles : int
         Tiles of the survey that hold points.
     flagged : float
-        Those of them that hold points of class 2.
+        Those of them that hold ground points.
     """
     if ground == "all":
         return False
     if ground == "class" and not flagged:
-        raise BadInputError("`ground='class'`: no point of the survey has class 2 (ground). Use `ground='all'`")
+        raise BadInputError(
+            "`ground='class'`: no point of the survey has a class of `ground_classes` (2, 11, 17 by default). "
+            "Use `ground='all'`"
+        )
     return ground in {"class", "csf"} or flagged > _CLASSIFIED_SHARE * tiles

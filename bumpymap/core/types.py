@@ -35,6 +35,7 @@ __all__ = [
     "OBSTACLE",
     "OPEN_THROUGH",
     "POINT_BUILDING",
+    "POINT_DECK",
     "POINT_GROUND",
     "POINT_OTHER",
     "POINT_PLANT",
@@ -177,7 +178,7 @@ class Georeference:
     """Vertical: metres = file units x this."""
 
 
-POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT = range(4)
+POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK = range(5)
 """Kinds of points, by their LAS class: what a reader hands over as the flag of each point."""
 
 
@@ -192,13 +193,13 @@ class PointCloud:
     upward: NDArray[np.float64]
     """(n,) m."""
     kind: NDArray[np.uint8]
-    """(n,) ``POINT_GROUND`` (class 2), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5), else ``POINT_OTHER``, also if
-    the file has no classes."""
+    """(n,) ``POINT_GROUND`` (classes 2 and 11), ``POINT_DECK`` (17), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5),
+    else ``POINT_OTHER``, also if the file has no classes. `MapConfig.ground_classes` may name other ground."""
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:
         """(n,) which points are ground."""
-        return np.asarray(self.kind == POINT_GROUND)
+        return np.asarray((self.kind == POINT_GROUND) | (self.kind == POINT_DECK))
 
 
 @dataclass(frozen=True, slots=True)

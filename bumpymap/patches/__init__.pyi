@@ -13,6 +13,7 @@ from .objects import (
     settle_solids as settle_solids,
 )
 from .standing import (
+    decks_as_ground as decks_as_ground,
     find_in_relief as find_in_relief,
     leave_out_standing as leave_out_standing,
     settle_relief as settle_relief,

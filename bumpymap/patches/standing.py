@@ -18,6 +18,7 @@ from bumpymap.core import (
     FREE,
     LONE,
     OBSTACLE,
+    POINT_DECK,
     POINT_GROUND,
     POINT_OTHER,
     STEEP,
@@ -45,6 +46,7 @@ from bumpytiles import BLOCK_TILES, TilePoints
 
 __all__ = [
     "ReliefObjects",
+    "decks_as_ground",
     "find_in_relief",
     "find_standing",
     "leave_out_standing",
@@ -66,6 +68,9 @@ _SPREAD = 0.7
 """Spread of the points of a pixel that no slope has, as a share of the lowest obstacle."""
 _STEEP = 0.3
 """Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
+
+_BENEATH = 0.5
+"""Ground so far beneath the lowest point of a bridge deck in its pixel is not that of the deck, m."""
 
 Mosaic = NDArray[np.float32]
 Marks = NDArray[np.bool_]
@@ -327,6 +332,26 @@ def _points_apart(points: TilePoints, standing: Marks) -> TilePoints:
     row, col = _pixels_of(points, asked, tiles[asked])
     flag = points.flag.astype(np.uint8)
     flag[asked] = np.where(standing[tiles[asked], row, col], POINT_OTHER, POINT_GROUND)
+    return replace(points, flag=flag)
+
+
+def decks_as_ground(points: TilePoints) -> TilePoints:
+    """Return points whose bridge decks are ground; in their pixels what lies far beneath is none.
+
+    A map has one ground: where a road leads over another, that is the upper one.
+    """
+    is_deck = points.flag == POINT_DECK
+    if not is_deck.any():
+        return points
+    tiles, pixels = np.repeat(np.arange(len(points.col)), np.diff(points.starts)), points.grid.pixels
+    ground = np.flatnonzero(is_deck | (points.flag == POINT_GROUND))
+    row, col = _pixels_of(points, ground, tiles[ground])
+    pixel, deck, height = (tiles[ground] * pixels + row) * pixels + col, is_deck[ground], points.upward[ground]
+    lowest = np.full(len(points.col) * pixels * pixels, -np.inf)
+    lowest[pixel[deck]] = np.inf
+    np.minimum.at(lowest, pixel[deck], height[deck])
+    flag = points.flag.astype(np.uint8)
+    flag[ground] = np.where(height < lowest[pixel] - _BENEATH, POINT_OTHER, POINT_GROUND)
     return replace(points, flag=flag)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Place, PointCloud, georeference
+from bumpymap.core import GROUND_CLASSES, BadInputError, Georeference, Place, PointCloud, georeference
 from bumpymap.readers._kernels import (
     LinedPoints,
     RecordCounts,
@@ -26,7 +26,7 @@ from bumpymap.readers.copc import (
 )
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import KINDS, OUTSIDE, LineRules, PointStats
+from bumpymap.readers.point_stats import OUTSIDE, LineRules, PointStats, kinds_of
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -92,7 +92,14 @@ def _read_pieces(path: Location, header: RawHeader, chunk: Chunk) -> Iterator[Re
         held = rest
 
 
-def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds | None) -> RecordRules:
+def record_rules(
+    *,
+    layered: bool,
+    line: int,
+    scaling: Scaling,
+    bounds: Bounds | None,
+    ground_classes: tuple[int, ...] = GROUND_CLASSES,
+) -> RecordRules:
     """Return what records are held to: LAS 1.4 R15, tables 7 and 10.
 
     Parameters
@@ -104,6 +111,8 @@ def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds |
     scaling : Scaling
     bounds : Bounds or None
         Extent in the header, m; points more than ``OUTSIDE`` beyond it are counted.
+    ground_classes : tuple of int
+        LAS classes that are ground.
     """
     fields = [16, 255, 15, 4, 20, line] if layered else [15, 31, 15, 128, 18, line]
     limits = ((-math.inf, math.inf), (-math.inf, math.inf))
@@ -113,7 +122,7 @@ def record_rules(*, layered: bool, line: int, scaling: Scaling, bounds: Bounds |
             (bounds.south - OUTSIDE, bounds.north + OUTSIDE),
         )
     box = [_integers_between(scaling, axis, low, high) for axis, (low, high) in enumerate(limits)]
-    return RecordRules(np.array(fields), np.array(box).reshape(-1), KINDS)
+    return RecordRules(np.array(fields), np.array(box).reshape(-1), kinds_of(ground_classes))
 
 
 def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
@@ -209,7 +218,13 @@ class LasSurvey(SurveyReader):
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
         layered = raw.point_format >= LAYERED
-        self._rules = record_rules(layered=layered, line=raw.source_id, scaling=self._scaling, bounds=bounds)
+        self._rules = record_rules(
+            layered=layered,
+            line=raw.source_id,
+            scaling=self._scaling,
+            bounds=bounds,
+            ground_classes=options.ground_classes,
+        )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import POINT_BUILDING, POINT_GROUND, POINT_PLANT, BadInputError
+from bumpymap.core import DECK_CLASS, POINT_BUILDING, POINT_DECK, POINT_GROUND, POINT_PLANT, BadInputError
 from bumpymap.readers._kernels import (
     AXIS_BITS,
     LINE_BITS,
@@ -36,19 +36,15 @@ from bumpytiles import Bounds, Scaling
 
 __all__ = [
     "EARTH_LIMIT",
-    "KINDS",
     "OUTSIDE",
     "LineCorrection",
     "LineRules",
     "LineSums",
     "PointStats",
     "cell_indices",
+    "kinds_of",
     "verify",
 ]
-
-KINDS = np.zeros(256, np.uint8)
-"""(256,) kind of the points of each LAS class."""
-KINDS[2], KINDS[3:6], KINDS[6] = POINT_GROUND, POINT_PLANT, POINT_BUILDING
 
 MOST_ROWS = 50_000
 """Rows of the sample at most: 4.4 MB."""
@@ -56,6 +52,16 @@ _WAITING_ROWS = 2 * MOST_ROWS
 """From this many rows on the parts are merged."""
 _LARGEST_STEP = 1 << 24
 _MIX = np.uint64(0x9E3779B97F4A7C15)
+
+
+def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return the kind of the points of each LAS class, (256,)."""
+    kinds = np.zeros(256, np.uint8)
+    kinds[3:6], kinds[6] = POINT_PLANT, POINT_BUILDING
+    for code in ground_classes:
+        kinds[code] = POINT_DECK if code == DECK_CLASS else POINT_GROUND
+    return kinds
+
 
 Rows = NDArray[np.int64]
 """(n, 1 + ``SUMS``) keys and sums, see `bumpymap.readers._kernels`."""

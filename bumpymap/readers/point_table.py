@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CrsStatement, Place, PointCloud, georeference
-from bumpymap.readers.point_stats import KINDS, PointStats
+from bumpymap.core import GROUND_CLASSES, CrsStatement, Place, PointCloud, georeference
+from bumpymap.readers.point_stats import PointStats, kinds_of
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -47,7 +47,12 @@ _LARGE = 1e5
 
 
 def convert_points(
-    axes: tuple[Floats, Floats, Floats], class_id: NDArray[Any] | None, first: int, *, nan_is_no_return: bool
+    axes: tuple[Floats, Floats, Floats],
+    class_id: NDArray[Any] | None,
+    first: int,
+    *,
+    nan_is_no_return: bool,
+    ground_classes: tuple[int, ...] = GROUND_CLASSES,
 ) -> ChunkPoints:
     """Drop unusable points of a table, and count all of them.
 
@@ -61,6 +66,8 @@ def convert_points(
         Number of the first point in the file.
     nan_is_no_return : bool
         Whether a point with NaN is a beam without return, rather than an error.
+    ground_classes : tuple of int
+        LAS classes that are ground.
     """
     size = len(axes[0])
     codes = np.zeros(size, np.uint8)
@@ -93,7 +100,7 @@ def convert_points(
     classes = np.bincount(codes, minlength=256)
     if stats.bad:
         axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-    return ChunkPoints(PointCloud(*axes, KINDS[codes]), stats, classes=classes)
+    return ChunkPoints(PointCloud(*axes, kinds_of(ground_classes)[codes]), stats, classes=classes)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
@@ -268,6 +275,7 @@ class TableSurvey(SurveyReader):
         super().__init__(path, options)
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
+        self._ground_classes = options.ground_classes
         self._table = table = self._open_table(self._path, _CLASSES, options.memory)
         head, names = table.info, table.info.find(_CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
@@ -295,7 +303,13 @@ class TableSurvey(SurveyReader):
             for name, unit in zip(columns, (place.metres_per_unit,) * 2 + (place.metres_per_unit_z,), strict=True)
         )
         class_id = None if self._class_column is None else np.asarray(fetched[self._class_column])
-        return convert_points((x, y, z), class_id, chunk.first, nan_is_no_return=self._table.nan_is_no_return)
+        return convert_points(
+            (x, y, z),
+            class_id,
+            chunk.first,
+            nan_is_no_return=self._table.nan_is_no_return,
+            ground_classes=self._ground_classes,
+        )
 
     def _first(self) -> tuple[float, float, float] | None:
         """Return the first point with finite coordinates among the first ``searched`` rows; None if there is none."""

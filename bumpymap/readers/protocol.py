@@ -10,7 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, FileHash, Georeference, GivenCrs, PieceRuns, PointCloud, UsageError, ZUnit
+from bumpymap.core import (
+    GROUND_CLASSES,
+    BadInputError,
+    FileHash,
+    Georeference,
+    GivenCrs,
+    PieceRuns,
+    PointCloud,
+    UsageError,
+    ZUnit,
+)
 from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, verify
 from bumpymap.readers.source import Location, Version, is_url, pinned_version, read_range, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
@@ -53,6 +63,8 @@ class ReadOptions:
     """CRS of all files, whatever they state."""
     crs_must_agree: bool = False
     """True if a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
+    ground_classes: tuple[int, ...] = GROUND_CLASSES
+    """LAS classes that are ground."""
 
     @property
     def given_crs(self) -> GivenCrs:

@@ -184,15 +184,15 @@ class PointSummary:
     points_per_tile: float
     """Median over all tiles that hold a point."""
     ground_points_per_tile: float
-    """Points of class 2 (ground), median over the same tiles."""
+    """Ground points, median over the same tiles."""
     ground_share: float
-    """Share of the points that have class 2 (ground), 0..1."""
+    """Share of the points that are ground, 0..1."""
     ground_tiles: int
-    """Tiles that hold a point of class 2."""
+    """Tiles that hold a ground point."""
     unknown: dict[Reason, float]
     """Number of tiles that cannot be rated from all points, by reason; those with holes are estimated from a sample."""
     ground_unknown: dict[Reason, float]
-    """The same if only points of class 2 are measured."""
+    """The same if only ground points are measured."""
 
 
 class PointSummaryBuilder:

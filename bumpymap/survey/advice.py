@@ -18,7 +18,7 @@ __all__ = [
     "unknown_line",
 ]
 
-Measured = Literal["points", "ground points (class 2)", "ground points (found by the cloth)"]
+Measured = Literal["points", "ground points", "ground points (found by the cloth)"]
 _FEW_UNKNOWN = 0.1
 """Up to this share of unknown tiles no advice is given: every survey has some at its edge."""
 
@@ -93,12 +93,12 @@ def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> t
             "METRES says how many are unknown then"
         )
     text = f"--ground all measures every point, {outcome.all_points_per_tile:.0f} per tile on average, vegetation too"
-    if outcome.measured == "ground points (class 2)":
+    if outcome.measured == "ground points":
         text += "; --ground csf detects ground points where the survey has any"
     return why, text
 
 
-_MEASURED: tuple[Measured, Measured] = ("ground points (class 2)", "ground points (found by the cloth)")
+_MEASURED: tuple[Measured, Measured] = ("ground points", "ground points (found by the cloth)")
 """Source of the ground points: the survey, or the cloth filter."""
 _LAYERED_SHARE = 0.25
 _TALL_SHARE = 0.5

@@ -47,7 +47,7 @@ _LARGEST_ERROR = 0.2
 _SMALLEST_ERROR = 0.003
 """Standard error of a step at least, m: points of a line share errors that do not average out."""
 _CLASSIFIED_SHARE = 0.5
-"""Only ground points (class 2) are compared if more than this share of the cells holds some."""
+"""Only ground points are compared if more than this share of the cells holds some."""
 _ILL_CONDITIONED = 1e-3
 """A cell whose points lie nearly on one straight line says nothing about its slope."""
 

@@ -28,6 +28,7 @@ def read_options(config: MapConfig, *, crs_must_agree: bool = False) -> ReadOpti
         checksum=True,
         force_crs=config.force_crs,
         crs_must_agree=crs_must_agree,
+        ground_classes=config.ground_classes,
     )
 
 

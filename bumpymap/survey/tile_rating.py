@@ -20,6 +20,7 @@ from bumpymap.core import (
     TextureMap,
 )
 from bumpymap.patches import (
+    decks_as_ground,
     find_in_relief,
     find_objects,
     leave_out_standing,
@@ -125,6 +126,7 @@ class TileRating:
 
         ``block`` are all tiles of their block, of `measure_all`, if these are only some of them.
         """
+        points = decks_as_ground(points)
         if self.csf is not None:
             ground, of_file = (
                 mark_ground(points, self.csf),

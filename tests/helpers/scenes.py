@@ -25,7 +25,7 @@ from bumpymap.patches import find_in_relief, find_objects, measure, settle_relie
 from bumpymap.rating import settle_objects
 from bumpytiles import Grid, TileBuckets
 
-GROUND, PLANT, BUILDING, OTHER, BRIDGE = 2, 5, 6, 1, 17
+GROUND, PLANT, BUILDING, OTHER = 2, 5, 6, 1
 """LAS classes; the first code of plants is `PLANT`, for hedges 4."""
 HEDGE = 4
 LEAN = 0.25
@@ -277,8 +277,8 @@ SCENES = (
     Scene("hut, unassigned", (Solid(0, 0, 4, 3, 2.6),)),
     Scene("hedge", (Solid(0, 0, 10, 1.0, 1.8, class_id=HEDGE, soft=True),)),
     Scene("carport", (Solid(0, 0, 6, 5, 3.0, bottom=2.6),)),
-    Scene("bridge 5 m above ground", (Solid(0, 0, 14, 4, 5.6, bottom=5.0, class_id=BRIDGE),)),
-    Scene("footbridge 1 m above ground", (Solid(0, 0, 14, 1.5, 1.2, bottom=1.0, class_id=BRIDGE),)),
+    Scene("bridge 5 m above ground, unassigned", (Solid(0, 0, 14, 4, 5.6, bottom=5.0, class_id=OTHER),)),
+    Scene("footbridge 1 m above ground, unassigned", (Solid(0, 0, 14, 1.5, 1.2, bottom=1.0, class_id=OTHER),)),
     Scene("crowns over ground", CROWNS),
     Scene("crowns, unassigned", tuple(one._replace(class_id=OTHER) for one in CROWNS)),
     Scene("open ground", ()),

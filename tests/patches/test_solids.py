@@ -85,7 +85,9 @@ def test_points_of_buildings_are_obstacles_however_high_and_thin():
 
 
 @pytest.mark.parametrize("density", [200, 50, 20])
-@pytest.mark.parametrize("name", ["carport", "bridge 5 m above ground", "footbridge 1 m above ground"])
+@pytest.mark.parametrize(
+    "name", ["carport", "bridge 5 m above ground, unassigned", "footbridge 1 m above ground, unassigned"]
+)
 def test_what_a_roof_or_a_bridge_hides_is_closed(name, density):
     assert judge(BY_NAME[name], density, 0.03, BODY).closed > 0.9
 

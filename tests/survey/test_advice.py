@@ -14,7 +14,7 @@ from bumpymap.survey.advice import Outcome, advise
 
 pytestmark = pytest.mark.slow
 
-CLASS_2 = "ground points (class 2)"
+CLASS_2 = "ground points"
 
 
 def write(path, density, ground_share=0.0, side=60.0):

@@ -114,7 +114,7 @@ def test_ground_points_are_used_where_the_survey_is_classified(site, tmp_path):
     bare = write_las(tmp_path / "bare.laz", x, y, z, classification=np.full(len(x), 5, np.uint8))
     refused = run("map", bare, "--out", tmp_path / "bare", "--ground", "class")
     assert refused.exit_code == 3
-    assert "no point of the survey has class 2" in refused.output
+    assert "no point of the survey has a class of --ground-classes" in refused.output
 
 
 def test_an_existing_result_is_kept_unless_overwriting_is_asked_for(layers, survey):

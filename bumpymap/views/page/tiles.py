@@ -91,9 +91,9 @@ class ByteGrid:
 
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
-        values = [round(self.low + self.step * part * _STEPS, 12) + 0.0 for part in (0.0, 0.5, 1.0)]
-        if self.scale != "linear":
-            values = [math.exp(value) if self.scale == "log" else value * abs(value) for value in values]
+        ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
+        plain: dict[str, Callable[[float], float]] = {"log": math.exp, "root": lambda root: root * abs(root)}
+        values = [plain.get(self.scale, float)(round(end, 12)) + 0.0 for end in ends]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
 
     def record(self) -> dict[str, Any]:

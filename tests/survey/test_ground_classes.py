@@ -1,0 +1,62 @@
+"""Classes that are ground: roads, bridge decks, and what the user names."""
+
+import numpy as np
+import pytest
+from small_surveys import run, write_las
+
+import bumpymap
+
+CRS = "EPSG:32614"
+
+
+def made_road(path, density, road=11, deck=17):
+    """A meadow with a road of 9 m from west to east, in the middle on a bridge over a valley 5 m deep."""
+    rng = np.random.default_rng(5)
+    x, y = rng.uniform(0.0, 60.0, (2, int(density * 60 * 48)))
+    on_road, valley = np.abs(y - 24.0) < 4.5, np.abs(x - 30.0) < 9.0
+    is_deck = on_road & valley
+    z = np.where(valley & ~is_deck, -5.0, 0.0) + rng.normal(0.0, 0.02, len(x))
+    classes = np.select([is_deck, on_road], [deck, road], 2)
+    beneath = is_deck & (np.abs(y - 24.0) > 3.5) & (rng.random(len(x)) < 0.3)  # seen from the side
+    z, classes = np.where(beneath, -5.0, z), np.where(beneath, 2, classes)
+    house = (x > 3) & (x < 9) & (y > 3) & (y < 9)
+    z, classes = np.where(house, 4.0, z), np.where(house, 6, classes)
+    write_las(path, 500_000 + x, 4_000_000 + y, z, crs=CRS, offset=(500_000, 4_000_000, 0), classification=classes)
+
+
+def tiles_of(folder):
+    """Rows of tiles by the place of their middle, m from the corner."""
+    table = bumpymap.open(folder).tiles()
+    middle = [3.0 * table[axis].to_numpy() + 1.5 - first for axis, first in (("col", 500_000), ("row", 4_000_000))]
+    return table, middle
+
+
+@pytest.mark.parametrize("density", [50, 450])
+def test_roads_and_decks_are_ground(tmp_path, density):
+    made_road(tmp_path / "road.laz", density)
+    assert run("map", tmp_path / "road.laz", "--out", tmp_path / "out", "--quiet").exit_code == 0
+    table, (x, y) = tiles_of(tmp_path / "out")
+    road = (np.abs(y - 24.0) < 3.0) & (np.abs(x - 30.0) < 27.0)
+    ends, deck = road & (np.abs(x - 30.0) > 12.0), (np.abs(y - 24.0) < 2.0) & (np.abs(x - 30.0) < 7.5)
+    edge = (np.abs(np.abs(y - 24.0) - 4.5) < 1.5) & (np.abs(x - 30.0) < 6.0)
+    assert ends.sum() >= 10
+    assert deck.sum() >= 4
+    assert (table["class"][ends] == 0).all()
+    assert table["passable"][ends].all()
+    assert (table["class"][deck] == 0).all()
+    assert table["passable"][deck].all()
+    assert edge.any()
+    assert not table["passable"][edge].any()
+
+
+def test_other_classes_are_ground_if_the_user_says_so(tmp_path):
+    made_road(tmp_path / "road.las", 50, road=40, deck=26)
+    assert run("map", tmp_path / "road.las", "--out", tmp_path / "without", "--quiet").exit_code == 0
+    given = ("--ground-classes", "2,26,40")
+    assert run("map", tmp_path / "road.las", "--out", tmp_path / "out", "--quiet", *given).exit_code == 0
+    for folder, share in (("without", 0.0), ("out", 1.0)):
+        table, (x, y) = tiles_of(tmp_path / folder)
+        road = (np.abs(y - 24.0) < 3.0) & (np.abs(np.abs(x - 30.0) - 19.5) < 7.5)
+        assert (table["class"][road] == 0).mean() == share
+    told = run("info", tmp_path / "road.las", *given).output
+    assert "26" in told.split("as ground", 1)[1].splitlines()[0]
