@@ -35,7 +35,6 @@ from bumpymap.survey import (
     advise,
     compare_lines,
     describe_lines,
-    describe_pairs,
     enough_points,
     estimate,
 )
@@ -324,8 +323,8 @@ class Report:
             rows.append(("density", self._density(file.density, summary)))
         if file.dropped is not None or info.has_classes is False:
             rows += _classified(file)
-        if text := describe_pairs(file.lines):
-            rows.append(("flight lines", as_options(text)))
+        if text := describe_lines(file.lines, "report"):
+            rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
 
     def _density(self, density: float, summary: PointSummary | None) -> str:

@@ -174,7 +174,7 @@ from .scan_types import (
     BagMessage as BagMessage,
     ClassedSectors as ClassedSectors,
     Dropped as Dropped,
-    FrameSource as FrameSource,
+    Frame as Frame,
     PolarCells as PolarCells,
     PoseTrack as PoseTrack,
     Scan as Scan,

@@ -24,7 +24,7 @@ __all__ = [
     "BagMessage",
     "ClassedSectors",
     "Dropped",
-    "FrameSource",
+    "Frame",
     "PolarCells",
     "PoseTrack",
     "Scan",
@@ -156,7 +156,7 @@ class BagMessage:
 
 
 @dataclass(frozen=True, slots=True)
-class FrameSource:
+class Frame:
     """A scan that was found, before it is read."""
 
     path: Path
@@ -167,6 +167,14 @@ class FrameSource:
     """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
     motion: PoseTrack | None = None
     """Poses around the frame, at times relative to it; None if unknown."""
+    name: str = ""
+    """Stem of its output files, unique in a run; empty before the run has named its frames."""
+
+    @property
+    def origin(self) -> str:
+        """The file; or the bag, topic and number of the message."""
+        where = "" if self.message is None else f", message {self.message.number} of {self.message.topic}"
+        return f"{self.path}{where}"
 
 
 CLASSES = 3

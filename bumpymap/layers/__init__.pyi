@@ -151,7 +151,6 @@ from .scan_folder import (
     SCAN_COLOURS as SCAN_COLOURS,
     SCAN_MANIFEST_NAME as SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME as SECTOR_TABLE_NAME,
-    Frame as Frame,
     FramePart as FramePart,
     FrameReport as FrameReport,
     check_scan_folder as check_scan_folder,

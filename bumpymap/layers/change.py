@@ -18,7 +18,7 @@ from bumpymap.layers.map_reader import MapReader, map_differences, open_map
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import trace_labels
 from bumpymap.layers.sheet_reader import common_window
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -181,11 +181,9 @@ def write_change_raster(field: ChangeField, path: Path) -> None:
 def write_change_regions(field: ChangeField, path: Path) -> None:
     """Write change.geojson: RFC 7946 in WGS 84, or the survey's own coordinates without a CRS; one change a feature."""
     place = GeoJsonCoordinates.of(field.placement, local=True)
-    box = BoundingBox()
     features: list[dict[str, Any]] = []
     if field.regions:
         numbers = range(1, len(field.regions) + 1)
         polygons = place.polygons(trace_labels(field.area, field.window, slice(0, field.window.rows), numbers))
-        box.add(polygons)
         features = [feature(*each) for each in zip(field.regions, polygons, numbers, strict=True)]
-    write_features(path, "change", place, features, box)
+    write_features(path, "change", place, features)

@@ -21,7 +21,7 @@ from bumpymap.core import (
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.placement import Placement
 from bumpymap.layers.route_lines import MapSource, RouteCoordinates
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
 __all__ = [
@@ -211,9 +211,7 @@ def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> Non
         feature({key: values[at] for key, values in properties.items()}, point, at + 1)
         for at, point in zip(shown.tolist(), points, strict=True)
     ]
-    box = BoundingBox()
-    box.add(points)
-    write_features(path, "check", places.files, features, box)
+    write_features(path, "check", places.files, features)
 
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:

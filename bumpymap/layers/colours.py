@@ -25,7 +25,6 @@ __all__ = [
     "RideScale",
     "class_limits",
     "class_ranges",
-    "nice_limit",
 ]
 
 CLASS_COLOURS: dict[int, tuple[int, int, int, int]] = {
@@ -123,15 +122,15 @@ class RideScale:
     """(4,) rising, rad/m: where each class has its own colour."""
 
     @classmethod
-    def of(cls, manifest: Mapping[str, Any], c_r: NDArray[np.floating]) -> "RideScale":
+    def of(cls, manifest: Mapping[str, Any]) -> "RideScale":
         """Return the scale with the limits of the classes, so that pictures for one vehicle can be compared.
 
-        A class has its own colour in the middle of its interval. If the manifest of the map has no limits, the scale
-        ends at a round number that few values of ``c_r`` exceed.
+        A class has its own colour in the middle of its interval. If the manifest of the map has no limits, which runs
+        write, the scale ends at 1 rad/m.
         """
         limits = class_limits(manifest)
         if limits is None:
-            return cls(tuple(np.linspace(0.0, nice_limit(c_r), _CLASSES).tolist()))
+            return cls(tuple(np.linspace(0.0, 1.0, _CLASSES).tolist()))
         edges = [0.0, *limits, 2 * limits[-1] - limits[-2]]
         return cls(tuple((low + high) / 2 for low, high in pairwise(edges)))
 
@@ -145,16 +144,6 @@ class RideScale:
         known = np.nan_to_num(c_r)
         mixed = np.stack([np.interp(known, self.anchors, channel) for channel in _ANCHORS.T], axis=-1)
         return np.asarray(255.0 + _TINT * (mixed - 255.0), dtype=np.float64)
-
-
-def nice_limit(c_r: NDArray[np.floating]) -> float:
-    """Return 1, 2, 3 or 5 times a power of ten that is not below 95 % of the values, rad/m; 0.1 without values."""
-    known = c_r[np.isfinite(c_r)]
-    most = float(np.quantile(known, 0.95)) if len(known) else 0.1
-    if not most > 1e-6:
-        return 0.1
-    power = 10.0 ** np.floor(np.log10(most))
-    return float(next(step * power for step in (1, 2, 3, 5, 10) if step * power >= most))
 
 
 def class_limits(manifest: Mapping[str, Any]) -> list[float] | None:

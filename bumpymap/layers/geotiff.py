@@ -22,7 +22,6 @@ from bumpymap.core import (
     OBSTACLE,
     REASON_TEXT,
     UNSEEN,
-    Barred,
     CostTable,
     Reason,
     speed_bands,
@@ -163,10 +162,6 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
 
     reasons = {int(code): colour for code, colour in REASON_COLOURS.items() if code != Reason.NO_POINTS}
     reasons[NO_CLASS] = REASON_COLOURS[Reason.NO_POINTS]
-    reason_names, barred_names = (
-        tuple(REASON_TEXT[code] for code in Reason),
-        tuple(BARRED_TEXT[code] for code in Barred),
-    )
     return {
         "roughness.tif": _Layer(
             "ride cost and roughness of each tile",
@@ -183,7 +178,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
         "reason.tif": of_codes(
             "why tiles have no class",
             "reason",
-            BandSpec("reason", text="why a tile has no class", categories=reason_names),
+            BandSpec("reason", text="why a tile has no class", categories=tuple(REASON_TEXT.values())),
             reasons,
         ),
         "cost.tif": _Layer(
@@ -200,7 +195,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
         "barred.tif": of_codes(
             "why tiles are not passable",
             "barred",
-            BandSpec("barred", text="why the tile is not passable", categories=barred_names),
+            BandSpec("barred", text="why the tile is not passable", categories=tuple(BARRED_TEXT.values())),
             BARRED_COLOURS,
         ),
         "speeds.tif": _Layer(

@@ -15,7 +15,7 @@ from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import label, trace_labels
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
 if TYPE_CHECKING:
@@ -124,7 +124,6 @@ def write_isochrones(
     if not wanted or not (np.isfinite(wanted).all() and wanted[-1] > 0):
         raise BadInputError(f"the levels are {list(levels)}. Give positive numbers of {_UNITS[by]}, at least one")
     place = GeoJsonCoordinates.of(reach.placement, local=True)
-    box = BoundingBox()
     features = []
     for level in wanted:
         inside = values <= level  # NaN is never inside
@@ -134,11 +133,10 @@ def write_isochrones(
             labels, first, _ = label(inside.astype(np.uint8))
             numbers = range(1, len(first) + 1)
             polygons = place.polygons(trace_labels(labels, reach.window, slice(0, reach.window.rows), numbers))
-            box.add(polygons)
             geometry = shapely.multipolygons(shapely.get_parts(polygons))
         area = int(inside.sum()) * reach.grid.tile_size**2
         features.append(feature({"within": level, "of": by, "unit": _UNITS[by], "area_m2": area}, geometry))
-    write_features(path, "isochrones", place, features, box, about)
+    write_features(path, "isochrones", place, features, about)
 
 
 def reach_dataset(reach: ReachField) -> "xarray.Dataset":

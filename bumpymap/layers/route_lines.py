@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from bumpymap.core import BadInputError, Georeference, Route, TileField, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.vector import BoundingBox, GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
@@ -235,9 +235,8 @@ def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
         A route lies where its CRS has no longitude and latitude.
     """
     place = RouteCoordinates.of(routes)
-    box = BoundingBox()
-    lines = [_line(route, place, box) for route in routes]
-    write_features(path, "route", place.files, [*lines, *_stops(routes, place, box)], box)
+    lines = [_line(route, place) for route in routes]
+    write_features(path, "route", place.files, [*lines, *_stops(routes, place)])
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -250,34 +249,23 @@ def stop_names(stops: int) -> list[str]:
     return [f"via {place}" if role == "via" else role for place, role in enumerate(stop_roles(stops))]
 
 
-def _line(route: Route, place: RouteCoordinates, box: BoundingBox) -> dict[str, Any]:
+def _line(route: Route, place: RouteCoordinates) -> dict[str, Any]:
     # A way of length 0 has one corner, but a LineString has two positions.
     corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
-    parts = place.line_in_file(corners)
-    box.add(_objects([shapely.linestrings(part) for part in parts]))
-    geometry: dict[str, Any] = {"type": "LineString", "coordinates": parts[0].tolist()}
-    if len(parts) > 1:
-        geometry = {"type": "MultiLineString", "coordinates": [part.tolist() for part in parts]}
-    return feature(route_properties(route), geometry)
+    parts = [shapely.LineString(part) for part in place.line_in_file(corners)]
+    return feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
 
 
-def _stops(routes: Sequence[Route], place: RouteCoordinates, box: BoundingBox) -> Iterator[dict[str, Any]]:
+def _stops(routes: Sequence[Route], place: RouteCoordinates) -> Iterator[dict[str, Any]]:
     written: set[tuple[str, float, float]] = set()
     for route in routes:
         positions = place.in_file(route.stops)
-        box.add(_objects(list(shapely.points(positions))))
         roles, names = stop_roles(len(positions)), stop_names(len(positions))
         for role, name, position in zip(roles, names, positions.tolist(), strict=True):
             key = (role, position[0], position[1])
             if key not in written:
                 written.add(key)
-                yield feature({"role": role, "name": name}, {"type": "Point", "coordinates": position})
-
-
-def _objects(geometries: list[Any]) -> NDArray[np.object_]:
-    found = np.empty(len(geometries), dtype=object)
-    found[:] = geometries
-    return found
+                yield feature({"role": role, "name": name}, shapely.Point(position))
 
 
 GPX = "http://www.topografix.com/GPX/1/1"

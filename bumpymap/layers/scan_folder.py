@@ -6,7 +6,7 @@ import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from os.path import lexists
 from pathlib import Path
 from typing import Any, Self
@@ -21,12 +21,10 @@ from bumpymap.core import (
     CLASS_NAMES,
     CLASSES,
     NOT_TRAVERSABLE,
-    BagMessage,
     ClassedSectors,
     Dropped,
-    FrameSource,
+    Frame,
     OutputError,
-    PoseTrack,
     Scan,
     parse_json,
     point_classes,
@@ -49,7 +47,6 @@ __all__ = [
     "SCAN_MANIFEST_NAME",
     "SECTOR_STATES",
     "SECTOR_TABLE_NAME",
-    "Frame",
     "FramePart",
     "FrameReport",
     "check_scan_folder",
@@ -118,29 +115,7 @@ FRAME_FILES = {"polygons": ".json", "cloud": ".ply", "picture": ".png"}
 """File suffix of each product that is written per frame."""
 
 
-@dataclass(frozen=True, slots=True)
-class Frame:
-    """One frame of a run, before it is read."""
-
-    name: str
-    """Stem of its output files, unique in the run."""
-    path: Path
-    """File of the scan; or the bag that holds it."""
-    pose: NDArray[np.float64] | None = None
-    """(4, 4) transform from the sensor frame to the world frame, m; None if unknown."""
-    motion: PoseTrack | None = None
-    """Poses around the frame, at times relative to it; None if unknown."""
-    message: BagMessage | None = None
-    """Its place in a bag; None if it has a file of its own."""
-
-    @property
-    def origin(self) -> str:
-        """The file; or the bag, topic and number of the message."""
-        where = "" if self.message is None else f", message {self.message.number} of {self.message.topic}"
-        return f"{self.path}{where}"
-
-
-def name_frames(sources: Sequence[FrameSource]) -> list[Frame]:
+def name_frames(sources: Sequence[Frame]) -> list[Frame]:
     """Give each frame a unique name.
 
     Returns
@@ -155,13 +130,10 @@ def name_frames(sources: Sequence[FrameSource]) -> list[Frame]:
     names = [_stem(source) for source in sources]
     if len({name.casefold() for name in names}) < len(names):
         names = [f"{number:06d}_{name}" for number, name in enumerate(names)]
-    return [
-        Frame(name, source.path, source.pose, source.motion, source.message)
-        for name, source in zip(names, sources, strict=True)
-    ]
+    return [replace(source, name=name) for name, source in zip(names, sources, strict=True)]
 
 
-def _stem(source: FrameSource) -> str:
+def _stem(source: Frame) -> str:
     if source.message is not None:
         return "{}_{:09d}".format(*divmod(source.message.stamp_ns, 1_000_000_000))
     stem = source.path.stem

@@ -115,11 +115,6 @@ class BoundingBox:
     def __init__(self) -> None:
         self._boxes = np.empty((0, 4))
 
-    @property
-    def is_empty(self) -> bool:
-        """True if nothing was added."""
-        return not len(self._boxes)
-
     def add(self, outlines: NDArray[np.object_]) -> None:
         """Include outlines; those with x > 0 (east of Greenwich) are kept apart from the others."""
         boxes = np.concatenate([self._boxes, shapely.bounds(shapely.get_parts(outlines))])
@@ -260,11 +255,12 @@ def outline_of(geometry: Mapping[str, Any]) -> tuple[NDArray[np.float64], tuple[
     return shapely.get_coordinates(polygon), (float(inside.x), float(inside.y))
 
 
-def feature(properties: Mapping[str, Any], geometry: Any, number: int | None = None) -> dict[str, Any]:
-    """Return a GeoJSON feature: ``geometry`` is a shapely geometry, a GeoJSON object or None; ``number`` is its id."""
-    plain = shapely.geometry.mapping(geometry) if isinstance(geometry, shapely.Geometry) else geometry
+def feature(
+    properties: Mapping[str, Any], geometry: shapely.Geometry | None, number: int | None = None
+) -> dict[str, Any]:
+    """Return a GeoJSON feature for `write_features`; ``number`` is its id."""
     head = {"type": "Feature"} if number is None else {"type": "Feature", "id": number}
-    return head | {"properties": properties, "geometry": plain}
+    return head | {"properties": properties, "geometry": geometry}
 
 
 def write_features(
@@ -272,7 +268,6 @@ def write_features(
     name: str,
     place: GeoJsonCoordinates,
     features: Sequence[Mapping[str, Any]],
-    box: BoundingBox,
     about: Mapping[str, Any] | None = None,
 ) -> None:
     """Write a GeoJSON file: RFC 7946 in WGS 84, or the survey's own coordinates, which its members declare.
@@ -287,8 +282,6 @@ def write_features(
         Coordinates of the features.
     features : sequence of mappings
         From `feature`.
-    box : BoundingBox
-        Around all of them; empty if none has a geometry.
     about : mapping, optional
         Further members of the collection.
 
@@ -297,9 +290,14 @@ def write_features(
     OutputError
         The file cannot be written.
     """
+    geometries = [each["geometry"] for each in features if each["geometry"] is not None]
+    box = BoundingBox()
+    box.add(np.array(geometries, object))
     head = {"type": "FeatureCollection", "name": name, **place.members, **(about or {})}
-    collection = {**head, **({} if box.is_empty else {"bbox": place.bounds(box)}), "features": features}
-    text = json.dumps(collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    collection = {**head, **({"bbox": place.bounds(box)} if geometries else {}), "features": features}
+    text = json.dumps(
+        collection, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=shapely.geometry.mapping
+    )
     with atomic(path) as temporary:
         temporary.write_bytes(f"{text}\n".encode("utf-8", "backslashreplace"))
 

@@ -11,7 +11,6 @@ fits; each section on which it does not fit throughout is searched again on the 
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
@@ -23,11 +22,12 @@ from bumpymap.core import Barred, UsageError
 from bumpymap.route.ground import CostGround, WornTiles, sample_line, window_around
 from bumpymap.route.measure import MeasuredWay, measure_way, way_cost
 from bumpymap.route.places import on_grid, overlap, place_in_window
-from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, Point, Way, seek, settle_point, tight_way
-from bumpymap.route.straighten import as_cost
+from bumpymap.route.search import BYTES_PER_TILE, REACH, Found, seek, settle_point, tight_way
 from bumpytiles import TileWindow
 
-__all__ = ["Planner", "plan_way", "steer_clear"]
+__all__ = ["Planner", "steer_clear", "tile_line"]
+
+Floats = NDArray[np.float64]
 
 _LEAST_PAD = 16
 """Tiles around start and goal at least, and by which a window grows at least."""
@@ -37,66 +37,31 @@ _GROWTH = 0.25
 """A window grows by this share of its longer side, on each side that needs it."""
 
 
-def plan_way(
-    load: Callable[[TileWindow], NDArray[np.floating]],
-    extent: TileWindow,
-    start: Point,
-    goal: Point,
-    *,
-    margin: float = 0.0,
-    memory_tiles: int,
-) -> Way | None:
-    """Find the cheapest way over a map of which only a window is read.
+def tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
+    """Return the cheapest line over whole tiles; None if there is none, or an end lies in a closed tile or off the map.
 
-    Parameters
-    ----------
-    load : callable
-        Gives the costs (rows, cols), north row first, of a window within the extent; see `find_way`.
-    extent : TileWindow
-        The whole map.
-    start, goal : (float, float)
-        Field coordinates of the extent: tiles from its north edge southwards, from its west edge eastwards.
-    margin : float
-        Distance to closed tiles that the way keeps, tiles; at least 0 and below 0.5.
-    memory_tiles : int
-        Tiles that a window may have at most.
-
-    Returns
-    -------
-    Way or None
-        In field coordinates of the extent; its ``graph_cost`` is that of a search over the whole map. None if there is
-        no way, or start or goal lie in a closed tile or outside the extent.
-
-    Raises
-    ------
-    UsageError
-        The window would need more tiles than ``memory_tiles``.
-    ValueError
-        As `find_way`.
+    ``ground``: the map, with costs; ``start``, ``goal`` (2,): easting and northing, m. Returns (m, 2) m. Raises
+    UsageError: the window would need more tiles than memory allows.
     """
-    start, goal = settle_point(start), settle_point(goal)
-    if not all(0 <= r < extent.rows and 0 <= c < extent.cols for r, c in (start, goal)):
+    grid, extent = ground.site.grid, ground.site.window
+    first, last = (settle_point(place_in_window(point, grid, extent)) for point in (start, goal))
+    ends = np.floor([first, last]).astype(np.int64)
+    if (ends < 0).any() or (ends >= (extent.rows, extent.cols)).any():
         return None
-    ends = np.floor([start, goal]).astype(np.int64)
-    line = TileWindow.around(extent.col + ends[:, 1], extent.row + extent.rows - 1 - ends[:, 0])
-    pad = max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(start, goal)))
-    window = _grown(line, [True] * 4, pad, extent, memory_tiles)
-    while True:
-        cost = as_cost(load(window))
-        if cost.shape != (window.rows, window.cols):
-            raise ValueError(f"load gave {cost.shape} costs for {window}; it must give rows x cols of the window")
+    window = TileWindow.around(extent.col + ends[:, 1], extent.row + extent.rows - 1 - ends[:, 0])
+    sides, pad = [True] * 4, max(_LEAST_PAD, math.ceil(_PAD_SHARE * math.dist(first, last)))
+    while any(sides):
+        window = _grown(window, sides, pad, extent, ground.memory_tiles)
         top, left = extent.row + extent.rows - window.row - window.rows, window.col - extent.col
-        here, there = ((row - top, col - left) for row, col in (start, goal))
-        found = seek(cost, here, there, margin, math.inf if window == extent else 1.0)
-        sides = _open_sides(found, window, extent)
-        if not any(sides):
-            break
-        pad = max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
-        window = _grown(window, sides, pad, extent, memory_tiles)
+        here, there = ((row - top, col - left) for row, col in (first, last))
+        cost = ground.on_tiles(window, through=False)
+        found = seek(cost, here, there, ground.margin, math.inf if window == extent else 1.0)
+        sides, pad = _open_sides(found, window, extent), max(_LEAST_PAD, int(_GROWTH * max(window.rows, window.cols)))
     if found.line is None:
         return None
-    way = tight_way(found, margin)
-    return way._replace(line=way.line + np.array([top, left], np.float64))
+    line = on_grid(tight_way(found, ground.margin).line + np.array([top, left], np.float64), grid, extent)
+    line[0], line[-1] = start, goal
+    return line
 
 
 def _open_sides(found: Found, window: TileWindow, extent: TileWindow) -> list[bool]:
@@ -133,8 +98,6 @@ def _grown(window: TileWindow, sides: list[bool], pad: int, extent: TileWindow, 
         "shorter ones"
     )
 
-
-Floats = NDArray[np.float64]
 
 _SECTION_TILES = 24
 """Usual length of a section."""
@@ -259,7 +222,7 @@ class Planner:
         there is no such way, the areas of tiles are searched as well, and the cheaper of both is returned.
         """
         ground = replace(self.ground, risk=risk, worn=worn)
-        over_tiles = _tile_line(ground, start, goal)
+        over_tiles = tile_line(ground, start, goal)
         steered = None if over_tiles is None else steer_clear(ground, over_tiles)
         if steered is not None:
             barred = ground.site.read(window_around(ground.site, steered, _NEAR_TILES), ()).barred
@@ -270,19 +233,6 @@ class Planner:
         lines = [line for line in (steered, way_over_areas(ground, start, goal)) if line is not None]
         if not lines and ground.settings.through_obstacles:
             touching = replace(ground, touching=True)
-            over_tiles = _tile_line(touching, start, goal)
+            over_tiles = tile_line(touching, start, goal)
             return None if over_tiles is None else steer_clear(touching, over_tiles)
         return min(lines, key=partial(way_cost, ground), default=None)
-
-
-def _tile_line(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
-    """Return the cheapest line over whole tiles, (m, 2) easting and northing, m."""
-    grid, window = ground.site.grid, ground.site.window
-    ends = (place_in_window(point, grid, window) for point in (start, goal))
-    load = partial(ground.on_tiles, through=False)
-    found = plan_way(load, window, *ends, margin=ground.margin, memory_tiles=ground.memory_tiles)
-    if found is None:
-        return None
-    line = on_grid(found.line, grid, window)
-    line[0], line[-1] = start, goal
-    return line

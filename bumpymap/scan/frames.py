@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS
 
-from bumpymap.core import BadInputError, ClassedSectors, Scan, move_together, remove_path
+from bumpymap.core import BadInputError, ClassedSectors, Frame, Scan, move_together, remove_path
 from bumpymap.layers import (
     ACCUMULATED_NAME,
     FRAME_FOLDER,
     SCAN_MANIFEST_NAME,
     SECTOR_TABLE_NAME,
-    Frame,
     FramePart,
     FrameReport,
     SectorTable,
@@ -42,10 +41,8 @@ from bumpymap.views import GridBag, write_picture
 __all__ = [
     "FrameProducts",
     "FrameReader",
-    "drop_empty_folder",
     "frame_products",
     "move_products",
-    "naming_frame",
     "open_products",
     "present_products",
     "staging_folder",
@@ -100,15 +97,6 @@ class FrameReader:
             reasons = list(self.skipped.values())
             more = [f"{len(reasons) - _NAMED} more"] if len(reasons) > _NAMED else []
             raise BadInputError("none of the frames could be read:", *reasons[:_NAMED], *more)
-
-
-@contextmanager
-def naming_frame(frame: Frame) -> Iterator[None]:
-    """Add the origin of the frame to the message of a BadInputError."""
-    try:
-        yield
-    except BadInputError as error:
-        raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
 
 
 _STAGED = "products"
@@ -243,9 +231,3 @@ def move_products(staged: Path, out: Path) -> tuple[str, ...]:
     move_together(staged, out, SCAN_MANIFEST_NAME)
     remove_stale_products(out, files)
     return files
-
-
-def drop_empty_folder(staged: Path) -> None:
-    """Remove the folder of the frames' own files if there are none."""
-    with suppress(OSError):
-        (staged / FRAME_FOLDER).rmdir()

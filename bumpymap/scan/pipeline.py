@@ -3,6 +3,7 @@
 import logging
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 from pyproj import CRS
 
 from bumpymap.core import (
+    BadInputError,
+    Frame,
     Kept,
     MapConfig,
     OutputError,
@@ -34,9 +37,9 @@ from bumpymap.core import (
 )
 from bumpymap.layers import (
     ACCUMULATED_NAME,
+    FRAME_FOLDER,
     MAP_FOLDER,
     SCAN_MANIFEST_NAME,
-    Frame,
     FramePart,
     FrameReport,
     check_scan_folder,
@@ -68,10 +71,8 @@ from bumpymap.scan.config import ScanConfig
 from bumpymap.scan.frames import (
     FrameProducts,
     FrameReader,
-    drop_empty_folder,
     frame_products,
     move_products,
-    naming_frame,
     open_products,
     present_products,
     staging_folder,
@@ -325,7 +326,8 @@ def classify_frames(
             done = {report.frame.name for report in reports}
             products.grids.write(config.bag, (n for n, frame in enumerate(frames) if frame.name in done))
             manifest["bag"] = describe_file(config.bag)
-        drop_empty_folder(staged)
+        with suppress(OSError):
+            (staged / FRAME_FOLDER).rmdir()  # if no frame has files of its own
         write_scan_manifest(staged, manifest, reports, run_spec["inputs"])
         files = move_products(staged, out)
     return ScanRun(files, method.name, tuple(reports), reader.skipped, clock.seconds, merged=accumulated)
@@ -348,8 +350,10 @@ def _classify_each(
             return *finished, ""
         begin = time.perf_counter()
         scan = reader.read(frame)
-        with naming_frame(frame):
+        try:
             classed = method.classify(scan)
+        except BadInputError as error:
+            raise BadInputError(f"cannot classify {frame.origin}: {error}") from error
         report = report_frame(frame, inputs.get(str(frame.path)), scan, classed, time.perf_counter() - begin)
         return *products.write(frame, number, report, scan, classed), explain_empty_scan(scan, classed)
 

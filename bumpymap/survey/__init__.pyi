@@ -32,7 +32,6 @@ from .flight_lines import (
     FlightLines as FlightLines,
     compare_lines as compare_lines,
     describe_lines as describe_lines,
-    describe_pairs as describe_pairs,
 )
 from .pipeline import (
     map_surveys as map_surveys,

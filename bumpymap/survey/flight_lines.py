@@ -30,7 +30,6 @@ __all__ = [
     "adjust_lines",
     "compare_lines",
     "describe_lines",
-    "describe_pairs",
     "left_after",
     "steps_between_lines",
     "weighted_median",
@@ -373,11 +372,6 @@ class FlightLines:
     """The pairs before that; empty without ``align="on"``."""
 
     @property
-    def smallest(self) -> float:
-        """Smallest step between two lines that overlap, m."""
-        return min((pair.largest for pair in self.pairs), default=0.0)
-
-    @property
     def largest(self) -> float:
         """Largest step between two lines, m."""
         return max((pair.largest for pair in self.pairs), default=0.0)
@@ -440,21 +434,6 @@ def describe_lines(found: FlightLines, align: Align) -> str:
         "reads as roughness"
     )
     return f"{text}. {_remedy(found)}"
-
-
-def describe_pairs(found: FlightLines) -> str:
-    """Return what is known of the lines of a file; empty for one line."""
-    if found.lines < 2:
-        return ""
-    if not found.pairs:
-        return f"{found.lines}, of which no two share enough ground to be compared"
-    low, high = found.smallest * 100, found.largest * 100
-    worst = max(found.pairs, key=lambda pair: pair.largest)
-    if not high:
-        return f"{found.lines}; where two overlap, no difference between their heights is certain"
-    span = f"{high:.1f} cm" if low == high else f"{low:.1f} to {high:.1f} cm"
-    text = f"{found.lines}; heights differ by {span} where two overlap, most between {_both(worst)}"
-    return f"{text}. {_remedy(found)}" if found.largest >= MATTERS else text
 
 
 def _both(pair: LinePair) -> str:

@@ -28,7 +28,6 @@ __all__ = [
     "columns_words",
     "degrees",
     "degrees_line",
-    "drive_notes",
     "level_words",
     "metres",
     "names_of",
@@ -39,7 +38,6 @@ __all__ = [
     "shares",
     "signed",
     "skipped_words",
-    "sorted_reasons",
     "survey_name",
     "warnings_of",
     "whole",
@@ -232,24 +230,10 @@ def percent(part: float) -> str:
     return f"{100 * part:.0f} %" if np.isfinite(part) else "\N{EN DASH}"
 
 
-def sorted_reasons(result: CheckResult) -> list[tuple[str, float]]:
-    """Return why parts of the ways do not count, and their length over all drives, m; the longest first."""
-    total: dict[str, float] = {}
-    for drive in result.drives:
-        for reason, length in drive.left_out_m.items():
-            total[reason] = total.get(reason, 0.0) + length
-    return sorted(((reason, length) for reason, length in total.items() if length > 0.0), key=lambda item: -item[1])
-
-
 def names_of(items: Sequence[str], most: int = 3) -> str:
     """Return names, the first few of them."""
     shown = ", ".join(items[:most])
     return shown if len(items) <= most else f"{shown} and {len(items) - most} more"
-
-
-def drive_notes(result: CheckResult) -> list[str]:
-    """Return from which columns each drive was read and what was guessed, a sentence each."""
-    return [note for drive in result.drives for note in _named(result, drive, [*columns_words(drive), *drive.notes])]
 
 
 def skipped_words(result: CheckResult) -> list[str]:

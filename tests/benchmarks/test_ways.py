@@ -5,9 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from known_grounds import sine_c_r
 from tile_maps import TileMap
 
-from bumpymap.lab.simulate.jobs import sine_c_r
 from bumpymap.rating import Calibration, RideModel
 from bumpymap.rating.vehicle_profile import load_profile
 

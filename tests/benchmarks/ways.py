@@ -33,7 +33,7 @@ import bumpymap
 from bumpymap.core import OBSTACLE, Barred, corners_join
 from bumpymap.lab.evaluate.survey_trial import uniform_by_key
 from bumpymap.lab.simulate.drive import DriveSettings
-from bumpymap.lab.simulate.jobs import JobJournal, drive_jobs
+from bumpymap.lab.simulate.jobs import Journal, drive_jobs
 from bumpymap.layers import open_map
 from bumpymap.rating import RideModel, Vehicle, find_calibration, roll_over
 from bumpymap.route import CostSettings
@@ -206,9 +206,7 @@ class WayTrial:
         return np.mean([tile in crossed for tile in zip(*(at.tolist() for at in self.tiles_under(line)), strict=True)])
 
     def _predicted(self, line):
-        tight = self.ground.tight_turns_deg(line)
-        of_field = self.ground.of_field
-        figures = measure_way(self.site, line, line[[0, -1]], of_field, tight_turns_deg=tight).figures
+        figures = measure_way(self.ground, line, line[[0, -1]]).figures
         window, _ = self._around(line)
         row, col = np.floor(in_window(points_along(line), self.site.grid, window)).astype(np.int64).T
         known = np.zeros((window.rows, window.cols), bool)
@@ -250,7 +248,7 @@ class WayTrial:
             "drive": asdict(DriveSettings()),
             "versions": {name: version(name) for name in ("dartpy", "numpy")},
         }
-        journal = JobJournal(folder / f"ways-{self.profile.name}.jsonl", record, WayDrive.from_record)
+        journal = Journal(folder / f"ways-{self.profile.name}.jsonl", record, WayDrive.from_record)
         return drive_jobs(partial(WayTrial.run, self), jobs, workers=workers, journal=journal)
 
 

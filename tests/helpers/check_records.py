@@ -14,7 +14,6 @@ from bumpymap.core import (
     DrivenStretches,
     MapAgreement,
 )
-from bumpytiles import TileWindow
 
 LIMITS = (0.05, 0.13, 0.3)
 STRETCH_M = 10.0
@@ -113,15 +112,3 @@ def made_up_check(n=40, *, bias=1.0, noise=0.1, seed=5, drives=1, **options):
     factor = bias * np.exp(noise * rng.standard_normal(n))
     unknown = options.pop("unknown", ())
     return make_check(stretches_at(points, c_r, factor, drives=drives, unknown=unknown), drives=drives, **options)
-
-
-def along_map(source, points, *, factor=1.0, noise=0.12, seed=3):
-    """Findings of a drive over a map that can be read, at ``points`` on it (those without a value are left out)."""
-    grid = source.grid
-    col, row = (grid.index(points[:, axis]) for axis in (0, 1))
-    window = TileWindow.around(col, row)
-    field = source.read(window, ("c_r",))
-    c_r = field.c_r[window.row + window.rows - 1 - row, col - window.col].astype(np.float64)
-    known = np.isfinite(c_r)
-    felt = factor * np.exp(noise * np.random.default_rng(seed).standard_normal(len(c_r)))
-    return make_check(stretches_at(points[known], c_r[known], felt[known]))

@@ -4,14 +4,13 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import laspy
 import numpy as np
 import rasterio
-from pyproj import CRS
 from scenes import Place, ring, survey_scene
 from scipy.ndimage import distance_transform_edt
 from scipy.sparse import coo_array
 from skimage.graph import MCP_Geometric
+from small_surveys import write_las
 
 import bumpymap
 from bumpymap.layers import open_map
@@ -130,12 +129,8 @@ def read_graph(site, folder):
 
 def write_points(points, path):
     """Write points of a scene as LAS."""
-    header = laspy.LasHeader(point_format=6, version="1.4")
-    header.scales, header.offsets = (0.001, 0.001, 0.001), (500_000, 5_700_000, 0)
-    header.add_crs(CRS.from_epsg(32632))
-    las = laspy.LasData(header)
-    las.x, las.y, las.z, las.classification = points.x, points.y, points.z + 100.0, points.classification
-    las.write(path)
+    corner, columns = (500_000, 5_700_000, 0), {"classification": points.classification}
+    write_las(path, points.x, points.y, points.z + 100.0, crs="EPSG:32632", offset=corner, **columns)
 
 
 def read_pgm(path):

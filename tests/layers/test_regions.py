@@ -101,18 +101,6 @@ def joined(batches):
     return columns | {"outlines": shapely.to_wkt(np.concatenate([batch.outlines for batch in batches]))}
 
 
-@pytest.mark.slow
-def test_regions_come_in_batches_that_change_nothing(make_field, monkeypatch):
-    table = CostTable.of(make_field(45, 30))
-    whole = joined(list(dissolve(table)))
-    for size in (1, 7, 100):
-        monkeypatch.setattr("bumpymap.layers.regions.BATCH", size)
-        batches = list(dissolve(table))
-        assert max(len(batch.tiles) for batch in batches) <= size
-        for name, values in joined(batches).items():
-            np.testing.assert_array_equal(values, whole[name])
-
-
 def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, monkeypatch):
     cost_map = make_field(45, 30, holes=0.3)
     monkeypatch.setattr("bumpymap.layers.regions.REGION_WINDOW", 20)

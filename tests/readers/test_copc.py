@@ -1,7 +1,5 @@
 """COPC: an octree read region by region, and octrees that lie."""
 
-import struct
-
 import numpy as np
 import pytest
 
@@ -36,11 +34,6 @@ def tree(las, laz):
 def points():
     rng = np.random.default_rng(9)
     return np.round(rng.uniform([5e5, 4e6, 0], [500_400, 4_000_400, 40], (4000, 3)), 3)
-
-
-def root_page(path):
-    at, size = struct.unpack_from("<2Q", path.read_bytes(), INFO + 40)
-    return at, size // 32
 
 
 def exhaust(path, options=ReadOptions()):  # noqa: B008 (frozen)
@@ -80,41 +73,6 @@ def test_ground_is_complete_long_before_the_end(tree):
     # A quarter of the ground behind, on average, where a file in random order would have none of it.
     assert np.all(np.array(complete) >= done - 0.35)
     assert np.interp(0.5, done, complete) > 0.25
-
-
-def test_a_piece_reads_its_own_bytes_alone(tree, monkeypatch):
-    from bumpymap.readers import las
-
-    path = tree()
-    reader = open_survey(path)
-    read = []
-    whole = las.read_into
-    monkeypatch.setattr(
-        las, "read_into", lambda where, start, data: read.append(data.size) or whole(where, start, data)
-    )
-    chunks = reader.chunks(300)
-    for chunk in chunks:
-        reader.fetch(chunk)
-    assert sum(read) < path.stat().st_size
-    assert max(read) < path.stat().st_size / 5
-
-
-def test_an_octree_that_leads_round_in_a_circle(las, tree):
-    path = tree(page_levels=1)
-    start, entries = root_page(path)
-    data = path.read_bytes()
-    page = next(start + 32 * i for i in range(entries) if struct.unpack_from("<i", data, start + 32 * i + 28)[0] == -1)
-    with pytest.raises(BadInputError, match="contains a cycle"):
-        open_survey(las.patch(path, page + 16, "<Qi", start, 32 * entries))
-
-
-def test_nodes_that_share_bytes(las, tree):
-    path = tree()
-    start, _ = root_page(path)
-    first, second = (struct.unpack_from("<Q", path.read_bytes(), start + 32 * i + 16)[0] for i in (0, 1))
-    assert first != second
-    with pytest.raises(BadInputError, match=r"are not its .* LAZ chunks"):
-        open_survey(las.patch(path, start + 16, "<Q", second))
 
 
 def test_an_octree_built_around_another_place(las, tree, read):

@@ -32,23 +32,16 @@ def refused(path, *says, options=DEFAULT):
     ("place", "layout", "value", "says"),
     [
         (107, "<I", 8, "declares 8 points"),
-        (107, "<I", 0xFFFFFFFF, "declares 4,294,967,295 points"),
         (107, "<I", 0, "holds no points"),
         (100, "<I", 0xFFFFFFFF, "variable length records"),
-        (100, "<I", 1, "variable length records"),
         (96, "<I", 0xFFFFFFFF, "bytes long"),
-        (96, "<I", 3, "bytes long"),
-        (94, "<H", 50, "bytes long"),
         (104, "<B", 11, "format 11"),
-        (104, "<B", 63, "format 63"),
         (104, "<B", 0x81, "LASzip record"),
         (105, "<H", 19, "19 bytes"),
         (24, "<B", 2, "LAS 2.2"),
         (25, "<B", 9, "LAS 1.9"),
         (131, "<d", np.nan, "scale"),
-        (131, "<d", np.inf, "scale"),
         (139, "<d", 0.0, "scale"),
-        (155, "<d", np.nan, "offset"),
         (171, "<d", -np.inf, "offset"),
         (131, "<d", 1e300, "coordinates finite"),
         (131, "<d", 1e8, "not a location on Earth"),
@@ -60,37 +53,10 @@ def test_a_header_that_cannot_be(las, place, layout, value, says):
     refused(las.patch(las.write(points=points), place, layout, value), says)
 
 
-@pytest.mark.parametrize("fmt", [1, 6])
-def test_a_file_that_ends_inside_the_points(las, fmt):
-    path = las.write(version="1.4", fmt=fmt)
-    path.write_bytes(path.read_bytes()[:-1])
-    refused(path, "declares 7 points", "can hold 6", "truncated?")
-
-
-def test_a_stream_without_chunks(las):
-    path = las.write("a.laz")
-    refused(las.patch(path, laszip_record(path), "<H", 1), "in one stream without chunks", "pdal translate")
-
-
 def test_a_chunk_that_is_too_large_to_be_decoded_at_once(las, laz, monkeypatch):
     path = laz.pack(las.write(), 5)
     monkeypatch.setattr("bumpymap.readers.copc._LARGEST_CHUNK", 5 * 28 - 1)
     refused(path, "holds 5 points", "pdal translate")
-
-
-def chunk_table(path):
-    data = path.read_bytes()
-    (points_at,) = struct.unpack_from("<I", data, 96)
-    return points_at, struct.unpack_from("<q", data, points_at)[0]
-
-
-def laszip_record(path):
-    return path.read_bytes().index(b"laszip encoded") - 2 + 54
-
-
-def test_a_codec_that_nobody_knows(las):
-    path = las.write("a.laz", version="1.4", fmt=7)
-    refused(las.patch(path, laszip_record(path) + 34 + 4, "<H", 4), "cannot be decoded here", "pdal translate")
 
 
 @pytest.mark.parametrize("name", ["a.las", "a.laz"])
@@ -167,5 +133,5 @@ def test_an_interrupt_passes(las, monkeypatch):
 def test_a_chunk_of_fewer_points_than_its_table_promises(las, held):
     """The decoder does not look at the count that a chunk of layers carries, and makes points up."""
     path = las.write("a.laz", version="1.4", fmt=6)
-    points_at, _ = chunk_table(path)
+    (points_at,) = struct.unpack_from("<I", path.read_bytes(), 96)
     refused(las.patch(path, points_at + 8 + 30, "<I", held), f"declares 7 points in a LAZ chunk but holds {held}")

@@ -10,7 +10,7 @@ from small_surveys import write_las, write_survey
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.layers import map_facts, placement, sheets as writing, write_products
+from bumpymap.layers import placement, sheets as writing, write_products
 
 SIDE = 0.096
 """km: two blocks of 16 tiles of 3 m."""
@@ -46,11 +46,6 @@ def test_tiles_at_borders_of_sheets_are_judged_with_their_neighbours(whole, shee
     with rasterio.open(sheets.folder / "roughness.vrt") as file:
         steps = file.read(file.descriptions.index("edge_step") + 1)
     assert np.isfinite(steps).all()
-
-
-def test_a_batch_describes_sheets_like_a_map(whole, sheets):
-    one, other = map_facts(whole.folder), map_facts(sheets.folder)
-    assert {**other, "seconds": 0} == {**one, "seconds": 0}
 
 
 def test_a_run_that_is_killed_while_it_writes_goes_on(survey, whole, tmp_path, monkeypatch):

@@ -14,43 +14,28 @@ from small_surveys import write_survey
 from bumpymap.cli import main
 from bumpymap.survey.run_record import survey_record
 
-
-def named(given, files):
-    return survey_record(given, files, ["a:1"] * len(files), [None] * len(files))["name"]
-
-
-def test_one_file_gives_its_name():
-    assert named([Path("flights/site.laz")], [Path("flights/site.laz")]) == "site"
-    assert named([Path("flights")], [Path("flights/site.1.copc.laz")]) == "site.1"
-    assert named([Path(".copc.laz")], [Path(".copc.laz")]) == ".copc.laz"
+APART = ["/home/me/a.laz", "/home/me/more/b.laz"]
+SIGNED = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
 
 
-def test_a_folder_that_was_given_gives_its_name_even_if_files_lie_deeper(tmp_path, monkeypatch):
-    deep = [tmp_path / "hill" / "one" / "a.laz", tmp_path / "hill" / "two" / "b.laz"]
-    assert named([tmp_path / "hill"], deep) == "hill"
-    (tmp_path / "hill").mkdir()
-    monkeypatch.chdir(tmp_path / "hill")
-    assert named([Path()], [Path("one/a.laz"), Path("two/b.laz")]) == "hill"
-
-
-def test_files_of_one_folder_are_called_after_it_and_others_are_counted():
-    assert named([Path("/x/hill/a.laz"), Path("/x/hill/b.laz")], [Path("/x/hill/a.laz"), Path("/x/hill/b.laz")]) == (
-        "hill"
-    )
-    apart = [Path("/home/me/a.laz"), Path("/home/me/more/b.laz")]
-    assert named(apart, apart) == "2 files"
-    assert named([Path("/")], apart) == "2 files"
-
-
-def test_of_a_url_neither_server_nor_query_is_told():
-    signed = "https://me:word@example.org/deep/my%20site.laz?X-Signature=abc#x"
-    assert named([signed], [signed]) == "my site"
-    assert named(["s3://bucket/hill/"], ["s3://bucket/hill/a.laz", "s3://bucket/hill/b.laz"]) == "hill"
-
-
-def test_what_is_no_text_is_replaced():
-    files = [Path(os.fsdecode(b"caf\xe9\n\x01.laz"))]
-    assert named(files, files) == "caf" + 3 * "\N{REPLACEMENT CHARACTER}"
+@pytest.mark.parametrize(
+    ("given", "files", "name"),
+    [
+        (["flights/site.laz"], ["flights/site.laz"], "site"),
+        (["flights"], ["flights/site.1.copc.laz"], "site.1"),
+        ([".copc.laz"], [".copc.laz"], ".copc.laz"),
+        (["/x/hill"], ["/x/hill/one/a.laz", "/x/hill/two/b.laz"], "hill"),  # though files lie deeper
+        (["/x/hill/a.laz", "/x/hill/b.laz"], ["/x/hill/a.laz", "/x/hill/b.laz"], "hill"),
+        (APART, APART, "2 files"),
+        (["/"], APART, "2 files"),
+        ([SIGNED], [SIGNED], "my site"),  # neither server nor query is told
+        (["s3://bucket/hill/"], ["s3://bucket/hill/a.laz", "s3://bucket/hill/b.laz"], "hill"),
+        (["x"], [os.fsdecode(b"caf\xe9\n\x01.laz")], "caf" + 3 * "\N{REPLACEMENT CHARACTER}"),
+    ],
+)
+def test_a_survey_is_called_after_its_file_or_its_folder(given, files, name):
+    places = [[place if "://" in place else Path(place) for place in some] for some in (given, files)]
+    assert survey_record(*places, ["a:1"] * len(files), [None] * len(files))["name"] == name
 
 
 def test_the_checksum_of_one_file_is_kept_and_those_of_several_make_one():

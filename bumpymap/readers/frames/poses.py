@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, FrameSource, PoseTrack
+from bumpymap.core import LONGEST_GAP_S, NEAREST_S, SCAN_S, BadInputError, Frame, PoseTrack
 from bumpymap.readers.frames.kitti import POINT_FOLDERS
 from bumpymap.readers.frames.read import find_frames
 from bumpymap.readers.frames.transforms import ROUNDING, from_quaternions, refuse_poses
@@ -111,7 +111,7 @@ def read_poses(path: Path, frames: Sequence[Path], known: NDArray[np.float64] | 
     return FramePoses(poses, (None,) * len(frames), "order", calib)
 
 
-def place_sources(path: Path, sources: Sequence[FrameSource]) -> tuple[FramePoses, list[FrameSource]]:
+def place_sources(path: Path, sources: Sequence[Frame]) -> tuple[FramePoses, list[Frame]]:
     """Read the pose of each frame, see `read_poses`; return them, and the sources with them."""
     messages = [source.message for source in sources if source.message is not None]
     known = np.array([message.stamp_ns for message in messages]) * 1e-9 if messages else None

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, FrameSource, PoseTrack, Robot, Scan, UsageError
+from bumpymap.core import SCAN_S, BadInputError, BagMessage, Dropped, Frame, PoseTrack, Robot, Scan, UsageError
 from bumpymap.readers.frames.kitti import POINT_FOLDERS, read_kitti
 from bumpymap.readers.frames.raw import (
     BAG_SUFFIXES,
@@ -46,7 +46,7 @@ class BagTopics:
     """True if poses are read."""
 
 
-def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Find the scans in bags, in order of time, with their poses if the bags hold any.
 
     Every message of the topics is read once, one at a time.
@@ -65,9 +65,7 @@ def find_messages(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]
             counts.setdefault(kind, Counter())[topic] += count
     cloud = _choose(counts, CLOUD, topics.cloud, "topic")
     recorded = _Poses(counts if topics.poses else {}, topics.odometry)
-    sources = [
-        FrameSource(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes
-    ]
+    sources = [Frame(bag.path, message) for bag in bags for message in _messages(bag, cloud, recorded) if message.bytes]
     if not sources:
         raise BadInputError(f"the topic {cloud} of {paths[0]} holds no messages. Was the sensor switched on?")
     return recorded.add_poses(sources) if topics.poses else sources
@@ -144,7 +142,7 @@ class _Poses:
         self._base = frame_name(message.child_frame_id)
         self._trajectory.add(message.header.stamp, message.pose.pose.position, message.pose.pose.orientation)
 
-    def add_poses(self, sources: Sequence[FrameSource]) -> list[FrameSource]:
+    def add_poses(self, sources: Sequence[Frame]) -> list[Frame]:
         """Return the sources with their poses and motions, as far as they are known."""
         messages = [source.message for source in sources if source.message is not None]
         origin_ns, sensor = messages[0].stamp_ns, messages[0].frame_id
@@ -204,7 +202,7 @@ SUFFIXES = (".ply", ".pcd", ".bin")
 _NUMBER = re.compile(r"(\d+)")
 
 
-def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
+def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[Frame]:
     """Return the scans at the given paths, in time order: files, as by `find_frames`, or messages in bags.
 
     Parameters
@@ -216,7 +214,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
 
     Returns
     -------
-    list of FrameSource
+    list of Frame
         Several bags in natural order of their paths.
 
     Raises
@@ -230,7 +228,7 @@ def find_sources(paths: Sequence[Path], topics: BagTopics) -> list[FrameSource]:
     if not bags:
         if (topics.cloud, topics.odometry) != (None, None):
             raise UsageError("`topic` and `odometry` choose topics of a bag, and no bag was given; leave them out")
-        return [FrameSource(path) for path in find_frames(paths)]
+        return [Frame(path) for path in find_frames(paths)]
     files = [path for path in paths if not bags_at(path)]
     if files:
         raise UsageError(f"{files[0]} and {bags[0]} were given; give files of scans or bags, not both")

@@ -37,7 +37,7 @@ from bumpymap.layers import (
     map_facts,
 )
 from bumpymap.survey.pipeline import map_surveys
-from bumpymap.survey.run_record import MapResult, WarningCollector
+from bumpymap.survey.run_record import WarningCollector
 from bumpymap.views import SurveyView, read_thumbnail
 from bumpytiles import compile_loaded
 
@@ -92,6 +92,8 @@ def look_at(folder: Path, thumbnail_bytes: int) -> SurveyView:
 
 
 def _mapped(task: MapTask) -> SurveyRow:
+    from bumpymap.survey.advice import require_known
+
     out = task.config.out
     if out.is_symlink():
         raise OutputError(f"{out} is a link, which is not followed. Remove it")
@@ -104,12 +106,6 @@ def _mapped(task: MapTask) -> SurveyRow:
         except OutputError:
             time.sleep(_MOST_WAIT_S / 50)
     result = map_surveys(task.config, in_batch=True)
-    return _row(task, result, map_facts(out))
-
-
-def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
-    from bumpymap.survey.advice import require_known
-
     message = ""
     status: SurveyStatus = "incomplete" if result.skipped else "already done" if result.already_done else "done"
     if result.skipped:
@@ -119,7 +115,7 @@ def _row(task: MapTask, result: MapResult, facts: dict[str, Any]) -> SurveyRow:
         require_known(result, task.config)
     except TooUnknownError as error:
         message, status = f"{message} {error}".strip(), "incomplete"
-    return SurveyRow(task.name, status, message, survey=_survey(task), **facts)
+    return SurveyRow(task.name, status, message, survey=_survey(task), **map_facts(out))
 
 
 def _failed(task: MapTask, error: Exception, seconds: float) -> SurveyRow:

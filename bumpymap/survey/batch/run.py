@@ -22,7 +22,6 @@ from bumpymap.core import (
     OutputError,
     UsageError,
     brief_repr,
-    count_text,
     locked,
     path_of_call,
     refuse_faults,
@@ -237,7 +236,6 @@ def run_batch(
         begin(len(surveys))
     with remove_empty_on_error(folder), locked(folder), BatchLog.opened(folder / BATCH_LOG) as log:
         log.write("start", source=str(config.source), surveys=len(surveys), jobs=config.jobs)
-        _note_renamed(log, surveys)
         results = Results(tasks, folder, folder.absolute().name)
         ends = map_tasks(tasks, config.jobs, lambda task: log.write("survey started", name=task.name))
         try:
@@ -282,20 +280,6 @@ def _size(place: Path | str) -> int:
         files = place.rglob("*") if place.is_dir() else [place]
         return sum(file.stat().st_size for file in files if file.is_file())
     return 0
-
-
-def _note_renamed(log: BatchLog, surveys: list[ListedSurvey]) -> None:
-    renamed = [survey for survey in surveys if survey.renamed]
-    for survey in renamed:
-        log.write("renamed", name=survey.name, survey=str(survey.place))
-    if renamed:
-        first = renamed[0]
-        _log.warning(
-            "%s the name of another; a longer name is used, such as %s for %s",
-            count_text(len(renamed), "survey has", "surveys have"),
-            first.name,
-            without_keys(str(first.place)),
-        )
 
 
 def _note(log: BatchLog, end: TaskEnd) -> None:

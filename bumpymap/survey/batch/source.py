@@ -57,8 +57,6 @@ class ListedSurvey:
     """Its file, its folder, or a URL. Absolute, so that a batch started from another folder has the same inputs."""
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Its own settings, of a CSV."""
-    renamed: bool = False
-    """True if another survey has, or could have, the name that it would get."""
 
 
 def name_surveys(surveys: Sequence[Path | str], given: Sequence[str | None], root: Path) -> list[str]:
@@ -296,10 +294,7 @@ def list_surveys(
     repeated = [place for place, times in Counter(map(str, places)).items() if times > 1]
     refuse_faults([f"{place} is listed twice" for place in repeated], str(source), UsageError)
     names = name_surveys(places, [name for _, name, _ in rows], root)
-    found = [
-        ListedSurvey(name, place, own, renamed=given is None and name != _usual_name(place))
-        for name, place, (_, given, own) in zip(names, places, rows, strict=True)
-    ]
+    found = [ListedSurvey(name, place, own) for name, place, (_, _, own) in zip(names, places, rows, strict=True)]
     return sorted(found, key=lambda survey: survey.name)
 
 

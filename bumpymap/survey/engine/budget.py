@@ -151,18 +151,18 @@ class Workspace:
         return read_record(self.folder / _SKIPPED) or {}
 
     def forget_points(self, skipped: Mapping[str, str]) -> None:
-        """Note which files are skipped; delete what was read, and the tiles that were made of it.
+        """Delete what was read, tiles first; note last which files are skipped.
 
-        Workers may still write to their own folders.
+        After a kill in between the bad file is read again and found again. Workers may still write to their folders.
         """
-        with atomic(self.folder / _SKIPPED) as temporary:
-            temporary.write_text(json.dumps(dict(skipped)), encoding="utf-8")
         for path in (*self.tiles(), *self.records()):
             path.unlink()
         for folder in (self.points_folder, self.new_tiles):
             for own in folder.iterdir():
                 if own.is_dir():
                     shutil.rmtree(own, ignore_errors=True)
+        with atomic(self.folder / _SKIPPED) as temporary:
+            temporary.write_text(json.dumps(dict(skipped)), encoding="utf-8")
 
     def save_checkpoint(self, record: Mapping[str, Any]) -> None:
         """Save the record of a run that has finished every block."""

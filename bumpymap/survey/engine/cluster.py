@@ -128,7 +128,7 @@ def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTa
                     reader = opened(path, context.options, known, context.run_id)
                     chunks = reader.chunks(context.chunk_points)[part.first : part.stop]
                 except BadInputError as error:
-                    return ReadResult(((part.file, part.first, part.stop),), error=error)
+                    return ReadResult.of_bad(part, error)
                 ranges.append(OpenRange(part, reader, chunks))
             seen = {source.range.file: (gethostname(), source.reader.info.version) for source in ranges}
             return replace(worker.read_to_disk(task, ranges), seen=seen)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CHECKSUM_METHOD, BadInputError, PieceRuns, atomic, parse_json
 from bumpymap.readers import LineSums, PointStats, SurveyReader, Version, file_changed
 from bumpymap.survey.engine.budget import Workspace
+from bumpymap.survey.engine.plan import ChunkRange
 from bumpytiles import BLOCK_TILES, BlockKey, Pack, TileWindow
 
 __all__ = ["BlockCatalogue", "BlockGroup", "Checkpoints", "ReadResult", "ResultCollector", "Span"]
@@ -116,6 +117,30 @@ class ReadResult:
     """Why the file is bad."""
     seen: Mapping[int, tuple[str, Version | None]] = field(default_factory=dict)
     """By file, the name of the machine that read the chunks, and the version there; without those of this process."""
+
+    @classmethod
+    def of_bad(cls, part: ChunkRange, error: BadInputError) -> "ReadResult":
+        """Return the result for a range of a file that turned out to be bad."""
+        return cls(((part.file, part.first, part.stop),), error=error)
+
+    @classmethod
+    def merged(cls, results: Iterable["ReadResult"]) -> "ReadResult":
+        """Return one result for the chunks of several, without packs, tiles and errors."""
+        spans: list[Span] = []
+        stats: dict[int, PointStats] = {}
+        hashed: dict[int, PieceRuns] = {}
+        flagged, lines = False, LineSums()
+        for result in results:
+            for file, first, stop in result.spans:
+                follows = spans and spans[-1][0] == file and spans[-1][2] == first
+                spans.append((file, spans.pop()[1] if follows else first, stop))
+            for file, own in result.stats.items():
+                stats[file] = stats.get(file, PointStats()).merge(own)
+            for file, runs in result.hashed.items():
+                hashed[file] = hashed.get(file, ()) + runs
+            flagged |= result.flagged
+            lines = lines.merge(result.lines)
+        return cls(tuple(spans), stats, flagged, lines, hashed)
 
 
 class Checkpoints:

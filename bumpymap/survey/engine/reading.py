@@ -18,14 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import POINT_GROUND, BadInputError, Progress
-from bumpymap.readers import Chunk, LineSums, PointStats, SurveyReader, close_decoder
+from bumpymap.readers import Chunk, PointStats, SurveyReader, close_decoder
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import requests_at_once
-from bumpymap.survey.engine.collector import ReadResult, Span
+from bumpymap.survey.engine.collector import ReadResult
 from bumpymap.survey.engine.plan import ChunkRange, ReadTask
 from bumpytiles import BLOCK_TILES, BlockKey, Bounds, Grid, GroupedPoints, Pack, TileBuckets, run_blocks
 
-__all__ = ["BadFile", "BlockCompletion", "OpenRange", "RangeReader", "ReadChunk", "read_chunks", "refuse_no_points"]
+__all__ = ["BlockCompletion", "OpenRange", "RangeReader", "read_chunks", "refuse_no_points"]
 
 _MARGIN = 1.01
 """Points may lie this far outside their bounds, m (readers accept 1 m)."""
@@ -102,43 +102,25 @@ class OpenRange:
     """The chunks of the range."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReadChunk:
-    """A chunk that was read, without its points."""
-
-    source: OpenRange
-    chunk: Chunk
-    stats: PointStats
-    flagged: bool
-    """True if any point is ground."""
-    lines: LineSums
-
-
-@dataclass(frozen=True, slots=True)
-class BadFile:
-    """A file that cannot be read, and why."""
-
-    source: OpenRange
-    error: BadInputError
-
-
 _Fetching = tuple[OpenRange, Chunk, Future[Any]]
 
 
 def read_chunks(
     ranges: Sequence[OpenRange], grid: Grid, threads: int
-) -> Iterator[tuple[ReadChunk, GroupedPoints] | BadFile]:
-    """Yield the chunks of ranges in order, with their points grouped by block; last a file that cannot be read."""
+) -> Iterator[tuple[ReadResult, GroupedPoints | None]]:
+    """Yield the result for each chunk of ranges, in order, with its points grouped by block; last an error, without."""
 
-    def grouped(fetching: _Fetching) -> tuple[ReadChunk, GroupedPoints] | BadFile:
+    def grouped(fetching: _Fetching) -> tuple[ReadResult, GroupedPoints | None]:
         source, chunk, future = fetching
+        file = source.range.file
         try:
             batch = source.reader.convert(chunk, future.result())
         except BadInputError as error:
-            return BadFile(source, error)
+            return ReadResult.of_bad(source.range, error), None
         points = batch.grouped(grid)
         flagged = bool((points.points["flag"] == POINT_GROUND).any())
-        return ReadChunk(source, chunk, batch.stats, flagged, batch.lines), points
+        span = file, chunk.index, chunk.index + 1
+        return ReadResult((span,), {file: batch.stats}, flagged, batch.lines), points
 
     np.empty(_LARGEST_KEPT, np.uint8)
     fetchers: dict[int, ThreadPoolExecutor] = {}
@@ -147,7 +129,7 @@ def read_chunks(
         with closing(run_blocks(grouped, fetched, threads, threads + 1)) as results:
             for read in results:
                 yield read
-                if isinstance(read, BadFile):
+                if read[0].error is not None:
                     return
                 del read
     finally:
@@ -233,13 +215,14 @@ class RangeReader:
         self._store, self._work, self._sinks, self._threads = store, work, sinks, threads
         self._progress, self._ranges = progress, ranges
         self._readers = {source.range.file: source.reader for source in ranges}
+        self._whole = {source.range.file: source for source in ranges if source.range.is_whole}
+        self._stats = PointStats()
         self._areas, bounds = _areas(ranges)
         others: Sequence[Bounds | None] = (None,) if task.nearby is None else task.nearby
         self._completion, self._elsewhere = BlockCompletion(work.grid, [*bounds, *others]), task.waiting
-        self._pending: deque[tuple[int, ReadChunk]] = deque()
+        self._pending: deque[tuple[int, ReadResult]] = deque()
         """Number of each chunk that is in memory or being written to disk, and not in a result yet."""
         self._next = 0
-        self._stats = PointStats()
         self._spilling: ReadResult | None = None
 
     def is_complete(self, key: BlockKey) -> bool:
@@ -248,17 +231,22 @@ class RangeReader:
 
     def run(self) -> Iterator[ReadResult]:
         """Read all ranges; yield results as soon as their points are on disk, or last the error of a bad file."""
-        for read in read_chunks(self._ranges, self._work.grid, self._threads):
-            error: BadInputError | None
-            if isinstance(read, BadFile):
-                part, error = read.source.range, read.error
-            else:
-                yield from self._add(*read)
-                part, error = read[0].source.range, self._judge(read[0])
-            if error is not None:
+        for read, points in read_chunks(self._ranges, self._work.grid, self._threads):
+            ((file, index, _),) = read.spans
+            bad = read if points is None else self._judge(file, index, read.stats[file])
+            if points is None or bad is not None:
                 yield from self._spilled()
-                yield ReadResult(((part.file, part.first, part.stop),), error=error)
+                yield bad or read
                 return
+            self._pending.append((self._next, read))
+            self._store.add_chunk(points, self._next)
+            self._next += 1
+            self._progress.advance(read.stats[file].points)
+            if (area := self._areas.get((file, index))) is not None:
+                self._completion.mark_read(area)
+            if self._store.is_full:
+                yield from self._make_room()
+            del points
         yield from self._spilled()
 
     def remainder(self) -> ReadResult | None:
@@ -267,29 +255,17 @@ class RangeReader:
             return None
         return replace(self._report(self._pending_up_to(self._next)), in_memory=self._store.in_memory())
 
-    def _add(self, read: ReadChunk, points: GroupedPoints) -> Iterator[ReadResult]:
-        source = read.source
-        if read.chunk.index == source.range.first:
-            self._stats = PointStats()
-        self._pending.append((self._next, read))
-        self._store.add_chunk(points, self._next)
-        self._next += 1
-        self._stats = self._stats.merge(read.stats)
-        self._progress.advance(read.chunk.points)
-        area = self._areas.get((source.range.file, read.chunk.index))
-        if area is not None:
-            self._completion.mark_read(area)
-        if self._store.is_full:
-            yield from self._make_room()
-
-    def _judge(self, read: ReadChunk) -> BadInputError | None:
-        """Return why a file is bad whose last chunk this is; None if it is good."""
-        source = read.source
-        if source.range.is_whole and read.chunk.index + 1 == source.range.stop:
-            try:
-                source.reader.verify(self._stats)
-            except BadInputError as error:
-                return error
+    def _judge(self, file: int, index: int, stats: PointStats) -> ReadResult | None:
+        """Return an error if this is the last chunk of a whole file that is bad; else None."""
+        whole = self._whole.get(file)
+        if whole is None:
+            return None
+        self._stats = stats if index == 0 else self._stats.merge(stats)
+        try:
+            if index + 1 == whole.range.stop:
+                whole.reader.verify(self._stats)
+        except BadInputError as error:
+            return ReadResult.of_bad(whole.range, error)
         return None
 
     def _make_room(self) -> Iterator[ReadResult]:
@@ -325,28 +301,17 @@ class RangeReader:
             result, self._spilling = self._spilling, None
             yield replace(result, packs=((pack.path, blocks),) if len(blocks) else ())
 
-    def _pending_up_to(self, last: int) -> list[ReadChunk]:
+    def _pending_up_to(self, last: int) -> list[ReadResult]:
         """Take the pending chunks up to number ``last``."""
         taken = []
         while self._pending and self._pending[0][0] <= last:
             taken.append(self._pending.popleft()[1])
         return taken
 
-    def _report(self, chunks: Sequence[ReadChunk]) -> ReadResult:
+    def _report(self, chunks: Sequence[ReadResult]) -> ReadResult:
         """Return the result for chunks that are no longer pending."""
-        spans: list[Span] = []
-        stats: dict[int, PointStats] = {}
-        flagged, lines = False, LineSums()
-        for taken in chunks:
-            file, first = taken.source.range.file, taken.chunk.index
-            if spans and spans[-1][0] == file and spans[-1][2] == first:
-                first = spans.pop()[1]
-            spans.append((file, first, taken.chunk.index + 1))
-            stats[file] = stats.get(file, PointStats()).merge(taken.stats)
-            flagged |= taken.flagged
-            lines = lines.merge(taken.lines)
-        hashed = {file: self._readers[file].take_hashed() for file in stats}
-        return ReadResult(tuple(spans), stats, flagged, lines, hashed)
+        merged = ReadResult.merged(chunks)
+        return replace(merged, hashed={file: self._readers[file].take_hashed() for file in merged.stats})
 
 
 def _areas(ranges: Sequence[OpenRange]) -> tuple[dict[tuple[int, int], int], list[Bounds | None]]:

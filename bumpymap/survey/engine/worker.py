@@ -14,12 +14,11 @@ from uuid import uuid4
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import PieceRuns, Progress
-from bumpymap.readers import LineSums, PointStats
+from bumpymap.core import Progress
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, ReadResult
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask
+from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
 from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
@@ -82,7 +81,7 @@ class Worker:
             store.spill()
             store.wait()
         tiles = _by_kind([*(result.tiles for result in found), early])
-        return replace(_joined(found, task.ranges), packs=self._unfinished_packs(), tiles=tiles)
+        return replace(ReadResult.merged(found), packs=self._unfinished_packs(), tiles=tiles)
 
     def count_marks(self, group: BlockGroup) -> tuple[int, int]:
         """Return the number of tiles with points, and of those with ground points, in some blocks."""
@@ -118,21 +117,6 @@ class Worker:
             else:
                 pack.path.unlink()
         return tuple(found)
-
-
-def _joined(results: Sequence[ReadResult], ranges: Sequence[ChunkRange]) -> ReadResult:
-    """Return one result for some ranges, without the packs."""
-    stats, lines = {part.file: PointStats() for part in ranges}, LineSums()
-    hashed: dict[int, PieceRuns] = {part.file: () for part in ranges}
-    flagged = False
-    for result in results:
-        for file, more in result.stats.items():
-            stats[file] = stats[file].merge(more)
-        lines = lines.merge(result.lines)
-        flagged |= result.flagged
-        for file, runs in result.hashed.items():
-            hashed[file] += runs
-    return ReadResult(tuple((part.file, part.first, part.stop) for part in ranges), stats, flagged, lines, hashed)
 
 
 def _by_kind(packs: Sequence[tuple[tuple[Path, ...], ...]]) -> tuple[tuple[Path, ...], ...]:

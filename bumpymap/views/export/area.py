@@ -44,7 +44,6 @@ __all__ = [
     "UNKNOWN_CELL",
     "CostScale",
     "ExportArea",
-    "ExportPoint",
     "by_pixel",
     "choose_area",
     "cost_values",
@@ -199,23 +198,13 @@ _WINDOW_TILES = 64
 
 
 @dataclass(frozen=True, slots=True)
-class ExportPoint:
-    """A place on the grid of a map."""
-
-    easting: float
-    """m."""
-    northing: float
-    """m."""
-
-
-@dataclass(frozen=True, slots=True)
 class ExportArea:
     """A window of a map, its cells and its frame: x to the east and y to the north of the grid, m (REP-103)."""
 
     route_map: MapReader
     window: TileWindow
-    datum: ExportPoint
-    """Origin of the frame."""
+    datum: tuple[float, float]
+    """Origin of the frame: easting and northing, m."""
     split: int
     """Cells along a side of a tile: 1, or the pixels of the heightmap."""
 
@@ -233,7 +222,7 @@ class ExportArea:
     def bounds(self) -> Bounds:
         """Sides of the area in the local frame, m."""
         whole = self.route_map.grid.window_bounds(self.window)
-        x, y = self.datum.easting, self.datum.northing
+        x, y = self.datum
         return Bounds(whole.west - x, whole.south - y, whole.east - x, whole.north - y)
 
     def strips(self, detail: int | None = None) -> Iterator[tuple[TileWindow, slice]]:
@@ -263,8 +252,8 @@ class ExportArea:
         ``grid_convergence_deg`` is the angle from true north to grid north, clockwise; ``grid_scale`` is a length on
         the grid over the same length on the ellipsoid.
         """
-        datum, bounds = self.datum, self.bounds
-        x, y = self.route_map.to_crs(datum.easting, datum.northing)
+        bounds = self.bounds
+        x, y = self.route_map.to_crs(*self.datum)
         place: dict[str, Any] = {"longitude": None, "latitude": None, "x": x, "y": y, "crs": None}
         if self.route_map.has_crs:
             place |= self._on_earth()
@@ -280,8 +269,8 @@ class ExportArea:
     def _on_earth(self) -> dict[str, Any]:
         from pyproj import Proj
 
-        datum, crs = self.datum, self.route_map.georeference.crs
-        longitude, latitude = self.route_map.to_lonlat(datum.easting, datum.northing)
+        crs = self.route_map.georeference.crs
+        longitude, latitude = self.route_map.to_lonlat(*self.datum)
         if crs is None or not np.isfinite([longitude, latitude]).all():
             raise BadInputError(
                 "the datum cannot be converted to longitude and latitude: it lies outside the area of the map's CRS. "
@@ -342,7 +331,11 @@ _STRIP_CELLS = 4_000_000
 
 
 def choose_area(
-    route_map: MapReader, split: int, around: ExportPoint | None, radius_m: float, datum: ExportPoint | None
+    route_map: MapReader,
+    split: int,
+    around: tuple[float, float] | None,
+    radius_m: float,
+    datum: tuple[float, float] | None,
 ) -> ExportArea:
     """Choose the window to export, and its local frame.
 
@@ -351,12 +344,13 @@ def choose_area(
     route_map : MapReader
     split : int
         Cells along a side of a tile.
-    around : ExportPoint, optional
-        Export the tiles of a square around this point, up to ``radius`` to each side; else the whole map.
+    around : tuple of float, optional
+        Easting and northing, m: export the tiles of a square around this point, up to ``radius`` to each side; else
+        the whole map.
     radius_m : float
-    datum : ExportPoint, optional
-        Origin of the frame; else the corner of a tile nearest to ``around``, or to the middle of the map. Then cells
-        and origin are aligned, as costmaps that roll with the robot want it.
+    datum : tuple of float, optional
+        Easting and northing of the frame's origin, m; else the corner of a tile nearest to ``around``, or to the middle
+        of the map. Then cells and origin are aligned, as costmaps that roll with the robot want it.
 
     Raises
     ------
@@ -367,16 +361,14 @@ def choose_area(
     if around is not None:
         window = _crop(route_map, around, radius_m)
     if datum is None:
-        middle = around or ExportPoint((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
-        datum = ExportPoint(round(middle.easting / size) * size, round(middle.northing / size) * size)
+        east, north = around or ((window.col + window.cols / 2) * size, (window.row + window.rows / 2) * size)
+        datum = round(east / size) * size, round(north / size) * size
     return ExportArea(route_map, window, datum, split)
 
 
-def _crop(route_map: MapReader, around: ExportPoint, radius_m: float) -> TileWindow:
+def _crop(route_map: MapReader, around: tuple[float, float], radius_m: float) -> TileWindow:
     whole, grid = route_map.window, route_map.grid
-    sides = np.array([around.easting, around.northing])
-    first = grid.index(sides - radius_m)
-    last = grid.index(sides + radius_m)
+    first, last = grid.index(np.array(around) - radius_m), grid.index(np.array(around) + radius_m)
     west, south = max(int(first[0]), whole.col), max(int(first[1]), whole.row)
     east, north = min(int(last[0]) + 1, whole.col + whole.cols), min(int(last[1]) + 1, whole.row + whole.rows)
     if east <= west or north <= south:
@@ -385,7 +377,7 @@ def _crop(route_map: MapReader, around: ExportPoint, radius_m: float) -> TileWin
             route_map.to_crs(bounds.west, bounds.south),
             route_map.to_crs(bounds.east, bounds.north),
         )
-        x, y = route_map.to_crs(around.easting, around.northing)
+        x, y = route_map.to_crs(*around)
         raise BadInputError(
             f"nothing of the map lies within {radius_m:g} m of {x:.1f},{y:.1f}: it reaches from {left:.1f},{low:.1f} "
             f"to {right:.1f},{top:.1f}. Choose a point on the map, or a larger radius"

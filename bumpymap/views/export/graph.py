@@ -35,11 +35,10 @@ __all__ = [
     "SQUARES",
     "FreeGround",
     "Lattice",
-    "Squares",
+    "join",
     "line_cost",
     "make_graph",
-    "make_lattice",
-    "make_squares",
+    "thin",
     "write_graph",
 ]
 
@@ -127,20 +126,6 @@ _NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
 """Tiles to the east, south, south-east, south-west; the others are these, seen from the other side."""
 _STEPS = ((0, 1), (1, 0), (0, -1), (-1, 0), (1, 1), (1, -1), (-1, -1), (-1, 1))
 """From a pixel to those at its sides, then to those at its corners."""
-
-
-@dataclass(frozen=True, slots=True)
-class Squares:
-    """Open tiles, divided into squares."""
-
-    row: NDArray[np.int64]
-    """(n,) row of each square's middle tile in the window, from the north."""
-    col: NDArray[np.int64]
-    """(n,) column, from the west."""
-    side: NDArray[np.int64]
-    """(n,) side, tiles."""
-    number: NDArray[np.int64]
-    """(rows, cols) number of the square that each tile lies in; -1 where closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -317,17 +302,13 @@ class Lattice:
     """Free ground that is not connected with the largest part and was left out, in tiles."""
 
 
-def make_squares(factor: NDArray[np.floating], largest: int, origin: tuple[int, int]) -> Squares:
+def _squares(
+    factor: NDArray[np.floating], largest: int, origin: tuple[int, int]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Divide the open tiles into the largest squares of open tiles of about the same cost.
 
-    Parameters
-    ----------
-    factor : float (rows, cols)
-        Cost per unit of length; inf where closed.
-    largest : int
-        Largest side, one of ``SQUARES``.
-    origin : (int, int)
-        Position of the array's first row and column in the grid of squares: crops of one map share their squares.
+    Returns row and column of the middle tile of each (n, 2), its side in tiles (n,), and the number of the square that
+    each tile lies in, -1 where closed; ``factor`` and ``origin`` as in `thin`.
     """
     before = origin[0] % largest, origin[1] % largest
     after = tuple(-(first + size) % largest for first, size in zip(before, factor.shape, strict=True))
@@ -341,7 +322,8 @@ def make_squares(factor: NDArray[np.floating], largest: int, origin: tuple[int, 
     numbers[node] = np.arange(len(node))
     rows, cols = factor.shape
     inside = np.where(is_open, numbers[middle], -1)[before[0] : before[0] + rows, before[1] : before[1] + cols]
-    return Squares(row.ravel()[node] - before[0], col.ravel()[node] - before[1], side.ravel()[node], inside)
+    place = np.column_stack([row.ravel()[node] - before[0], col.ravel()[node] - before[1]])
+    return place, side.ravel()[node], inside
 
 
 def _sides(factor: NDArray[np.floating], largest: int) -> NDArray[np.int64]:
@@ -357,28 +339,15 @@ def _sides(factor: NDArray[np.floating], largest: int) -> NDArray[np.int64]:
     return side
 
 
-def make_lattice(ground: FreeGround, largest: int, origin: tuple[int, int]) -> Lattice:
-    """Make the graph: nodes in squares and areas, edges where a straight line crosses only free pixels.
-
-    Only the connected part with most ground is kept: from each of its nodes there is a way to every other.
-
-    Parameters
-    ----------
-    ground : FreeGround
-    largest : int
-        Largest side of a square, one of ``SQUARES``.
-    origin : (int, int)
-        As in `make_squares`.
-    """
-    return _joined(ground, _Nodes.of(ground, _Areas.of(ground), largest, origin))
-
-
 @dataclass(frozen=True, slots=True)
 class _Nodes:
     """Squares of full tiles, then the other areas."""
 
     areas: _Areas
-    squares: Squares
+    side: NDArray[np.int64]
+    """(squares,) side of each square, tiles."""
+    number: NDArray[np.int64]
+    """(rows, cols) number of the square that each tile lies in; -1 where there is none."""
     place: NDArray[np.int64]
     """(n, 2) row and column of the node's pixel."""
     size: NDArray[np.int64]
@@ -393,28 +362,31 @@ class _Nodes:
         factor = np.full(ground.factor.shape, np.inf)
         at = tuple(areas.tile[is_full].T)
         factor[at] = ground.factor[at]
-        squares = make_squares(factor, largest, origin)
-        middle = np.column_stack([squares.row, squares.col]) * pixels + (pixels - 1) // 2
+        tile, side, number = _squares(factor, largest, origin)
+        middle = tile * pixels + (pixels - 1) // 2
         of_area = np.empty(len(is_full), np.int64)
-        of_area[is_full] = squares.number[at]
+        of_area[is_full] = number[at]
         of_area[~is_full] = len(middle) + np.arange((~is_full).sum())
-        size = np.concatenate([squares.side**2 * pixels**2, areas.size[~is_full]])
-        return cls(areas, squares, np.concatenate([middle, areas.place[~is_full]]), size, of_area)
+        size = np.concatenate([side**2 * pixels**2, areas.size[~is_full]])
+        return cls(areas, side, number, np.concatenate([middle, areas.place[~is_full]]), size, of_area)
 
     @property
     def is_small(self) -> NDArray[np.bool_]:
         """Say which nodes are an area or a square of one tile, (n,)."""
         small = np.ones(len(self.place), np.bool_)
-        small[: len(self.squares.side)] = self.squares.side == 1
+        small[: len(self.side)] = self.side == 1
         return small
 
 
-def _joined(ground: FreeGround, nodes: _Nodes) -> Lattice:
-    """Join nodes by edges."""
-    count, squares = len(nodes.place), len(nodes.squares.side)
+def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
+    """Join nodes, from `thin`, by edges where a straight line crosses only free pixels.
+
+    Only the connected part with most ground is kept: from each of its nodes there is a way to every other.
+    """
+    count, squares = len(nodes.place), len(nodes.side)
     pair = nodes.of_area[nodes.areas.pair]
     touching, at = np.unique(np.sort(pair, axis=1), axis=0, return_index=True)
-    beside = _others(np.column_stack(_pairs(nodes.squares.number, squares)), touching)
+    beside = _others(np.column_stack(_pairs(nodes.number, squares)), touching)
     near = _two_apart(np.concatenate([touching, beside]), nodes, 2 * ground.pixels)
     wanted = np.concatenate([touching, beside, near])
     cost = ground.line_costs(nodes.place[wanted[:, 0]], nodes.place[wanted[:, 1]])
@@ -437,7 +409,7 @@ def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, limit_px: int) -> NDArr
     one = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
     one += one.T
     first, second = (one @ one).tocoo().coords
-    kept = (first < second) & (second >= len(nodes.squares.side))
+    kept = (first < second) & (second >= len(nodes.side))
     first, second = first[kept], second[kept]
     apart = np.abs(nodes.place[first] - nodes.place[second]).max(axis=1, initial=0)
     found: NDArray[np.int64] = np.column_stack([first, second])[apart < limit_px].astype(np.int64)
@@ -480,7 +452,7 @@ class _Detours:
         """Return pixels from the node of an area to one of its pixels: the corners of a line over free pixels."""
         nodes, at = self._nodes, (int(end[0]), int(end[1]))
         node = int(nodes.of_area[area])
-        if node < len(nodes.squares.side):  # in a square all lines are free
+        if node < len(nodes.side):  # in a square all lines are free
             return [tuple(nodes.place[node].tolist()), at]
         if area not in self._before:
             self._before[area] = self._walk(nodes.areas.tile[area], tuple(nodes.place[node].tolist()))
@@ -512,7 +484,7 @@ def _largest_part(
     """Leave out what is not connected with the largest part."""
     count, bends = len(place), len(place) - len(nodes.size)
     size = np.append(nodes.size, np.zeros(bends, np.int64))
-    side = np.append(nodes.squares.side, np.zeros(count - len(nodes.squares.side), np.int64))
+    side = np.append(nodes.side, np.zeros(count - len(nodes.side), np.int64))
     graph = coo_array((np.ones(len(ends)), ends.T), shape=(count, count))
     _, part = connected_components(graph, directed=False)
     kept = part == np.bincount(part, weights=size, minlength=1).argmax()
@@ -584,14 +556,14 @@ def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
         vehicle, grid = area.route_map.vehicle, area.route_map.grid
         corners = corners_join(vehicle.width_m, vehicle.reach_m, grid.pixel_size)
         ground = FreeGround(factor, grid.pixels, partial(_free_pixels, area), corners)
-        every, nodes = _thin(ground, every, origin)
+        every, nodes = thin(ground, every, origin)
         if len(nodes.place) > _MAX_NODES:
             larger = f"Pass a larger one, up to {SQUARES[-1]}, or crop" if every < SQUARES[-1] else "Crop"
             raise BadInputError(
                 f"the graph would have {len(nodes.place):,} nodes with `every={every}`; it may have {_MAX_NODES:,}. "
                 f"{larger} the area with `around` and `radius`"
             )
-        lattice = _joined(ground, nodes)
+        lattice = join(ground, nodes)
     if not len(lattice.cost):
         raise BadInputError(
             f"no two nodes are connected: {len(nodes.place)} of the area, with `every={every}`. Choose another area, "
@@ -608,7 +580,17 @@ def _free_pixels(area: ExportArea, rows: slice, cols: slice) -> NDArray[np.bool_
     return area.route_map.passage(part)
 
 
-def _thin(ground: FreeGround, every: int | None, origin: tuple[int, int]) -> tuple[int, _Nodes]:
+def thin(ground: FreeGround, every: int | None, origin: tuple[int, int]) -> tuple[int, _Nodes]:
+    """Place nodes in the squares and areas of some ground; return the side of the largest square, and the nodes.
+
+    Parameters
+    ----------
+    ground : FreeGround
+    every : int, optional
+        As in `make_graph`.
+    origin : (int, int)
+        Position of the first row and column of tiles in the grid of squares: crops of one map share their squares.
+    """
     areas = _Areas.of(ground)
     for side in SQUARES if every is None else (every,):
         nodes = _Nodes.of(ground, areas, side, origin)

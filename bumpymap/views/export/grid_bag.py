@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     NOT_TRAVERSABLE,
     ClassedSectors,
+    Frame,
     GridSettings,
     OutputError,
     PolarCells,
@@ -28,7 +29,6 @@ from bumpymap.core import (
     cell_numbers,
     remove_path,
 )
-from bumpymap.layers import Frame
 from bumpymap.views.export.gridmap import GRID_MAP, grid_map_message, require_rosbags, typestore
 
 __all__ = ["GridBag", "GroundGrid", "check_bag_file", "sector_occupancy"]

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from bumpymap.core import CANOPY, NO_CLASS, OutputError, UsageError, atomic, remove_path, write_remedy
 from bumpymap.layers import common_window, require_written
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
+from bumpymap.views.page.tiles import block_means
 from bumpytiles import TileWindow
 
 __all__ = [
@@ -83,20 +84,12 @@ def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]
     heights = area.route_map.heights(window)
     layers = {"c_r": field.c_r, "p_fail": field.p_fail, "class": _classes(area, window)}
     if area.split == 1:
-        return layers | {"elevation": _tile_means(heights, area.route_map.grid.pixels), "obstacle": field.obstacle}
+        means = block_means(heights, (window.rows, window.cols))
+        return layers | {"elevation": means, "obstacle": field.obstacle}
     objects = area.route_map.objects(window)
     state = np.where(objects > CANOPY, np.nan, objects).astype(np.float32)
     fine = {name: by_pixel(layer, area.split) for name, layer in layers.items()}
     return fine | {"elevation": heights, "obstacle": state}
-
-
-def _tile_means(heights: NDArray[np.float32], pixels: int) -> NDArray[np.float32]:
-    """Return the mean of the known heights of each tile, m; NaN if there is none."""
-    rows, cols = heights.shape[0] // pixels, heights.shape[1] // pixels
-    tiles = heights.reshape(rows, pixels, cols, pixels)
-    known = np.isfinite(tiles).sum(axis=(1, 3))
-    total = np.nansum(tiles, axis=(1, 3), dtype=np.float64)
-    return np.where(known > 0, total / np.maximum(known, 1), np.nan).astype(np.float32)
 
 
 def _classes(area: ExportArea, window: TileWindow) -> NDArray[np.float32]:

@@ -5,13 +5,12 @@ robots, and held by the tests.
 """
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from bumpymap.core import NO_TILE, BadInputError, Barred, RouteVehicle
 from bumpymap.views.export.area import (
@@ -33,7 +32,7 @@ from bumpymap.views.export.area import (
 )
 from bumpymap.views.page.page import render_text
 
-__all__ = ["Nav2Grids", "make_grids", "params_text", "travel_multiplier", "write_nav2"]
+__all__ = ["make_grids", "params_text", "travel_multiplier"]
 
 _COSTMAP_LETHAL, _SMAC_FULL = 254, 252
 """Cost of a lethal cell of a costmap; the cost by which Smac planners divide."""
@@ -68,22 +67,8 @@ _MAX_CELLS = 100_000_000
 _BANDS = ("c_r", "p_fail")
 
 
-@dataclass(frozen=True, slots=True)
-class Nav2Grids:
-    """The three images, uint8 (rows, cols) each, north row first."""
-
-    cost: NDArray[np.uint8]
-    keepout: NDArray[np.uint8]
-    speed: NDArray[np.uint8]
-    scale: CostScale
-    comfort: float
-    """Most pitch motion, rad/s."""
-    tiles: dict[str, int]
-    """Tiles in the area: passable, barred, unknown."""
-
-
-def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2Grids:
-    """Make the images of an area.
+def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Callable[[Path], dict[str, Any]]:
+    """Make the images of an area, and return what writes the files and says what the sidecar file says of them.
 
     Parameters
     ----------
@@ -120,7 +105,27 @@ def make_grids(area: ExportArea, comfort: float, max_cost: float | None) -> Nav2
         for cells, values in ((cost, cost_values(opened, scale)), (keepout, keepout_values(opened))):
             cells[lines][between] = by_pixel(values, area.split)[between]
         speed[lines] = by_pixel(coarse[2], area.split)
-    return Nav2Grids(cost, keepout, speed, scale, comfort, tiles)
+    images = {"map": cost, "keepout_mask": keepout, "speed_mask": speed}
+    vehicle = area.route_map.vehicle
+    about = {
+        "cost": {
+            "value_0": 1.0,
+            f"value_{TOP_VALUE}": scale.max_cost,
+            "unit": "cost per metre of level, smooth and safe ground",
+        },
+        "speed": {"comfort_rad_per_s": comfort, "value_100_m_per_s": vehicle.speed_mps},
+        "tiles": tiles,
+    }
+
+    def write(folder: Path) -> dict[str, Any]:
+        for name, cells in images.items():
+            header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
+            write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
+            write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
+        write_file(folder / "nav2_params.yaml", params_text(vehicle, scale, area.resolution).encode())
+        return about
+
+    return write
 
 
 def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
@@ -134,25 +139,6 @@ def _survey(area: ExportArea) -> tuple[float, dict[str, int]]:
         there = np.count_nonzero(field.barred != NO_TILE)
         counts += passable, there - passable - unknown, unknown
     return highest, dict(zip(("passable", "barred", "unknown"), map(int, counts), strict=True))
-
-
-def write_nav2(folder: Path, area: ExportArea, grids: Nav2Grids) -> dict[str, Any]:
-    """Write the files, and return what the sidecar file says of them."""
-    for name, cells in (("map", grids.cost), ("keepout_mask", grids.keepout), ("speed_mask", grids.speed)):
-        header = f"P5\n{cells.shape[1]} {cells.shape[0]}\n255\n"
-        write_file(folder / f"{name}.pgm", header.encode(), cells.tobytes())
-        write_file(folder / f"{name}.yaml", "".join(_map_yaml(f"{name}.pgm", area)).encode())
-    vehicle = area.route_map.vehicle
-    write_file(folder / "nav2_params.yaml", params_text(vehicle, grids.scale, area.resolution).encode())
-    return {
-        "cost": {
-            "value_0": 1.0,
-            f"value_{TOP_VALUE}": grids.scale.max_cost,
-            "unit": "cost per metre of level, smooth and safe ground",
-        },
-        "speed": {"comfort_rad_per_s": grids.comfort, "value_100_m_per_s": vehicle.speed_mps},
-        "tiles": grids.tiles,
-    }
 
 
 def _map_yaml(image: str, area: ExportArea) -> Iterator[str]:

@@ -30,17 +30,16 @@ from bumpymap.layers import (
 )
 from bumpymap.views.export.area import (
     ExportArea,
-    ExportPoint,
     choose_area,
     write_pixel_cost,
 )
 from bumpymap.views.export.graph import make_graph, write_graph
 from bumpymap.views.export.gridmap import make_layers, require_rosbags, write_gridmap
-from bumpymap.views.export.nav2 import make_grids, write_nav2
+from bumpymap.views.export.nav2 import make_grids
 from bumpymap.views.export.settings import ExportSettings
 from bumpytiles import TileWindow
 
-__all__ = ["Export", "Mission", "export_map", "make_mission", "read_route_line", "write_plan"]
+__all__ = ["Export", "export_map", "make_plan", "read_route_line"]
 
 _WAYPOINT = 16
 """MAV_CMD_NAV_WAYPOINT."""
@@ -49,21 +48,6 @@ _RELATIVE = 3
 _ARDUPILOT, _ROVER = 3, 10
 """MAV_AUTOPILOT_ARDUPILOTMEGA, MAV_TYPE_GROUND_ROVER."""
 _MOST_WAYPOINTS = 10_000
-
-
-@dataclass(frozen=True, slots=True)
-class Mission:
-    """Waypoints on the ground."""
-
-    longitude: NDArray[np.float64]
-    """(n,) degrees, WGS 84."""
-    latitude: NDArray[np.float64]
-    """(n,) degrees."""
-    home_z: float
-    """Height of the ground at the first waypoint, m; 0 if unknown."""
-    speed_mps: float
-    obstacle_m: float
-    """Length on which the vehicle touches obstacles, m."""
 
 
 def read_route_line(path: Path, *, through_obstacles: bool = False) -> tuple[NDArray[np.float64], float]:
@@ -117,8 +101,8 @@ def _first_line(path: Path) -> tuple[NDArray[np.float64], float]:
     raise ValueError("it holds no line")
 
 
-def make_mission(route_map: MapReader, line: NDArray[np.float64], obstacle_m: float) -> Mission:
-    """Make a mission of a line over a map.
+def make_plan(route_map: MapReader, line: NDArray[np.float64]) -> dict[str, Any]:
+    """Make a mission on the ground along a line over a map, as the JSON of a plan of QGroundControl.
 
     Parameters
     ----------
@@ -126,8 +110,6 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64], obstacle_m: fl
         Gives the speed, and the height of the ground at the start.
     line : float64 (n, 2)
         Longitude and latitude of its corners, degrees.
-    obstacle_m : float
-        Length on which it touches obstacles, m.
 
     Raises
     ------
@@ -150,22 +132,8 @@ def make_mission(route_map: MapReader, line: NDArray[np.float64], obstacle_m: fl
             f"point {number + 1} of the route, {line[number, 0]:.7f},{line[number, 1]:.7f}, lies outside of the map. "
             "Give the layers that the route was planned on"
         )
-    height = _ground(route_map, float(easting[0]), float(northing[0]))
-    return Mission(line[:, 0], line[:, 1], height, route_map.vehicle.speed_mps, obstacle_m)
-
-
-def _ground(route_map: MapReader, easting: float, northing: float) -> float:
-    """Return the mean height of the tile at a place, m; 0 if unknown."""
-    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
-    heights = route_map.heights(TileWindow(col, row, 1, 1))
-    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
-
-
-def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
-    """Write route.plan, and return what the sidecar file says of it."""
-    places = list(zip(mission.latitude.tolist(), mission.longitude.tolist(), strict=True))
-    items = [_item(number, *place) for number, place in enumerate(places, start=1)]
-    record = {
+    places, speed = line[:, ::-1].tolist(), route_map.vehicle.speed_mps
+    return {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",
@@ -175,16 +143,20 @@ def write_plan(folder: Path, mission: Mission) -> dict[str, Any]:
             "version": 2,
             "firmwareType": _ARDUPILOT,
             "vehicleType": _ROVER,
-            "cruiseSpeed": mission.speed_mps,
-            "hoverSpeed": mission.speed_mps,
+            "cruiseSpeed": speed,
+            "hoverSpeed": speed,
             "globalPlanAltitudeMode": 1,
-            "plannedHomePosition": [*places[0], mission.home_z],
-            "items": items,
+            "plannedHomePosition": [*places[0], _ground(route_map, float(easting[0]), float(northing[0]))],
+            "items": [_item(number, *place) for number, place in enumerate(places, start=1)],
         },
     }
-    write_manifest(record, folder / "route.plan")
-    about = {"waypoints": len(items), "speed_m_per_s": mission.speed_mps}
-    return {"plan": about | ({"obstacle_m": mission.obstacle_m} if mission.obstacle_m > 0.0 else {})}
+
+
+def _ground(route_map: MapReader, easting: float, northing: float) -> float:
+    """Return the mean height of the tile at a place, m; 0 if unknown."""
+    (col,), (row,) = (route_map.grid.index(np.array([value])).tolist() for value in (easting, northing))
+    heights = route_map.heights(TileWindow(col, row, 1, 1))
+    return round(float(np.nanmean(heights)), 2) if np.isfinite(heights).any() else 0.0
 
 
 def _item(number: int, latitude: float, longitude: float) -> dict[str, Any]:
@@ -281,7 +253,7 @@ def export_map(
     folder = Path(out)
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
     split = route_map.grid.pixels if by_pixels else 1
-    area = choose_area(route_map, split, _point(settings.around), settings.radius, _point(settings.datum))
+    area = choose_area(route_map, split, settings.around, settings.radius, settings.datum)
     if settings.to != "plan":
         check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
@@ -297,10 +269,6 @@ def export_map(
     return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
 
 
-def _point(place: tuple[float, float] | None) -> ExportPoint | None:
-    return None if place is None else ExportPoint(*map(float, place))
-
-
 def _sources(route_map: MapReader) -> dict[str, Any]:
     vehicle = route_map.vehicle
     return {
@@ -310,22 +278,30 @@ def _sources(route_map: MapReader) -> dict[str, Any]:
     }
 
 
-def _mission(route_map: MapReader, settings: ExportSettings) -> Mission:
+def _plan(route_map: MapReader, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
+    """Make a mission of a route, and return what writes it."""
     route = settings.route or route_map.sheets[0].folder
     path = route / "route.geojson" if route.is_dir() else route
     if not path.exists():
         raise BadInputError(
             f"there is no {path}. Plan a route first: `bumpymap route`, then pass the folder that it wrote with `route`"
         )
-    return make_mission(route_map, *read_route_line(path, through_obstacles=settings.through_obstacles))
+    line, touched = read_route_line(path, through_obstacles=settings.through_obstacles)
+    plan = make_plan(route_map, line)
+    about = {"waypoints": len(line), "speed_m_per_s": route_map.vehicle.speed_mps}
+
+    def write(folder: Path) -> dict[str, Any]:
+        write_manifest(plan, folder / "route.plan")
+        return {"plan": about | ({"obstacle_m": touched} if touched > 0.0 else {})}
+
+    return write
 
 
 def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
     """Make everything that a folder will hold, and return what writes it."""
     match settings.to:
         case "nav2":
-            grids = make_grids(area, settings.comfort, settings.max_cost)
-            return lambda folder: write_nav2(folder, area, grids)
+            return make_grids(area, settings.comfort, settings.max_cost)
         case "gridmap":
             require_rosbags()
             layers = make_layers(area)
@@ -334,7 +310,6 @@ def _made(area: ExportArea, settings: ExportSettings) -> Callable[[Path], dict[s
             lattice, every = make_graph(area, settings.every)
             return lambda folder: write_graph(folder, area, lattice, every)
         case "plan":
-            mission = _mission(area.route_map, settings)
-            return lambda folder: write_plan(folder, mission)
+            return _plan(area.route_map, settings)
         case "cost":
             return lambda folder: write_pixel_cost(folder, area)

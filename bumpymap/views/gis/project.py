@@ -141,7 +141,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
         The project cannot be written, or a layer cannot be read.
     """
     tree, crs = _Tree(folder), _horizontal_crs(record)
-    groups, styles = _groups(tree, speeds_of(record)), map_styles(folder, record, layered=True)
+    groups, styles = _groups(tree, speeds_of(record)), map_styles(record, layered=True)
     raster = next((layer for layer in tree.layers if layer["is_raster"]), None)  # all have the same extent
     write_qgis(
         folder / _NAME,

@@ -7,8 +7,6 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
 from bumpymap.core import (
     BANDS,
     BARRED_TEXT,
@@ -36,7 +34,6 @@ from bumpymap.layers import (
     REASON_COLOURS,
     RideScale,
     class_limits,
-    open_layer,
     raster_in,
 )
 from bumpymap.views.page.page import render_text
@@ -176,8 +173,6 @@ def write_check_style(path: Path) -> None:
     write_qgis(path, "style.xml", pixels=None, vectors=_vectors("off", looks, '"explained" = false'))
 
 
-_SAMPLE = 512
-"""Most rows and columns of roughness.tif to read where the record has no limits of the classes."""
 _PALE = 0.6
 """Opacity of the relief under other layers, so that colours over it stay those of their legend."""
 _GREY = (*BARRED_COLOURS[Barred.UNKNOWN][:3], 180)
@@ -211,13 +206,10 @@ def _setting(record: Mapping[str, Any], name: str) -> Any:
     return settings.get(name) if isinstance(settings, Mapping) else getattr(settings, name, None)
 
 
-def _ride_stops(folder: Path, record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
-    """Return the colours of c_r with their labels; c_r of the layer is read only if there are no limits of classes."""
-    limits, sample = class_limits(record), np.empty(0)
-    if not limits:  # from an overview if the raster is large
-        with open_layer(raster_in(folder, "roughness.tif")) as raster:
-            sample = raster.read(1, out_shape=(min(raster.height, _SAMPLE), min(raster.width, _SAMPLE)))
-    anchors = RideScale.of(record, sample).anchors
+def _ride_stops(record: Mapping[str, Any]) -> list[tuple[float, str, _Colour]]:
+    """Return the colours of c_r with their labels."""
+    limits = class_limits(record)
+    anchors = RideScale.of(record).anchors
     labels = [f"{anchor:.3g} rad/m" for anchor in anchors]
     if limits:
         labels = [f"{text} ({name})" for name, text in zip(CLASS_NAMES, _intervals(limits), strict=True)]
@@ -226,13 +218,11 @@ def _ride_stops(folder: Path, record: Mapping[str, Any]) -> list[tuple[float, st
     ]
 
 
-def map_styles(folder: Path, record: Mapping[str, Any], *, layered: bool = False) -> dict[str, Style]:
+def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str, Style]:
     """Return how QGIS shows each layer of a map.
 
     Parameters
     ----------
-    folder : Path
-        The layers.
     record : mapping
         The record of the run, as in run.json.
     layered : bool
@@ -244,13 +234,8 @@ def map_styles(folder: Path, record: Mapping[str, Any], *, layered: bool = False
     dict
         By name of the file; what else a project shows of one, by its name and a part: ``roughness.tif p_fail``, the
         tiles where at least half of the drives fail, and of speeds.tif the C_r at each speed, ``speeds.tif 0.5``.
-
-    Raises
-    ------
-    OutputError
-        roughness.tif cannot be read.
     """
-    labels, stops, speeds = class_labels(record), _ride_stops(folder, record), speeds_of(record)
+    labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
     units = record.get("metres_per_unit")
     metres = units.get("horizontal") if isinstance(units, Mapping) else None
     relief = _relief(1.0 / metres if isinstance(metres, int | float) and metres > 0 else 1.0, _PALE if layered else 1.0)
@@ -305,10 +290,10 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     Raises
     ------
     OutputError
-        A style cannot be written, or roughness.tif cannot be read.
+        A style cannot be written.
     """
     found: dict[str, dict[str, Style]] = {}
-    for layer, style in map_styles(folder, record).items():
+    for layer, style in map_styles(record).items():
         if " " not in layer and raster_in(folder, layer).is_file():
             found.setdefault(Path(layer).stem, {})["vectors" if "looks" in style else "pixels"] = style
     for stem, parts in found.items():

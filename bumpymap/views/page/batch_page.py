@@ -19,6 +19,7 @@ from bumpymap.layers import (
     read_averaged,
 )
 from bumpymap.views.page.page import render_page
+from bumpymap.views.pictures.drawing import LEVEL, light_of
 
 __all__ = ["SurveyView", "index_page", "read_thumbnail"]
 
@@ -34,8 +35,6 @@ _COLOURS = np.array(
 )
 """Of the classes, of the same where the ground is not passable, and of unknown ground."""
 _BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
-_LIGHT = (-0.5, 0.5, 0.7071)
-"""Towards the sun in the north-west, 45 degrees high: east, north, up."""
 _DARKEST, _BRIGHTEST = 0.45, 1.2
 _MOST_PIXELS = 20_000_000
 """Heights of a virtual raster to average."""
@@ -90,7 +89,8 @@ def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64
     unknown = (barred == Barred.UNKNOWN) | (class_id == NO_CLASS)
     kind = np.where(barred == Barred.NO, class_id, class_id + np.intp(_BARRED))
     kind = np.where(barred == NO_CLASS, _NOTHING, np.where(unknown, _UNKNOWN, kind)).astype(np.intp)
-    return kind, _shade(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+    light = light_of(_heights(folder, shape), (high / shape[0], wide / shape[1]))
+    return kind, np.clip(light / LEVEL, _DARKEST, _BRIGHTEST)
 
 
 def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
@@ -100,16 +100,6 @@ def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
         large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
         heights: NDArray[np.float64] = raster.read(1, out_shape=shape) if large else read_averaged(raster, shape)
     return heights
-
-
-def _shade(heights: NDArray[np.float64], pixel: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the brightness of the relief, 1 where it is level or not known."""
-    if min(heights.shape) < 2:
-        return np.ones(heights.shape)
-    down, east = np.gradient(heights, *pixel)
-    light = (_LIGHT[0] * -east + _LIGHT[1] * down + _LIGHT[2]) / np.sqrt(1.0 + east**2 + down**2)
-    shade = np.clip(light / _LIGHT[2], _DARKEST, _BRIGHTEST)
-    return np.where(np.isnan(shade), 1.0, shade)
 
 
 _ORDER: tuple[SurveyStatus, ...] = ("failed", "incomplete", "not reached", "done", "already done")

@@ -1,14 +1,13 @@
 """The page of what has changed between two surveys, from change.tif, change.geojson and their record."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -22,12 +21,11 @@ from bumpymap.core import (
     read_record,
     read_regular,
     shape_fault,
-    stated_crs,
 )
 from bumpymap.layers import CHANGE_COLOURS, COUNT, PLACE_SHAPE, open_layer, outline_of
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import jpeg
-from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, packed
+from bumpymap.views.page.tiles import ByteGrid, Spot, crs_name, map_metres, packed
 from bumpymap.views.words import area, number, share, shares, signed, survey_name, whole
 
 __all__ = ["NOT_COMPARED", "ChangeSite", "is_comparison", "read_comparison", "write_change_report"]
@@ -178,27 +176,15 @@ def _places(path: Path, record: Mapping[str, Any]) -> tuple[tuple[dict[str, Any]
     if len(features) != record["counts"]["regions"]:
         raise ValueError("change.geojson and change.json are not of one comparison")
     largest = sorted(features, key=lambda feature: (-int(feature["properties"]["tiles"]), int(feature["id"])))
-    degrees, crs = "local_coordinates" not in collection, record["crs"]
-    forward = None
-    if degrees and crs is not None:
-        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
-    unit = float(record["metres_per_unit"]["horizontal"])
-    return tuple(_placed(largest[:_MOST_PLACES], forward, unit)), degrees
-
-
-def _placed(features: list[Any], forward: Transformer | None, unit: float) -> Iterator[dict[str, Any]]:
-    for feature in features:
-        corners, where = outline_of(feature["geometry"])
-        if forward is not None:
-            corners = np.column_stack(forward.transform(corners[:, 0], corners[:, 1]))
-        corners = corners * unit
+    metres, places = map_metres(record), []
+    for one in largest[:_MOST_PLACES]:
+        corners, where = outline_of(one["geometry"])
+        corners = metres(corners)
         low, high = corners.min(axis=0), corners.max(axis=0)
         east, north = ((low + high) / 2).round(2).tolist()
-        width, height = (high - low).round(2).tolist()
-        if not math.isfinite(width + height):
-            raise ValueError("a place of change.geojson has no coordinates in the CRS")
-        about = {"name": str(int(feature["id"])), "about": feature["properties"], "where": where}
-        yield about | {"east": east, "north": north, "size": (width, height)}
+        about = {"name": str(int(one["id"])), "about": one["properties"], "where": where}
+        places.append(about | {"east": east, "north": north, "size": tuple((high - low).round(2).tolist())})
+    return tuple(places), "local_coordinates" not in collection
 
 
 def _still(kinds: NDArray[np.uint8], spot: Spot) -> str:

@@ -1,7 +1,5 @@
 """Drives that a map was checked against, as their page shows them."""
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,21 +8,17 @@ import numpy as np
 from bumpymap.core import (
     CLASS_NAMES,
     NO_CLASS,
-    CheckedDrive,
     CheckResult,
     MapAgreement,
 )
 from bumpymap.layers import MapOffset
 from bumpymap.views.page.charts import Chart, along_chart, drive_chart
 from bumpymap.views.words import (
-    DASH,
     check_headline,
-    drive_notes,
     metres,
     number,
     percent,
     skipped_words,
-    sorted_reasons,
     warnings_of,
 )
 
@@ -47,7 +41,7 @@ class DrawnCheck:
         return [chart for chart in (drive_chart(self.result), along_chart(self.result)) if chart is not None]
 
     def tables(self) -> dict[str, list[Any]]:
-        """Return the rows of the tables about drives, by what they hold, with their warnings and notes as texts."""
+        """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
         result = self.result
         entries = [("all", result.agreement)] if result.agreement is not None else []
         entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
@@ -55,9 +49,6 @@ class DrawnCheck:
             "warnings": [*skipped_words(result), *warnings_of(result)],
             "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
             "worst": _worst(result),
-            "drives": _sensors(result.drives),
-            "notes": drive_notes(result),
-            "left_out": [(reason, metres(length)) for reason, length in sorted_reasons(result)],
         }
 
     def places(self) -> list[dict[str, Any]]:
@@ -119,36 +110,3 @@ def _worst(result: CheckResult) -> list[tuple[str, ...]]:
         for at in order[:_WORST].tolist()
         if offset.is_off[at]
     ]
-
-
-def _sensors(drives: Sequence[CheckedDrive]) -> list[tuple[str, ...]]:
-    """Return what was found about each drive and its sensors: a row for each figure, a column for each drive."""
-    columns = [
-        (
-            f"{metres(drive.way_m)} in {drive.seconds:,.0f} s",
-            metres(drive.used_m),
-            number(drive.speed_mps, 2, " m/s"),
-            number(drive.rate_hz, 0, " Hz"),
-            number(drive.band_hz, 1, " Hz"),
-            number(drive.position_error_m, 2, " m"),
-            _clock(drive),
-            ", ".join(f"{angle:+.1f}°" if math.isfinite(angle) else DASH for angle in drive.mount_deg),
-            number(drive.floor_radps, 4, " rad/s"),
-        )
-        for drive in drives
-    ]
-    names = (
-        *("way", "of it counts", "median speed there", "rate of the IMU", "pitch rates kept up to"),
-        *("positions, standard deviation", "clock of the positions", "IMU in the vehicle: roll, pitch, yaw"),
-        "floor at standstill",
-    )
-    return list(zip(names, *columns, strict=True))
-
-
-def _clock(drive: CheckedDrive) -> str:
-    if not math.isfinite(drive.clock_offset_s):
-        return "not known"
-    text = f"{drive.clock_offset_s:+.3f} s"
-    if math.isfinite(drive.clock_offset_sd_s):
-        text += f" ± {drive.clock_offset_sd_s:.3f} s"
-    return f"{text}, {drive.clock_drift_ppm:+.0f} ppm" if math.isfinite(drive.clock_drift_ppm) else text

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
-from pyproj import Transformer
 from pyproj.exceptions import ProjError
 
 from bumpymap.core import (
@@ -24,7 +23,6 @@ from bumpymap.core import (
     Nullable,
     Number,
     shape_fault,
-    stated_crs,
 )
 from bumpymap.layers import (
     CLASS_COLOURS,
@@ -41,7 +39,18 @@ from bumpymap.layers import (
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
-from bumpymap.views.page.tiles import NO_POINTS, UNKNOWN_FROM, ByteGrid, PageTiles, Spot, crs_name, packed
+from bumpymap.views.page.tiles import (
+    NO_POINTS,
+    UNKNOWN_FROM,
+    ByteGrid,
+    PageTiles,
+    Spot,
+    block_means,
+    crs_name,
+    map_metres,
+    packed,
+)
+from bumpymap.views.pictures.drawing import LEVEL, light_of
 from bumpymap.views.words import survey_name
 
 __all__ = [
@@ -52,19 +61,12 @@ __all__ = [
     "object_grid",
     "read_heights",
     "read_ways",
-    "shade",
-    "tile_heights",
 ]
 
 _STRIP_PIXELS = 16_000_000
 """Most pixels of obstacle.tif to read at a time."""
-_NORTH_WEST = (-0.5, 0.5, 0.7071)
-"""Where the light comes from: east, north, up."""
-_TYPICAL = 0.35
-"""Slope, m per m, that the steepest tenth of the ground is exaggerated to."""
-_EXAGGERATION = (0.5, 6.0)
 _FLAT = 0.84
-"""Brightness where no height is known."""
+"""Brightness of level ground, and where no height is known."""
 _WORST = (FREE, CANOPY, UNKNOWN_OBJECT, OBSTACLE)
 """Order of the states in a pixel: each counts before those to its left."""
 _QUALITIES = (72, 55, 40, 25)
@@ -144,33 +146,6 @@ def _spans(start: int, count: int, step: int) -> list[tuple[int, int, int]]:
         pixels = max(1, (last - first) // step)
         parts.append((first, pixels, (last - first) // pixels))
     return parts
-
-
-def tile_heights(heights: NDArray[np.float32], spot: Spot) -> NDArray[np.float32]:
-    """Return mean heights on the page's grid, (rows, cols), NaN where there is none."""
-    rows, cols = spot.shape
-    blocks = heights.reshape(rows, heights.shape[0] // rows, cols, heights.shape[1] // cols)
-    known = np.isfinite(blocks)
-    count = known.sum(axis=(1, 3))
-    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
-    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
-
-
-def shade(heights: NDArray[np.float32], metres: float) -> NDArray[np.uint8]:
-    """Return how bright the light from the north-west leaves each pixel of ``metres``, 0 to 255."""
-    if min(heights.shape) < 2:
-        return np.full(heights.shape, round(255 * _FLAT), np.uint8)
-    down, east = (np.asarray(np.gradient(heights, metres, axis=axis), np.float32) for axis in (0, 1))
-    steep: NDArray[np.float32] = np.hypot(east[::3, ::3], down[::3, ::3])
-    few = steep[np.isfinite(steep)]
-    typical = float(np.quantile(few, 0.9)) if len(few) else _TYPICAL
-    factor = np.float32(np.clip(_TYPICAL / max(typical, 1e-6), *_EXAGGERATION))
-    east *= factor
-    down *= factor
-    light = (-_NORTH_WEST[0] * east + _NORTH_WEST[1] * down + _NORTH_WEST[2]) / np.sqrt(1 + east * east + down * down)
-    bright = np.nan_to_num(np.clip(light * (_FLAT / _NORTH_WEST[2]), 0.15, 1.0), nan=_FLAT)
-    picture: NDArray[np.uint8] = np.rint(bright * 255).astype(np.uint8)
-    return picture
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
@@ -277,29 +252,13 @@ def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
 
 
 def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
-    metres = _placer(record)
+    metres = map_metres(record)
     for geometry, about in geojson_features(path)[0]:
         if geometry["type"] in {"LineString", "MultiLineString"}:
             if fault := shape_fault(about, _WAY_SHAPE):
                 raise ValueError(fault)
-            yield DrawnWay(about.get("name") or "way", tuple(map(metres, line_parts(geometry))), about)
-
-
-def _placer(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return how positions of route.geojson become metres of the map's grid, (n, 2)."""
-    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
-    forward = None
-    if crs is not None:
-        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
-
-    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
-        if forward is not None:
-            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
-        if not np.isfinite(part).all():
-            raise ValueError("a position has no coordinates in the CRS of the map")
-        return np.round(part * unit, _DECIMALS)
-
-    return metres
+            lines = tuple(np.round(metres(part), _DECIMALS) for part in line_parts(geometry))
+            yield DrawnWay(about.get("name") or "way", lines, about)
 
 
 _BUDGET = 1_700_000
@@ -388,12 +347,14 @@ class Site:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
             heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
-            grids = _grids(tiles, tile_heights(heights, spot))
+            grids = _grids(tiles, block_means(heights, spot.shape))
             taken = sum(len(packed(grid.codes)) for grid in grids)
             if taken < 0.7 * budget or max(spot.shape) < 100:
                 break
             step *= 2
-        light = shade(heights, spot.metres * spot.shape[0] / heights.shape[0])
+        side_m = spot.metres * spot.shape[0] / heights.shape[0]
+        bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
+        light = np.rint(bright * 255).astype(np.uint8)
         relief = jpeg(light, int(0.2 * budget))
         side = _SIDE
         while True:
@@ -473,11 +434,6 @@ class Site:
         """Return the histograms of the ride cost and of the slope."""
         ride = c_r_chart(self.tiles.c_r_bins, class_limits(self.record) or ())
         return ride, slope_chart(self.tiles.slope_bins, self.record["cost"]["slope_limit_deg"])
-
-    @property
-    def rounding(self) -> str:
-        """How far shown values may be from those in the layers."""
-        return "; ".join(grid.rounding for grid in self.grids if grid.is_known)
 
     def map_record(self) -> dict[str, Any]:
         """Return what the script of the page needs, as plain JSON."""

@@ -3,7 +3,7 @@
 import base64
 import math
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
@@ -11,8 +11,9 @@ from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import Transformer
 
-from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason
+from bumpymap.core import FREE, NO_CLASS, OBSTACLE, BadInputError, Barred, CostRule, Reason, stated_crs
 from bumpymap.layers import UNKNOWN_OBJECT, open_layer, raster_in, read_tiles, sheets_of
 
 __all__ = [
@@ -24,7 +25,9 @@ __all__ = [
     "ByteGrid",
     "PageTiles",
     "Spot",
+    "block_means",
     "crs_name",
+    "map_metres",
     "packed",
 ]
 
@@ -82,19 +85,6 @@ class ByteGrid:
         return cls(*about, scale, low, step, codes)
 
     @property
-    def rounding(self) -> str:
-        """How far a shown value may be from the one in the layers."""
-        if not self.is_known:
-            return f"{self.label}: no value"
-        if self.scale == "log":
-            return f"{self.label} ±{100 * math.expm1(self.step / 2):.2g} %"
-        unit = f" {self.unit}" if self.unit not in {"", "°"} else self.unit
-        if self.scale == "root":  # most where values are largest
-            most = max(abs(self.low), abs(self.low + _STEPS * self.step))
-            return f"{self.label} at most ±{self.step * most:.1g}{unit}"
-        return f"{self.label} ±{self.step / 2:.2g}{unit}"
-
-    @property
     def is_known(self) -> bool:
         """True if it has a value anywhere."""
         return bool((self.codes != NOT_KNOWN).any())
@@ -102,18 +92,9 @@ class ByteGrid:
     def words(self) -> list[str]:
         """Return the least value of the scale, that in its middle, and the largest, with their unit."""
         ends = [self.low + self.step * part * _STEPS for part in (0.0, 0.5, 1.0)]
-        values = [float(self._value(np.array(round(end, 12)))) + 0.0 for end in ends]
+        plain = {"log": math.exp, "root": lambda root: root * abs(root)}.get(self.scale, float)
+        values = [plain(round(end, 12)) + 0.0 for end in ends]
         return [f"{value:.{self.decimals}f}{self.unit and f' {self.unit}'}" if value else "0" for value in values]
-
-    def values(self) -> NDArray[np.float64]:
-        """Return what the page shows, NaN where unknown."""
-        plain = self.low + self.step * self.codes.astype(np.float64)
-        return np.where(self.codes == NOT_KNOWN, np.nan, self._value(plain))
-
-    def _value(self, plain: NDArray[np.float64]) -> NDArray[np.float64]:
-        if self.scale == "linear":
-            return plain
-        return np.asarray(np.exp(plain) if self.scale == "log" else plain * np.abs(plain))
 
     def record(self) -> dict[str, Any]:
         """Return the grid as plain JSON."""
@@ -204,6 +185,36 @@ class Spot:
             for size in self.shape
         )
         return down[:, None], right[None, :]
+
+
+def block_means(values: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.float32]:
+    """Return the means of what is known in each of ``shape`` blocks of an array; NaN where nothing is."""
+    rows, cols = shape
+    blocks = values.reshape(rows, values.shape[0] // rows, cols, values.shape[1] // cols)
+    known = np.isfinite(blocks)
+    count = known.sum(axis=(1, 3))
+    total = np.where(known, blocks, np.float32(0)).sum(axis=(1, 3), dtype=np.float64)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32)
+
+
+def map_metres(record: Mapping[str, Any]) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return how positions of GeoJSON, (n, 2), become metres of the grid of a map or a comparison.
+
+    It raises ValueError for a position without coordinates in the CRS.
+    """
+    crs, unit = record.get("crs"), float(record["metres_per_unit"]["horizontal"])
+    forward = None
+    if crs is not None:
+        forward = Transformer.from_crs("OGC:CRS84", stated_crs(crs["wkt"]).to_2d(), always_xy=True)
+
+    def metres(part: NDArray[np.float64]) -> NDArray[np.float64]:
+        if forward is not None:
+            part = np.column_stack(forward.transform(part[:, 0], part[:, 1]))
+        if not np.isfinite(part).all():
+            raise ValueError("a position has no coordinates in the CRS of the map")
+        return part * unit
+
+    return metres
 
 
 def crs_name(record: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ __all__ = [
     "FAINT",
     "HATCH",
     "INK",
+    "LEVEL",
     "NO_DATA",
     "UNKNOWN_SHADE",
     "Colour",
@@ -33,6 +34,7 @@ __all__ = [
     "draw_scale",
     "font",
     "hatched",
+    "light_of",
     "paint_ground",
     "shortened",
     "tick_step",
@@ -159,6 +161,8 @@ _DARKEST = (0.45, 0.62)
 """Brightness of ground that faces away from the light: passable, and other ground, which stays in the background."""
 _TYPICAL_GRADIENT = 0.35
 _EXAGGERATION = (0.5, 6.0)
+LEVEL = math.sqrt(0.5)
+"""Brightness of level ground; see `light_of`."""
 _GAPS = (1, 3, 7)
 """Half widths of the boxes from which holes in the relief are filled, pixels."""
 
@@ -225,7 +229,7 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
     """
     barred, c_r = _sample(source, view)
     passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & _fits(source, view)
-    scale = RideScale.of(next(iter(source.manifests), {}), c_r[passable])
+    scale = RideScale.of(next(iter(source.manifests), {}))
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
     colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
@@ -284,19 +288,39 @@ def _shade(source: MapSource, view: MapView) -> NDArray[np.float64]:
     window, grid = view.window(), view.grid
     shape, place = _finest(view)
     heights = _fill(source.relief(window, shape).astype(np.float64))
-    down, right = (np.gradient(heights, axis=axis) if heights.shape[axis] > 1 else heights * 0.0 for axis in (0, 1))
-    # m per m; rows and columns may differ a little in size, since both are whole numbers
-    east = right / (window.cols * grid.tile_size / shape[1])
-    north = -down / (window.rows * grid.tile_size / shape[0])
+    # rows and columns may differ a little in size, since both are whole numbers
+    down, right = window.rows * grid.tile_size / shape[0], window.cols * grid.tile_size / shape[1]
+    return np.asarray(light_of(heights, (down, right))[place], dtype=np.float64)
+
+
+def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:
+    """Return how bright the light from the north-west, 45 degrees up, leaves the ground.
+
+    Parameters
+    ----------
+    heights : float (rows, cols)
+        m, north row first; NaN where unknown. Slopes are exaggerated until the steepest tenth looks like hills.
+    pixel : tuple of float
+        Sides of a pixel down and to the right, m.
+
+    Returns
+    -------
+    float64 (rows, cols)
+        0 to 1; ``LEVEL`` where the ground is level or not known.
+    """
+    down, east = (
+        np.gradient(heights, axis=axis) / side if heights.shape[axis] > 1 else heights * 0.0
+        for axis, side in enumerate(pixel)
+    )
+    north = -down
     steepness = np.hypot(east, north)
     known = steepness[np.isfinite(steepness)]
     typical = float(np.quantile(known, 0.9)) if len(known) else _TYPICAL_GRADIENT
     factor = np.clip(_TYPICAL_GRADIENT / max(typical, 1e-6), *_EXAGGERATION)
     east, north = east * factor, north * factor
-    # Normal (-east, -north, 1) on the light (-1, 1, sqrt(2)) / 2 from the north-west, 45 degrees up; flat ground: 0.71.
+    # Normal (-east, -north, 1) on the light (-1, 1, sqrt(2)) / 2; flat ground: 0.71.
     light = (east - north + np.sqrt(2.0)) / 2 / np.sqrt(1 + east**2 + north**2)
-    light = np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), np.sqrt(0.5))
-    return np.asarray(light[place], dtype=np.float64)
+    return np.asarray(np.where(np.isfinite(light), np.clip(light, 0.0, 1.0), LEVEL), dtype=np.float64)
 
 
 def _fill(heights: NDArray[np.float64]) -> NDArray[np.float64]:

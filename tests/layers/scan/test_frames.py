@@ -10,7 +10,7 @@ import shapely
 from hypothesis import given, strategies as st
 from ply_files import read_vertices
 
-from bumpymap.core import FrameSource, PolarSettings, point_classes, sector_bounds
+from bumpymap.core import Frame, PolarSettings, point_classes, sector_bounds
 from bumpymap.layers import name_frames, write_frame
 from bumpymap.layers.scan_folder import SCAN_CLASS_NAMES, SCAN_COLOURS
 from bumpymap.layers.scan_frame import write_cloud, write_polygons
@@ -129,7 +129,7 @@ def test_a_scan_without_points_has_empty_files(nothing, tmp_path):
 @given(st.lists(st.from_regex(r"\A(f[0-3]|[Aa]|00000[0-2]_a)(\.(ply|bin))\Z"), min_size=1, max_size=8))
 def test_no_two_frames_have_one_name_on_any_disk(names):
     paths = [Path(f"run{number}") / name for number, name in enumerate(names)]
-    frames = name_frames([FrameSource(path) for path in paths])
+    frames = name_frames([Frame(path) for path in paths])
     assert len({frame.name.casefold() for frame in frames}) == len(paths)
     assert [frame.path for frame in frames] == paths
     stems = [path.stem for path in paths]

@@ -51,11 +51,6 @@ class Deadly:
             Path(self.mark).touch()
             os.kill(os.getpid(), signal.SIGKILL)
         return self.work(points, ground_only)
-
-def fail(number):
-    if number == 5:
-        raise ValueError("five")
-    return number * number
 '''
 
 
@@ -199,24 +194,6 @@ def test_bad_files_are_skipped_with_the_same_words(surveys, tmp_path, here, monk
     assert records[0]["skipped"].keys() == records[1]["skipped"].keys()
     for key in ("inputs", "points", "ground_only"):
         assert records[0][key] == records[1][key], key
-
-
-def test_parts_of_which_no_point_counts_are_no_fault(surveys, tmp_path, here):
-    """As long as others of the survey count; where none does, all are named, with the sum of their points."""
-    side = np.linspace(0.5, 59.5, 250)
-    x, y = (axis.ravel() for axis in np.meshgrid(side, side))
-    columns = (x + 500_001, y + 4_000_002, np.full(x.size, 9.0), np.full(x.size, 7, np.uint8))
-    noise = [write_part(tmp_path / name, columns, slice(None), (500_000, 4_000_000, 0)) for name in ("n.las", "m.laz")]
-    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
-        result = run("map", surveys / "c.las", *noise, "--out", tmp_path / name, *extra)
-        assert result.exit_code == 0, result.output
-    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
-    words = ("map", *noise, "--out", tmp_path / "none", "--skip-bad")
-    refused = [run(*words), run(*words, "--set", "scheduler=here")]
-    assert [result.exit_code for result in refused] == [3, 3]
-    said = [result.output.splitlines()[-1] for result in refused]
-    assert said[0] == said[1]
-    assert "of the 125,000 points" in said[0]
 
 
 def killed_at(place, out, left, monkeypatch, arguments):
@@ -439,21 +416,6 @@ def test_a_scheduler_that_goes_away_ends_the_run_with_a_word(surveys, tmp_path, 
     assert result.exit_code == 2, result.output
     assert "the connection to the scheduler is lost" in result.output
     assert not (tmp_path / "layers").exists()
-
-
-def test_workers_that_are_lost_do_not_count_as_workers_that_do_not_fit():
-    pytest.importorskip("distributed")
-    from bumpytiles import ClusterError, Workers
-
-    client = Mock()
-    client.run.return_value = {"a": OSError("Connection refused"), "b": None, "c": ValueError("mine")}
-    assert list(Workers(client).each(len)) == ["b", "c"]
-    client.run.return_value = {"a": OSError("Connection refused"), "b": OSError("Timed out")}
-    with pytest.raises(ClusterError, match="all 2 workers were lost"):
-        Workers(client).each(len)
-    client.run.return_value = {}
-    with pytest.raises(ClusterError, match="the last worker was lost"):
-        Workers(client).each(len)
 
 
 @pytest.mark.parametrize("when", ["look", "read", "finish"])

@@ -16,7 +16,7 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from bumpymap.core import BadInputError, corners_join
 from bumpymap.layers import open_map
 from bumpymap.views import ExportSettings, export_map
-from bumpymap.views.export.graph import SQUARES, FreeGround, line_cost, make_lattice
+from bumpymap.views.export.graph import SQUARES, FreeGround, join, line_cost, thin
 
 
 def load_graph(path):
@@ -121,6 +121,10 @@ def in_pixels(free, pixels, *, corners):
         return free[rows.start * pixels : rows.stop * pixels, cols.start * pixels : cols.stop * pixels]
 
     return FreeGround(np.ones(shape), pixels, read, corners)
+
+
+def make_lattice(ground, largest, origin):
+    return join(ground, thin(ground, largest, origin)[1])
 
 
 def ways(lattice):

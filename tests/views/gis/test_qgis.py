@@ -15,10 +15,10 @@ from survey_pairs import survey
 
 import bumpymap
 from bumpymap.check.pipeline import write_check
-from bumpymap.core import CHANGE_KINDS, CLASS_NAMES, NO_CLASS, CostTable, Georeference
+from bumpymap.core import CHANGE_KINDS, NO_CLASS, CostTable, Georeference
 from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
-from bumpymap.layers.colours import BARRED_COLOURS, CHANGE_COLOURS, CLASS_COLOURS, OFF_COLOURS
+from bumpymap.layers.colours import CHANGE_COLOURS, CLASS_COLOURS, OFF_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.views import write_map_views
 from bumpytiles import BLOCK_TILES
@@ -87,21 +87,6 @@ def test_every_layer_opens_with_its_renderer(seen):
     assert all(layer["colours"] > 1 for layer in layers.values())
 
 
-def test_colours_and_names_are_those_of_the_table(seen):
-    layers = seen["layers"]
-    legend = layers["class.tif"]["legend"]
-    assert [colour for _, colour, _ in legend] == ["#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[n]) for n in range(4)]
-    assert [label.split(": ")[0] for label, _, _ in legend] == list(CLASS_NAMES)
-    assert layers["class.tif"]["values"] == [0, 1, 2, 3]
-    assert [label for label, _, _ in layers["cost.fgb"]["legend"]] == [
-        *(label for label, _, _ in legend),
-        "unknown",
-        "not passable",
-    ]
-    green = "#{:02x}{:02x}{:02x}".format(*BARRED_COLOURS[0])
-    assert layers["barred.tif"]["legend"][0] == ["passable", green, 255]
-
-
 def test_numbers_have_the_colours_of_their_stops(seen):
     shades = seen["layers"]["roughness.tif"]["shades"]
     assert seen["layers"]["roughness.tif"]["bands"] == [1]
@@ -151,22 +136,6 @@ def test_the_project_opens_as_a_map(seen):
     assert project["extent"][0] < west < east < project["extent"][2]
     assert project["extent"][1] < south < north < project["extent"][3]
     assert project["extent"][3] - project["extent"][1] < 1.3 * (north - south)
-
-
-def test_other_speeds_open_in_the_colours_of_the_map(tmp_path, at_two_speeds):
-    write_products(
-        at_two_speeds, tmp_path, views=write_map_views, local=False, manifest=RUN | {"settings": {"speeds": (0.5, 2.0)}}
-    )
-    seen = load(tmp_path)
-    own, other = (seen["layers"][name] for name in ("roughness.tif", "speeds.tif"))
-    assert (other["renderer"], other["bands"], other["shades"]) == (own["renderer"], [1], own["shades"])
-    assert seen["project"]["read"]
-    assert not seen["project"]["error"]
-    bands = {part: seen["project"]["layers"][f"bumpymap_speeds_tif_{part}"]["bands"] for part in ("0.5", "2")}
-    assert bands == {"0.5": [1], "2": [4]}
-    assert all(found for *_, found in seen["project"]["tree"])
-    shown = {layer_id for _, _, layer_id, is_shown, _ in seen["project"]["tree"] if is_shown}
-    assert not any("speeds" in layer_id for layer_id in shown)
 
 
 def test_a_map_without_a_crs_lies_where_its_coordinates_say(seen_local):

@@ -9,10 +9,8 @@ import pytest
 from pyproj import CRS
 
 from bumpymap.core import (
-    BANDS,
     BARRED_TEXT,
     CLASS_NAMES,
-    FAIL_SHARE,
     OBJECT_NAMES,
     REASON_TEXT,
     Barred,
@@ -20,12 +18,11 @@ from bumpymap.core import (
     Georeference,
 )
 from bumpymap.layers import write_products
-from bumpymap.layers.check_vectors import OFF_KINDS
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
 from bumpymap.views.gis.project import write_project
-from bumpymap.views.gis.styles import write_check_style, write_styles
+from bumpymap.views.gis.styles import write_styles
 
 LIMITS = (0.1, 0.2, 0.4)
 CALIBRATION = {"id": "c0ffee", "vehicle": "warthog", "class_limits": LIMITS}
@@ -185,24 +182,6 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     assert not {"speeds.tif", "speeds.qml"} & {path.name for path in tmp_path.iterdir()}
 
 
-def test_ground_where_drives_fail_is_drawn_over_its_ride_cost(folder):
-    """The c_r there is that of the drives that got through, which may be low."""
-    root = read(folder / "map.qgs")
-    layers = {layer.find("id").text: layer for layer in root.find("projectlayers")}
-    ride = next(group for group in root.iter("layer-tree-group") if group.get("name") == "Ride")
-    (both,) = (group for group in ride if group.get("name") == "ride cost c_r")
-    assert [leaf.get("id") for leaf in both] == ["bumpymap_roughness_tif_p_fail", "bumpymap_roughness_tif"]
-    assert both.get("checked") == "Qt::Unchecked"
-    assert ride.get("mutually-exclusive-child") == "0"
-    renderer = layers["bumpymap_roughness_tif_p_fail"].find("pipe/rasterrenderer")
-    assert int(renderer.get("band")) == 1 + [band.name for band in BANDS].index("p_fail")
-    shader = renderer.find("rastershader/colorrampshader")
-    assert shader.get("clip") == "1"  # what is below the first stop is not drawn
-    assert [float(item.get("value")) for item in shader.iter("item")] == [FAIL_SHARE, 1.0]
-    red = "#{:02x}{:02x}{:02x}".format(*CLASS_COLOURS[3])
-    assert {item.get("color") for item in shader.iter("item")} == {red}
-
-
 def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
     layers = {layer.find("datasource").text: layer for layer in read(folder / "map.qgs").find("projectlayers")}
     order = [*layers]
@@ -249,12 +228,6 @@ def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
     assert "c0ffee" in root.find("projectMetadata/abstract").text
     assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
     assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
-
-
-def test_stretches_that_errors_do_not_explain_are_larger(tmp_path):
-    write_check_style(tmp_path / "check.qml")
-    style = (tmp_path / "check.qml").read_text()
-    assert style.count("if(&quot;explained&quot; = false, 4.2, 2.6)") == len(OFF_KINDS)
 
 
 def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):

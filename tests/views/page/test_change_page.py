@@ -79,8 +79,6 @@ def test_values_of_the_page_are_those_of_the_raster_within_its_rounding(comparis
         known = np.isfinite(wanted)
         off = np.abs(np.sign(shown) * np.sqrt(np.abs(shown)) - np.sign(wanted) * np.sqrt(np.abs(wanted)))
         assert off[known].max() <= grid["step"] / 2 + 1e-6, key
-        most = re.search(rf"{grid['label']} at most ±([0-9.e-]+)", page.text)[1]
-        assert np.abs(shown - wanted)[known].max() <= 1.5 * float(most)
 
 
 def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read_page):
@@ -106,6 +104,9 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, s
     monkeypatch.setattr(module, "_STRIP_TILES", 100)
     many = ChangeSite.read(comparison, record)
     assert many.spot.step == step
+    grid = many.grids[0]
+    root = np.where(grid.codes == 255, np.nan, grid.low + grid.step * grid.codes)
+    shown = root * np.abs(root)
     heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
     for row, line in enumerate(many.kinds):
         for col, kind in enumerate(line):
@@ -117,10 +118,10 @@ def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, s
             else:
                 assert kind == tiles.max()
                 if kind == NOT_COMPARED:
-                    assert np.isnan(many.grids[0].values()[row, col])
+                    assert np.isnan(shown[row, col])
                     continue
             farthest = np.nanmax(np.abs(heights[part]))
-            assert abs(many.grids[0].values()[row, col]) == pytest.approx(farthest, abs=0.01)
+            assert abs(shown[row, col]) == pytest.approx(farthest, abs=0.01)
 
 
 def test_the_page_made_again_has_the_same_bytes(comparison, tmp_path):

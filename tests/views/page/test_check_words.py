@@ -7,7 +7,7 @@ import pytest
 from check_records import made_up_check
 
 from bumpymap.views import check_headline
-from bumpymap.views.words import check_verdict, level_words
+from bumpymap.views.words import check_verdict
 
 
 def judged(n=40, **figures):
@@ -37,21 +37,6 @@ def test_even_ground_cannot_be_ranked():
     assert words == "The map's level is off; the ground driven is too even to say whether the map ranks ground rightly"
     held = replace(result, stretches=even, agreement=replace(result.agreement, median_ratio=1.05))
     assert check_verdict(held).startswith("The level of the map holds; ")
-
-
-@pytest.mark.parametrize(
-    ("ratio", "words"),
-    [
-        (0.92, "reads 8 % low"),
-        (1.08, "reads 8 % high"),
-        (1.004, "reads neither high nor low"),
-        (2.34, "reads 2.3 times too high"),
-        (0.25, "reads 75 % low"),
-        (float("nan"), "cannot be compared"),
-    ],
-)
-def test_the_level(ratio, words):
-    assert level_words(judged(median_ratio=ratio).agreement) == words
 
 
 def test_the_headline_holds_the_figures():

@@ -72,8 +72,6 @@ def test_the_page_holds_map_figures_and_drives(checked, read_page):
     measured, c_r = (np.array([float(row[at].split()[0]) for row in worst[1:]]) for at in (3, 4))
     assert 0 < len(worst) - 1 <= 10
     assert np.array([float(row[6]) for row in worst[1:]]) == pytest.approx(c_r / measured, rel=0.03)
-    why = outline.tables["Parts of the ways that do not count"][1:]
-    assert why == [["turning", "241 m"], ["no position", "178 m"]]
     assert "onerror=alert(1)&gt;" in page.text
     assert "<img src=x" not in page.text
     assert page.text.count("<circle") == 49 + 50
@@ -89,7 +87,6 @@ def test_the_page_of_drives_without_a_map_has_no_map(tmp_path, read_page):
     assert "Spearman" not in page.text
     assert "<h1>Drives measured: drive 1, drive 2</h1>" in page.text
     assert "<li>drive 1: no standstill</li>\n<li>drive 1: too fast</li>" in page.text
-    assert "<li>drive 2: times are Unix seconds</li>" in page.text
 
 
 def test_layers_that_cannot_be_drawn_leave_a_page_without_a_map(site, checked, tmp_path, read_page):

@@ -232,12 +232,6 @@ def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
     assert page.is_visible("table")
 
 
-def test_it_prints_on_a_few_sheets(visit, pages):
-    printed = visit(pages["one"]).pdf(format="A4", print_background=True)
-    assert printed.startswith(b"%PDF")
-    assert 2 <= printed.count(b"/Type /Page\n") <= 8
-
-
 POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
     document.querySelector(`input[value=${key}]`).click();
     document.querySelector('input[value=places]').checked = false;
