@@ -206,9 +206,7 @@ class WayTrial:
         return np.mean([tile in crossed for tile in zip(*(at.tolist() for at in self.tiles_under(line)), strict=True)])
 
     def _predicted(self, line):
-        tight = self.ground.tight_turns_deg(line)
-        of_field = self.ground.of_field
-        figures = measure_way(self.site, line, line[[0, -1]], of_field, tight_turns_deg=tight).figures
+        figures = measure_way(self.ground, line, line[[0, -1]]).figures
         window, _ = self._around(line)
         row, col = np.floor(in_window(points_along(line), self.site.grid, window)).astype(np.int64).T
         known = np.zeros((window.rows, window.cols), bool)
