@@ -13,7 +13,6 @@ from bumpymap.check.mounting import (
     Mounting,
     find_mounting,
     fit_clock,
-    gravity_is_plausible,
     level_force,
     refuse_wrong_unit,
 )
@@ -262,7 +261,6 @@ def measure_drive(
         )
     imu = even_imu(log.imu, log.name, band_hz)
     notes: list[str] = []
-    imu = _usable_force(imu, notes)
     rates = _rates(log, imu, places, band_hz)
     start = TrackStart(rates.clock.offset_s, rates.clock.heading_0, rates.force, rough=imu.has_force)
     track = fit_track(imu, rates.heading, rates.standing, places, log.wheels, start)
@@ -308,17 +306,6 @@ def measure_drive(
         floor_radps=float(np.abs(vehicle[rates.standing, 1]).mean()) if rates.standing.any() else float("nan"),
         notes=tuple(notes),
     )
-
-
-def _usable_force(imu: EvenImu, notes: list[str]) -> EvenImu:
-    if not imu.has_force or gravity_is_plausible(imu):
-        return imu
-    usual = float(np.median(np.linalg.norm(imu.force[imu.known], axis=1)))
-    notes.append(
-        f"the accelerometer reads {usual:.3g} where gravity is 9.81 m/s2, so it is not used; name its unit "
-        "with `columns`"
-    )
-    return replace(imu, force=np.full_like(imu.force, np.nan))
 
 
 def _rates(log: DriveLog, imu: EvenImu, places: MetrePlaces | None, band_hz: float) -> _Rates:

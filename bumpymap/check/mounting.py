@@ -26,7 +26,6 @@ __all__ = [
     "Mounting",
     "find_mounting",
     "fit_clock",
-    "gravity_is_plausible",
     "level_force",
     "refuse_wrong_unit",
 ]
@@ -154,8 +153,6 @@ _MOTION_HZ = 0.5
 _LEAST_ACCELERATION = 1.0
 """m/s2 sqrt(s): with less driving the yaw cannot be determined."""
 _MOST_YAW_SD = np.radians(15.0)
-_GRAVITY = (7.0, 12.5)
-"""m/s2: what an accelerometer at rest may read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,9 +249,3 @@ def _level(upward: Floats, motion: DrivenMotion, moving: Mask) -> Rotation:
     weight = np.abs(motion.speed) * (moving & known)
     off = ((upward[:, :2] - tilted) * weight[:, None]).sum(axis=0) / max(weight.sum(), 1e-9)
     return Rotation.from_rotvec([off[1], -off[0], 0.0])
-
-
-def gravity_is_plausible(imu: EvenImu) -> bool:
-    """Return whether the accelerometer reads gravity in m/s2."""
-    usual = float(np.median(np.linalg.norm(imu.force[imu.known], axis=1)))
-    return _GRAVITY[0] < usual < _GRAVITY[1]

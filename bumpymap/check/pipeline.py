@@ -47,9 +47,9 @@ from bumpymap.layers import (
     CHECK_FILES,
     CHECK_FORMAT,
     MANIFEST_NAME,
-    NORMAL_80,
     CheckGround,
     CheckPlaces,
+    MapOffset,
     MapReader,
     check_check_out,
     check_entries,
@@ -57,7 +57,6 @@ from bumpymap.layers import (
     open_map,
     place_entries,
     software_versions,
-    write_stretch_table,
     write_stretches,
 )
 from bumpymap.readers import close_log_reader, drive_files, read_drive
@@ -94,29 +93,22 @@ def spearman(first: Floats, second: Floats) -> float:
 def agreement_of(stretches: DrivenStretches, chosen: NDArray[np.bool_] | None = None) -> MapAgreement:
     """Return how well map and drives agree over stretches that are on the map.
 
-    ``inside`` counts a stretch whose measured C_r lies in the map's interval after its ends have been moved outwards,
-    in quadrature, by the error of the measurement and by what the error of the positions makes of the map.
+    ``inside`` counts a stretch whose difference errors explain, as `MapOffset` tells.
 
     ``chosen`` (n,): stretches to look at; None: all on the map.
     """
-    on = np.isfinite(stretches.c_r) & (stretches.measured > 0.0)
-    on &= np.ones_like(on) if chosen is None else chosen
-    predicted, measured = stretches.c_r[on], stretches.measured[on]
-    if not len(measured):
+    offset = MapOffset.of(stretches)
+    on = np.isfinite(offset.ratio) & (True if chosen is None else chosen)
+    if not on.any():
         nothing = float("nan")
         return MapAgreement(0, 0.0, nothing, nothing, nothing, nothing, nothing)
-    ratio = predicted / measured
-    error = NORMAL_80 * np.hypot(stretches.measured_sd[on], stretches.place_sd[on])
-    below = np.hypot(predicted - stretches.c_r_low[on], error)
-    above = np.hypot(stretches.c_r_high[on] - predicted, error)
-    inside = (measured >= predicted - below) & (measured <= predicted + above)
     return MapAgreement(
         stretches=int(on.sum()),
         way_m=float(stretches.way_m[on].sum()),
-        spearman=spearman(predicted, measured),
-        median_ratio=float(np.median(ratio)),
-        median_error=float(np.median(np.abs(ratio - 1.0))),
-        inside=float(inside.mean()),
+        spearman=spearman(stretches.c_r[on], stretches.measured[on]),
+        median_ratio=float(np.median(offset.ratio[on])),
+        median_error=float(np.median(np.abs(offset.ratio[on] - 1.0))),
+        inside=float((~offset.is_off[on]).mean()),
         same_class=float((stretches.class_id[on] == stretches.measured_class[on]).mean()),
     )
 
@@ -228,7 +220,7 @@ def check_drives(
     drives : path, or several
         Each a log (CSV, a bag of ROS, ULog), or the files of one drive joined by commas.
     out : path, optional
-        Folder for the page, the picture, tables and GIS layers; without it nothing is written.
+        Folder for the page, the record and GIS layers; without it nothing is written.
     columns : mapping, optional
         Quantity -> column or topic that holds it, such as ``{"rate_y": "GyrY[deg/s]"}``; by default they are guessed.
     band_hz : float
@@ -242,7 +234,7 @@ def check_drives(
     -------
     CheckResult
         ``agreement`` and ``by_class`` say how well they agree, ``drives`` what was found of each drive and its
-        sensors, ``stretches`` and ``tiles`` hold what was measured [rad/m] beside what the map says. ``skipped`` names
+        sensors, ``stretches`` holds what was measured [rad/m] beside what the map says. ``skipped`` names
         the drives that could not be used, with the reason; it is logged as a warning too.
 
     Raises
@@ -555,7 +547,6 @@ def write_check(
 
     writers: dict[str, Callable[[Path], None]] = {
         "check.html": partial(write_check_page, result, ground if places is not None else None),
-        "stretches.csv": partial(write_stretch_table, result, places),
     }
     if places is not None:
         writers["check.geojson"] = partial(write_stretches, result, places)

@@ -24,7 +24,7 @@ from bumpymap.core import (
 )
 
 if TYPE_CHECKING:
-    from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches, MapAgreement
+    from bumpymap.core import CheckedDrive, CheckResult, DrivenStretches
     from bumpymap.layers import MapReader
     from bumpymap.rating import Calibration, DriveUpdate
 
@@ -97,43 +97,14 @@ def _percent(value: float) -> str:
 
 
 def _record(result: "CheckResult", files: Sequence[Path], config: CheckConfig) -> dict[str, Any]:
+    """Return the findings as check.json holds them, but for the single stretches."""
+    from bumpymap.layers import check_entries
     from bumpymap.views import check_headline
 
-    return {
-        "out": None if config.out is None else str(config.out),
-        "files": [path.name for path in files],
-        "headline": check_headline(result),
-        "drives": [_drive_record(drive) for drive in result.drives],
-        "agreement": None if result.agreement is None else _agreement_record(result.agreement),
-        "by_class": {str(number): _agreement_record(found) for number, found in result.by_class.items()},
-        "warnings": list(result.warnings),
-        "skipped": dict(result.skipped),
-    }
-
-
-def _drive_record(drive: "CheckedDrive") -> dict[str, Any]:
-    return {
-        "name": drive.name,
-        "way_m": _plain(drive.way_m),
-        "used_m": _plain(drive.used_m),
-        "left_out_m": {reason: _plain(metres) for reason, metres in drive.left_out_m.items()},
-        "speed_mps": _plain(drive.speed_mps),
-        "clock_offset_s": _plain(drive.clock_offset_s),
-        "mount_deg": [_plain(angle) for angle in drive.mount_deg],
-        "floor_radps": _plain(drive.floor_radps),
-        "notes": list(drive.notes),
-        "warnings": list(drive.warnings),
-    }
-
-
-def _agreement_record(found: "MapAgreement") -> dict[str, Any]:
-    names = ("way_m", "spearman", "median_ratio", "median_error", "inside", "same_class")
-    return {"stretches": found.stretches, **{name: _plain(getattr(found, name)) for name in names}}
-
-
-def _plain(value: float) -> float | None:
-    """Return a rounded number; None for what JSON cannot hold."""
-    return round(float(value), 5) if math.isfinite(value) else None
+    found = check_entries(result)
+    del found["stretches"]
+    out = None if config.out is None else str(config.out)
+    return {"out": out, "files": [path.name for path in files], "headline": check_headline(result), **found}
 
 
 _LEAST_WIDENING = 1.05

@@ -37,7 +37,6 @@ from .check_vectors import (
     CheckGround as CheckGround,
     CheckPlaces as CheckPlaces,
     MapOffset as MapOffset,
-    write_stretch_table as write_stretch_table,
     write_stretches as write_stretches,
 )
 from .colours import (

@@ -36,7 +36,7 @@ __all__ = [
 
 CHECK_MANIFEST_NAME = "check.json"
 CHECK_FILES = OutputFolder(
-    ("check.html", "stretches.csv", "check.geojson", CHECK_MANIFEST_NAME, "check.qml"),
+    ("check.html", "check.geojson", CHECK_MANIFEST_NAME, "check.qml"),
     CHECK_MANIFEST_NAME,
     views=("check.qml",),
 )

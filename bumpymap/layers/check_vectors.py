@@ -1,4 +1,4 @@
-"""How far a map is off the drives over it, by stretch: check.geojson, stretches.csv."""
+"""How far a map is off the drives over it, by stretch: check.geojson."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ from bumpymap.core import (
     CheckResult,
     DrivenStretches,
     Georeference,
-    write_csv,
 )
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.placement import Placement
@@ -32,7 +31,6 @@ __all__ = [
     "CheckPlaces",
     "MapOffset",
     "stretch_properties",
-    "write_stretch_table",
     "write_stretches",
 ]
 
@@ -149,45 +147,6 @@ class CheckPlaces:
         coordinates = RouteCoordinates(self.placement.georeference, self.files)
         found[self.is_known] = coordinates.in_file(self.points[self.is_known])
         return found
-
-
-def write_stretch_table(result: CheckResult, places: CheckPlaces | None, path: Path) -> None:
-    """Write the stretches as CSV (RFC 4180, UTF-8): positions, then the properties of check.geojson.
-
-    Parameters
-    ----------
-    result : CheckResult
-    places : CheckPlaces or None
-        Where they lie; None: not known.
-    path : Path
-        The file, which appears only when it is complete.
-
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
-    BadInputError
-        A position cannot be transformed to longitude and latitude.
-    """
-    columns = {**_positions(places, len(result.stretches.drive)), **stretch_properties(result)}
-    write_csv(path, columns, zip(*columns.values(), strict=True))
-
-
-def _positions(places: CheckPlaces | None, rows: int) -> dict[str, Sequence[Any]]:
-    """Return longitude, latitude, and x and y in units of the survey's CRS."""
-    unknown = np.full((rows, 2), np.nan)
-    degrees, own = unknown, unknown
-    if places is not None:
-        own = places.points / places.placement.georeference.metres_per_unit
-        degrees = unknown if places.files.to_degrees is None else places.in_file()
-    return {
-        **dict(zip(("lon", "lat"), _written(degrees, 7), strict=True)),
-        **dict(zip(("x", "y"), _written(own, 3), strict=True)),
-    }
-
-
-def _written(pairs: NDArray[np.float64], decimals: int) -> list[list[str]]:
-    return [["" if np.isnan(value) else f"{value:.{decimals}f}" for value in side] for side in pairs.T.tolist()]
 
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}

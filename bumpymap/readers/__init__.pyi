@@ -11,7 +11,7 @@ from .detect import (
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
-from .drives.columns import parse_columns as parse_columns
+from .drives.quantities import parse_columns as parse_columns
 from .drives.read import (
     close_log_reader as close_log_reader,
     drive_files as drive_files,

@@ -22,7 +22,7 @@ from bumpymap.layers.check_record import (
 )
 
 ALL = sorted(CHECK_FILES.names)
-WITHOUT_MAP = ["check.html", "check.json", "stretches.csv"]
+WITHOUT_MAP = ["check.html", "check.json"]
 SETTINGS = {"settings": {"band_hz": 10.0, "window_m": 10.0}}
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 
@@ -66,7 +66,7 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     assert record["crs"]["code"] == "EPSG:32614"
     assert "bumpymap" in record["versions"]
     listed = [entry["path"] for entry in record["files"]]
-    assert listed == ["check.html", "stretches.csv", "check.geojson"]
+    assert listed == ["check.html", "check.geojson"]
     for entry in record["files"]:
         content = (out / entry["path"]).read_bytes()
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
@@ -104,7 +104,7 @@ def test_files_of_an_earlier_check_are_replaced_only_if_asked_and_none_is_left(g
     write_check(made_up_check(seed=6), tmp_path, ground=ground, overwrite=True)
     assert (tmp_path / "check.json").read_bytes() != before
     write_check(made_up_check(ground=False), tmp_path, overwrite=True)
-    assert names(tmp_path) == [*WITHOUT_MAP[:2], "my notes.txt", "stretches.csv"]
+    assert names(tmp_path) == [*WITHOUT_MAP, "my notes.txt"]
 
 
 def test_the_folder_of_a_map_and_files_are_refused(ground, tmp_path):

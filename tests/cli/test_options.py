@@ -49,7 +49,7 @@ def reached(monkeypatch, tmp_path):
     import bumpymap.readers
     import bumpymap.survey.engine
     import bumpymap.survey.pipeline
-    from bumpymap.cli import calibrate_command, evaluate_command, train_command
+    from bumpymap.cli import calibrate_command, train_command
 
     monkeypatch.setattr(bumpymap.survey.pipeline, "_prepare", ends("map"))
     monkeypatch.setattr("bumpymap.survey.run_batch", ends("batch"))
@@ -59,7 +59,9 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr("bumpymap.scan.scan_frames", ends("scan"))
     monkeypatch.setattr(bumpymap.readers, "find_surveys", ends("info"))
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
-    monkeypatch.setattr(evaluate_command, "_subject", ends("evaluate"))
+    monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
+    monkeypatch.setattr("bumpymap.lab.open_readers", lambda *_, **__: [])
+    monkeypatch.setattr("bumpymap.lab.evaluate_survey", ends("evaluate"))
     monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
     if importlib.util.find_spec("torch"):
         monkeypatch.setattr("bumpymap.lab.make_model", ends("train"))
@@ -84,7 +86,7 @@ WORDS = {
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
-    ("evaluate", "seed", 0): lambda got: got[1].seed,
+    ("evaluate", "seed", 0): lambda got: got[4].seed,
     ("train", "seed", 0): lambda got: got[0].seed,
     ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,

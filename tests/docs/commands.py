@@ -41,7 +41,6 @@ RULES = (
     Rule(r"^make ", ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile"),
     Rule(r"^sudo apt-get ", "changes the system; .ci/run installs the same packages"),
     Rule(r"^dask |scheduler=|^export DASK_", "takes a cluster: tests/survey/engine/test_cluster.py has one"),
-    Rule(r"--out s3://", "takes a server: tests/survey/batch/test_remote.py has one"),
     Rule(r"^(openssl|chmod) ", "makes keys: tests/survey/engine/test_cluster_security.py runs them"),
     Rule(r"^gdal", "takes GDAL's own tools"),
     Rule(r"^grass ", "takes GRASS"),

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 
 from bumpymap.readers import parse_columns
-from bumpymap.readers.drives.columns import guess_columns
-from bumpymap.readers.drives.signals import QUANTITIES, UNITS
+from bumpymap.readers.drives.quantities import QUANTITIES, UNITS, guess_columns
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "pages" / "check.md").read_text(encoding="utf-8")
 TABLE = [line.split("|") for line in PAGE.split("| quantity | what |")[1].split("\n\n")[0].splitlines()[2:]]

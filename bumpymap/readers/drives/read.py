@@ -1,17 +1,12 @@
-"""Read a recorded drive from files of any format; the signals of ULog files (PX4: times in microseconds, z down)."""
+"""Read a recorded drive from files of any format, in a process of its own."""
 
-import io
 import os
 import re
 import threading
 from collections.abc import Mapping, Sequence
-from contextlib import redirect_stdout
 from itertools import chain, takewhile
 from pathlib import Path
 from traceback import format_exc
-from typing import Any
-
-import numpy as np
 
 from bumpymap.core import (
     BadInputError,
@@ -20,158 +15,22 @@ from bumpymap.core import (
     DecoderError,
     DriveLog,
     Guard,
-    PlaceTrack,
     UsageError,
     can_start_children,
     free_memory,
     missing_resource,
 )
-from bumpymap.readers.drives.bag_signals import bag_signals
-from bumpymap.readers.drives.clock import in_order, sorted_times
-from bumpymap.readers.drives.columns import TOPICS, check_lonlat, unknown_quantities
-from bumpymap.readers.drives.signals import QUANTITIES, DriveSignals, Floats, Signal, assemble, attitudes
-from bumpymap.readers.drives.table_signals import find_columns, refuse_binary, table_signals
-from bumpymap.readers.drives.text_table import TextTable, open_table
+from bumpymap.readers.drives.quantities import TOPICS, unknown_quantities
+from bumpymap.readers.drives.recordings import bag_samples, is_ulog, ulog_samples
+from bumpymap.readers.drives.signals import Samples, assemble
+from bumpymap.readers.drives.tables import find_columns, open_table, table_samples
 from bumpymap.readers.frames.raw import bag_files, is_bag, is_ros1
-from bumpymap.readers.source import decoding, open_source, size_of
+from bumpymap.readers.source import open_source, size_of
 
-__all__ = ["close_log_reader", "drive_files", "is_ulog", "read_drive", "read_in_child", "ulog_signals"]
+__all__ = ["close_log_reader", "drive_files", "read_drive", "read_in_child"]
 
-_MAGIC = b"\x55\x4c\x6f\x67\x01\x12\x35"
-_MOST_BYTES = 2 << 30
-_RATES = ("sensor_combined", "vehicle_angular_velocity")
-_ACCELERATIONS = ("sensor_combined", "vehicle_acceleration")
-_FIXES = ("vehicle_gps_position", "sensor_gps")
-_ATTITUDE, _LOCAL = "vehicle_attitude", "vehicle_local_position"
-_TOPICS = (*_RATES, "vehicle_acceleration", _ATTITUDE, *_FIXES, _LOCAL)
-_TO_FLU = np.array([1.0, -1.0, -1.0])
-"""x forward, y right, z down to x forward, y left, z up."""
-_LEAST_FIX = 2
-
-
-def is_ulog(path: Path) -> bool:
-    """Return whether a file is a ULog, by its suffix."""
-    return path.suffix.lower() in {".ulg", ".ulog"}
-
-
-def ulog_signals(path: Path) -> list[DriveSignals]:
-    """Read the topics of a ULog that a drive needs.
-
-    Raises
-    ------
-    BadInputError
-        The file is damaged or too large, or is no ULog.
-    UsageError
-        The extra ``drives`` is not installed.
-    """
-    topics, listing, notes = _topics(path)
-    imu = next((name for name in _RATES if name in topics), None)
-    force = next((name for name in _ACCELERATIONS if name in topics), None)
-    fixes = next((name for name in _FIXES if name in topics), None)
-    found = []
-    if imu is not None:
-        rate = _vectors(topics[imu], ("gyro_rad", "xyz"), imu, notes)
-        found.append(DriveSignals(imu, rate=rate, columns={"imu": imu}))
-    if force is not None:
-        acceleration = _vectors(topics[force], ("accelerometer_m_s2", "xyz"), force, notes)
-        found.append(DriveSignals(force, acceleration=acceleration, columns={"imu": imu or force}))
-    if _ATTITUDE in topics:
-        found.append(_attitude(topics[_ATTITUDE], notes))
-    if fixes is not None:
-        found.append(DriveSignals(fixes, places=_fixes(topics[fixes], fixes, notes), columns={"gnss": fixes}))
-    if _LOCAL in topics:
-        found.append(DriveSignals(_LOCAL, places=_local(topics[_LOCAL], notes), columns={"odometry": _LOCAL}))
-    if imu is not None or _ATTITUDE in topics:
-        notes.append("axes of PX4 (x forward, y right, z down) are turned into x forward, y left, z up")
-    return [*found, DriveSignals(path.name, notes=tuple(notes), listing=listing)]
-
-
-def _topics(path: Path) -> tuple[dict[str, Mapping[str, Floats]], str, list[str]]:
-    """Return the fields of the first instance of each topic that is read, what the file holds, and notes."""
-    try:
-        from pyulog import ULog
-    except ImportError as error:
-        raise UsageError(
-            f"ULog files are read with pyulog, which cannot be imported ({error}): pip install 'bumpymap[drives]'"
-        ) from error
-    size = size_of(path)
-    if size > _MOST_BYTES:
-        raise BadInputError(
-            f"{path} has {size / 1e9:,.1f} GB; at most {_MOST_BYTES / 1e9:,.1f} GB are read at once. Cut it into "
-            "several drives"
-        )
-    with open_source(path) as stream:
-        if stream.read(len(_MAGIC)) != _MAGIC:
-            raise BadInputError(f"{path} is no ULog: it does not begin with its signature. Copy or download it again")
-        stream.seek(0)
-        with decoding(path, "the ULog"), redirect_stdout(io.StringIO()):  # it prints what is damaged
-            log: Any = ULog(stream, message_name_filter_list=list(_TOPICS))
-    notes = [f"{path.name} is damaged in places, which are left out"] if log.file_corruption else []
-    if log.dropouts:
-        lost = sum(each.duration for each in log.dropouts) * 1e-3
-        notes.append(f"the recorder of {path.name} dropped out {len(log.dropouts):,} times, for {lost:.1f} s in all")
-    topics: dict[str, Mapping[str, Floats]] = {}
-    for each in sorted(log.data_list, key=lambda data: data.multi_id):
-        if len(each.data.get("timestamp", ())):
-            topics.setdefault(each.name, each.data)
-    listing = f"{path.name}: {', '.join(sorted({str(each.name) for each in log.data_list})) or 'no topic of a drive'}"
-    return topics, listing, notes
-
-
-def _samples(data: Mapping[str, Floats], fields: Sequence[str], topic: str, notes: list[str]) -> tuple[Floats, Floats]:
-    """Return times (n,), s, and fields (n, k) as they are; NaN for those that the topic does not have."""
-    time = np.asarray(data["timestamp"], np.float64) * 1e-6
-    missing = np.full(len(time), np.nan)
-    with np.errstate(invalid="ignore"):  # a NaN of float32 may be one that signals
-        values = np.stack([np.asarray(data.get(field, missing), np.float64) for field in fields], axis=1)
-    order = sorted_times(time, topic, notes)
-    time, values = time[order], values[order]
-    keep, note = in_order(time, topic)
-    notes.extend([note] if note else [])
-    return time[keep], values[keep]
-
-
-def _vectors(data: Mapping[str, Floats], names: Sequence[str], topic: str, notes: list[str]) -> Signal | None:
-    name = next((name for name in names if f"{name}[0]" in data), None)
-    if name is None:
-        return None
-    time, values = _samples(data, [f"{name}[{axis}]" for axis in range(3)], topic, notes)
-    good = np.isfinite(values).all(axis=1)
-    return Signal(time[good], values[good] * _TO_FLU) if good.any() else None
-
-
-def _attitude(data: Mapping[str, Floats], notes: list[str]) -> DriveSignals:
-    time, turn = _samples(data, [f"q[{place}]" for place in (1, 2, 3, 0)], _ATTITUDE, notes)
-    # Turned on both sides: the axes of the vehicle, and north, east, down into north, west, up.
-    signal = attitudes(time, turn * np.append(_TO_FLU, 1.0))
-    return DriveSignals(_ATTITUDE, attitude=signal, columns={"attitude": _ATTITUDE})
-
-
-def _fixes(data: Mapping[str, Floats], topic: str, notes: list[str]) -> PlaceTrack | None:
-    new = "latitude_deg" in data
-    fields = ("longitude_deg", "latitude_deg") if new else ("lon", "lat")
-    time, values = _samples(data, (*fields, "fix_type", "eph"), topic, notes)
-    lon, lat, fix, error = values.T
-    lon, lat = (lon, lat) if new else (lon * 1e-7, lat * 1e-7)
-    good = ~(fix < _LEAST_FIX) & np.isfinite(lon) & np.isfinite(lat)
-    if lost := int((~good).sum()):
-        notes.append(f"{lost:,} of {len(good):,} positions of {topic} were taken without a fix and are left out")
-    if not good.any():
-        return None
-    lon, lat, _ = check_lonlat(lon[good], lat[good], topic, fields)
-    return PlaceTrack(time[good], lon, lat, np.where(error[good] > 0.0, error[good], np.nan), "lonlat")
-
-
-def _local(data: Mapping[str, Floats], notes: list[str]) -> PlaceTrack | None:
-    """Return the estimated way; x is north and y east in the file."""
-    time, values = _samples(data, ("y", "x"), _LOCAL, notes)
-    valid = np.asarray(data["xy_valid"], bool) if "xy_valid" in data else np.ones(len(time), bool)
-    good = np.isfinite(values).all(axis=1) & (valid if len(valid) == len(time) else True)
-    if not good.any():
-        return None
-    return PlaceTrack(time[good], values[good, 0], values[good, 1], np.full(int(good.sum()), np.nan), "local")
-
-
+_ARDUPILOT = b"\xa3\x95"
+"""First bytes of every message of its binary logs."""
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """CPU time limit of reading a drive, and for each byte of its files: ten times what real ones need."""
 _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 30
@@ -207,7 +66,7 @@ def read_drive(place: str, columns: Mapping[str, str] | None = None) -> DriveLog
         ``columns`` names something that is no quantity, or an extra is not installed.
     """
     wanted = dict(columns or {})
-    unknown_quantities(wanted, (*QUANTITIES, *TOPICS))
+    unknown_quantities(wanted)
     paths = drive_files(place)
     if not can_start_children():
         return _read(paths, wanted)
@@ -296,36 +155,44 @@ def drive_files(place: str) -> list[Path]:
     return paths
 
 
-def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[DriveSignals]:
-    """Read the signals of all files."""
-    for path in paths:
-        if path.suffix.lower() in {".bin", ".log"}:
-            refuse_binary(path)
+def _sources(paths: Sequence[Path], wanted: Mapping[str, str]) -> list[Samples]:
+    """Read the samples of all files."""
     bags = [path for path in paths if is_bag(path) or is_ros1(path)]
     logs = [path for path in paths if is_ulog(path)]
-    tables = [open_table(path) for path in paths if path not in {*bags, *logs}]
+    texts = [path for path in paths if path not in {*bags, *logs}]
+    for path in texts:
+        _refuse_ardupilot(path)
+    tables = [open_table(path) for path in texts]
     topics = {quantity: name for quantity, name in wanted.items() if quantity in TOPICS}
     if topics and not bags:
         raise BadInputError(f"`columns` names topics ({', '.join(topics)}), and {paths[0]} is no bag. Leave them out")
+    named = {quantity: name for quantity, name in wanted.items() if quantity not in TOPICS}
+    columns = [find_columns(table, named) for table in tables]
+    known = set(chain.from_iterable(columns))
+    missing = [f"{quantity}={text}" for quantity, text in named.items() if text and quantity not in known]
+    if missing:
+        listed = "; ".join(f"{table.path.name}: {', '.join(table.names)}" for table in tables)
+        raise BadInputError(
+            f"`columns` names {', '.join(missing)}, which is not there. "
+            + (f"Columns of {listed}" if tables else "Columns are named for tables of text, topics for bags")
+        )
     return [
-        *_of_tables(tables, {quantity: name for quantity, name in wanted.items() if quantity not in TOPICS}),
-        *(bag_signals(bags, topics) if bags else []),
-        *(signals for path in logs for signals in ulog_signals(path)),
+        *map(table_samples, tables, columns),
+        *(bag_samples(bags, topics) if bags else []),
+        *(samples for path in logs for samples in ulog_samples(path)),
     ]
 
 
-def _of_tables(tables: Sequence[TextTable], wanted: Mapping[str, str]) -> list[DriveSignals]:
-    found = [find_columns(table, wanted) for table in tables]
-    known = {quantity for each in found for quantity in each}
-    missing = [quantity for quantity, text in wanted.items() if text and quantity not in known]
-    if missing:
-        listed = "; ".join(f"{table.path.name}: {', '.join(table.head.names)}" for table in tables)
-        shown = ", ".join(f"{quantity}={wanted[quantity]}" for quantity in missing)
-        raise BadInputError(
-            f"`columns` names {shown}, which is not there. "
-            + (f"Columns of {listed}" if tables else "Columns are named for tables of text, topics for bags")
-        )
-    return [table_signals(table, each) for table, each in zip(tables, found, strict=True)]
+def _refuse_ardupilot(path: Path) -> None:
+    """Raise BadInputError for the binary logs of ArduPilot, whose readers cannot be shipped with bumpymap."""
+    with open_source(path) as stream:
+        if stream.read(len(_ARDUPILOT)) != _ARDUPILOT:
+            return
+    raise BadInputError(
+        f"{path} is a binary log of ArduPilot, which is not read itself. Make CSV files of it with pymavlink: "
+        f"mavlogdump.py --format csv --types IMU {path.name} > {path.stem}_imu.csv, the same with --types GPS > "
+        f"{path.stem}_gps.csv, and give {path.stem}_imu.csv,{path.stem}_gps.csv"
+    )
 
 
 def _reset_after_fork() -> None:

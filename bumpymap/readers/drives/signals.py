@@ -1,128 +1,45 @@
-"""The signals of one file of a drive: quantities, units and attitudes; and how the files are joined to one record."""
+"""From samples of quantities, as any format gives them, to the signals of a drive and to one record of it."""
 
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from math import pi
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceTrack, WheelTrack
+from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceKind, PlaceTrack, WheelTrack
+from bumpymap.readers.drives.quantities import (
+    ACCELERATIONS,
+    ANGLES,
+    EASTING_NORTHING,
+    LOCAL,
+    LONLAT,
+    QUATERNION,
+    RATES,
+    SIDES,
+)
 
-__all__ = [
-    "ACCELERATIONS",
-    "ANGLES",
-    "DIMENSIONS",
-    "EASTING_NORTHING",
-    "LOCAL",
-    "LONLAT",
-    "QUANTITIES",
-    "QUATERNION",
-    "RATES",
-    "SIDES",
-    "UNITS",
-    "DriveSignals",
-    "Floats",
-    "Signal",
-    "assemble",
-    "attitudes",
-    "body_rates",
-    "plain_unit",
-    "quaternions_of_angles",
-]
-
-RATES = ("rate_x", "rate_y", "rate_z")
-ACCELERATIONS = ("acc_x", "acc_y", "acc_z")
-ANGLES = ("roll", "pitch", "yaw")
-QUATERNION = ("q_x", "q_y", "q_z", "q_w")
-LONLAT = ("longitude", "latitude")
-EASTING_NORTHING = ("easting", "northing")
-LOCAL = ("x", "y")
-SIDES = ("speed_left", "speed_right")
-DIMENSIONS: Mapping[str, str] = {
-    "time": "time",
-    "nanosec": "time",
-    "date": "time",
-    **dict.fromkeys(RATES, "rate"),
-    **dict.fromkeys(ACCELERATIONS, "acceleration"),
-    **dict.fromkeys(ANGLES, "angle"),
-    **dict.fromkeys(QUATERNION, "number"),
-    **dict.fromkeys(LONLAT, "degree"),
-    **dict.fromkeys((*EASTING_NORTHING, *LOCAL, "error"), "length"),
-    **dict.fromkeys(("speed", *SIDES), "speed"),
-    "fix": "number",
-}
-"""Quantity -> what its unit is a unit of."""
-QUANTITIES = tuple(DIMENSIONS)
-_G = 9.80665
-_DEGREE = pi / 180.0
-UNITS: Mapping[str, Mapping[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
-    "rate": {"rad/s": 1.0, "mrad/s": 1e-3, "deg/s": _DEGREE, "mdeg/s": 1e-3 * _DEGREE},
-    "acceleration": {"m/s2": 1.0, "g": _G, "mg": 1e-3 * _G},
-    "angle": {"rad": 1.0, "deg": _DEGREE},
-    "degree": {"deg": 1.0, "rad": 1.0 / _DEGREE, "dege7": 1e-7},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3},
-    "speed": {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "mph": 0.44704},
-    "number": {"": 1.0},
-}
-"""Dimension -> unit, as `plain_unit` spells it -> factor to the unit of `DriveLog`."""
-_SPELLED = {
-    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("msec", "msecs", "millis", "millisec", "milliseconds"), "ms"),
-    **dict.fromkeys(("usec", "usecs", "micros", "microsec", "microseconds"), "us"),
-    **dict.fromkeys(("nsec", "nsecs", "nanos", "nanosec", "nanoseconds"), "ns"),
-    **dict.fromkeys(("rads", "rad/sec", "radps", "radians/s", "radian/s", "rps"), "rad/s"),
-    **dict.fromkeys(("dps", "degs", "deg/sec", "degps", "degrees/s", "degree/s"), "deg/s"),
-    **dict.fromkeys(("mdps", "mdegs"), "mdeg/s"),
-    **dict.fromkeys(("ms2", "ms-2", "mps2", "m/s/s", "m/s/2", "m/sec2", "mss"), "m/s2"),
-    **dict.fromkeys(("gs", "gee", "g0"), "g"),
-    **dict.fromkeys(("radian", "radians"), "rad"),
-    **dict.fromkeys(("degree", "degrees", "d"), "deg"),
-    **dict.fromkeys(("e7", "dege-7", "1e-7deg", "1e7deg"), "dege7"),
-    **dict.fromkeys(("meter", "metre", "meters", "metres"), "m"),
-    **dict.fromkeys(("mps", "m/sec"), "m/s"),
-    **dict.fromkeys(("kmh", "kph", "kmph", "km/hr"), "km/h"),
-}
-_LETTERS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "²": "2", "^": "", "*": "", " ": "", "_": "/"})
-
-
-def plain_unit(text: str, dimension: str) -> str | None:
-    """Return a unit of a dimension as `UNITS` spells it: ``Deg/sec``, ``deg_s``, ``dps`` are ``deg/s``; or None."""
-    unit = text.strip().lower().translate(_LETTERS)
-    unit = re.sub(r"/?per/?", "/", unit)
-    unit = _SPELLED.get(unit, unit)
-    return unit if unit in UNITS[dimension] else None
-
-
-_FEWEST = 20
-"""Samples of angular rates."""
-_SLOWEST_S = 1.0
-"""Median time between two angular rates."""
-_KINDS = ("lonlat", "projected", "local")
-_COLUMNS = {
-    "rate": (*RATES, "imu"),
-    "acceleration": (*ACCELERATIONS, "imu"),
-    "attitude": (*ANGLES, *QUATERNION, "imu", "odometry", "attitude"),
-    "places": (*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"),
-    "wheels": ("speed", *SIDES, "odometry", "twist"),
-}
-_GAP = 5.0
-"""A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
-_LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
-
-
-_NEAR_S, _MOST_HOURS = 300.0, 14
-"""Two recordings that begin so near each other, but for so many whole hours, are given in two time zones."""
-_ROUNDING = 0.1
-"""Tolerance of the lengths of quaternions."""
-_BRIDGED_S = 0.25
-"""Accelerations are interpolated over at most so much time."""
-
+__all__ = ["Floats", "Samples", "Signal", "assemble", "body_rates", "quaternions_of_angles"]
 
 Floats = NDArray[np.float64]
+Track = TypeVar("Track", "Signal", PlaceTrack, WheelTrack)
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Quantities of one file, or of one topic of a recording."""
+
+    source: str
+    """Name of the file or topic, for messages."""
+    values: Mapping[str, Floats] = field(default_factory=dict)
+    """Quantity -> (n,) in the unit of `DriveLog`, NaN where missing. With any, ``time`` in s is there. ``fix`` is
+    negative where a position was not measured."""
+    columns: Mapping[str, str] = field(default_factory=dict)
+    """Quantity -> column, or purpose of a topic -> topic."""
+    notes: list[str] = field(default_factory=list)
+    listing: str = ""
+    """Content of the file, for the message that something is missing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,165 +52,112 @@ class Signal:
     """(n, k), finite."""
 
 
-@dataclass(frozen=True, slots=True)
-class DriveSignals:
-    """The samples of one file, or of one bag."""
-
-    source: str
-    """Name of the file, for messages."""
-    rate: Signal | None = None
-    """Angular rates about x, y, z, rad/s."""
-    acceleration: Signal | None = None
-    """Specific force along x, y, z, m/s2."""
-    attitude: Signal | None = None
-    """Quaternions x, y, z, w that turn vectors of the sensor's axes into those of a fixed frame."""
-    places: PlaceTrack | None = None
-    wheels: WheelTrack | None = None
-    columns: Mapping[str, str] = field(default_factory=dict)
-    """Quantity -> column or topic."""
-    notes: tuple[str, ...] = ()
-    listing: str = ""
-    """Content of the file, for the message that something is missing."""
-
-
-def assemble(name: str, paths: Sequence[Path], sources: Sequence[DriveSignals]) -> DriveLog:
-    """Join signals to a drive.
-
-    Raises
-    ------
-    BadInputError
-        No source has angular rates or attitudes, they are too few, or the clocks of the sources have nothing in common.
-    """
-    notes = [note for source in sources for note in source.notes]
-    columns: dict[str, str] = {}
-    imu = _imu(name, sources, columns, notes)
-    placed = [source for source in sources if source.places is not None]
-    placed.sort(key=lambda each: _KINDS.index(each.places.kind) if each.places else len(_KINDS))
-    place = _first("places", "positions", placed, sources, columns, notes)
-    rolling = [source for source in sources if source.wheels is not None]
-    rolling.sort(key=lambda each: bool(each.wheels is None or np.isnan(each.wheels.difference).all()))
-    roll = _first("wheels", "speeds", rolling, sources, columns, notes)
-    places, wheels = place.places if place else None, roll.wheels if roll else None
-    for what, track in (("positions", places), ("wheel speeds", wheels)):
-        if track is not None:
-            _require_common_clock(name, what, imu.time, track.time)
-    for what, times in (("angular rates", imu), ("positions", places), ("wheel speeds", wheels)):
-        if times is not None:
-            notes.extend(_gaps(what, times.time))
-    return DriveLog(name, tuple(paths), imu, places, wheels, columns, tuple(notes))
-
-
-def _taken(kind: str, source: DriveSignals, sources: Sequence[DriveSignals]) -> Mapping[str, str]:
-    """Return the columns of a source that a signal was read from, with the name of the file if there are several."""
-    several = sum(bool(each.columns) for each in sources) > 1
-    return {
-        key: f"{source.source}: {text}" if several and text != source.source else text
-        for key, text in source.columns.items()
-        if key in {*_COLUMNS[kind], "time"}
-    }
-
-
-def _first(
-    kind: str,
-    what: str,
-    found: Sequence[DriveSignals],
-    sources: Sequence[DriveSignals],
-    columns: dict[str, str],
-    notes: list[str],
-) -> DriveSignals | None:
-    """Return the first of some sources; say which columns are taken, and which sources have the same too."""
-    if not found:
-        return None
-    if len(found) > 1:
-        others = ", ".join(source.source for source in found[1:])
-        notes.append(f"{what} are read from {found[0].source}; {others} has some too")
-    columns.update({key: text for key, text in _taken(kind, found[0], sources).items() if key not in columns})
-    return found[0]
-
-
-def _imu(name: str, sources: Sequence[DriveSignals], columns: dict[str, str], notes: list[str]) -> ImuTrack:
-    with_rate = [source for source in sources if source.rate is not None]
-    with_rate.sort(key=lambda each: (each.acceleration is None, -len(each.rate.time if each.rate else ())))
-    source = _first("rate", "angular rates", with_rate, sources, columns, notes)
-    rate = None if source is None else source.rate
-    if source is None:
-        source = _best_attitude(name, sources)
-        rate = body_rates(source.attitude) if source.attitude is not None else None
-        notes.append(f"{source.source} has no angular rates: they are differences of its attitudes")
-        columns.update(_taken("attitude", source, sources))
-    if rate is None or len(rate.time) < _FEWEST:
-        raise BadInputError(
-            f"{name} has {0 if rate is None else len(rate.time)} samples of angular rates; at least {_FEWEST} are "
-            "required, and a drive has thousands. Was the recording cut off?"
-        )
-    step = float(np.median(np.diff(rate.time)))
-    if step > _SLOWEST_S:
-        raise BadInputError(
-            f"the angular rates of {name} are {step:.3g} s apart, which is no recording of an IMU. If times are in "
-            "another unit, state it: `columns='time=NAME[ms]'`"
-        )
-    with_acceleration = sorted(
-        (each for each in sources if each.acceleration is not None), key=lambda each: each is not source
-    )
-    if not with_acceleration:
-        return ImuTrack(rate.time, rate.values, np.full(rate.values.shape, np.nan))
-    columns.update({**_taken("acceleration", with_acceleration[0], sources), **columns})
-    return ImuTrack(rate.time, rate.values, _at(rate.time, with_acceleration[0].acceleration))
-
-
-def _best_attitude(name: str, sources: Sequence[DriveSignals]) -> DriveSignals:
-    found = [source for source in sources if source.attitude is not None]
-    if found:
-        return max(found, key=lambda each: len(each.attitude.time if each.attitude else ()))
-    held = "; ".join(source.listing for source in sources if source.listing)
-    raise BadInputError(
-        f"{name} has neither angular rates nor attitudes that are known by their names. It holds {held}. Name the "
-        "columns: `columns='rate_x=NAME[deg/s],rate_y=NAME[deg/s],rate_z=NAME[deg/s]'`"
-    )
-
-
-def _at(times: Floats, signal: Signal | None) -> Floats:
-    """Interpolate a signal at times; NaN where its samples are too far away."""
-    if signal is None:
-        return np.full((len(times), 3), np.nan)
-    if np.array_equal(times, signal.time):
-        return signal.values
-    values = np.stack([np.interp(times, signal.time, column) for column in signal.values.T], axis=1)
-    after = np.clip(np.searchsorted(signal.time, times), 1, max(len(signal.time) - 1, 1))
-    last = signal.time[np.minimum(after, len(signal.time) - 1)]
-    far = np.maximum(last - times, times - signal.time[after - 1]) > _BRIDGED_S
-    exact = np.isin(times, signal.time)
-    return np.where((far & ~exact)[:, None], np.nan, values)
-
-
-def _require_common_clock(name: str, what: str, imu: Floats, times: Floats) -> None:
-    if times[-1] < imu[0] or times[0] > imu[-1]:
-        hours = round(float(times[0] - imu[0]) / 3600.0)
-        zone = abs(times[0] - imu[0] - hours * 3600.0) < _NEAR_S and 0 < abs(hours) <= _MOST_HOURS
-        hint = f" They are {abs(hours)} h apart, like a time zone: write both in UTC." if zone else ""
-        raise BadInputError(
-            f"the {what} of {name} have no time in common with its angular rates: {times[0]:.3f} to {times[-1]:.3f} s "
-            f"against {imu[0]:.3f} to {imu[-1]:.3f} s.{hint or ' Write both with times of the same clock'}"
-        )
-
-
-def _gaps(what: str, times: Floats) -> list[str]:
-    steps = np.diff(times)
-    gaps = steps[steps > max(_GAP * float(np.median(steps)), _LEAST_GAP_S[what])] if len(steps) else steps
-    if not len(gaps):
-        return []
-    return [f"{what} have {len(gaps):,} gap{'s' * (len(gaps) > 1)}, the longest of {gaps.max():.2f} s"]
-
-
-def attitudes(time: Floats, values: Floats) -> Signal | None:
-    """Return the quaternions, (n, 4), whose length is about 1; None if they are fewer than two."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        good = np.abs(np.linalg.norm(values, axis=1) - 1.0) < _ROUNDING
-    return Signal(time[good], values[good]) if good.sum() > 1 else None
-
-
+_MOST_RATE, _MOST_PEAK = 3.0, 20.0
+"""Median and 99th percentile of angular rates, rad/s: no ground vehicle turns that fast for half of a drive."""
+_GRAVITY = (7.0, 13.0)
+"""Size of the median acceleration of a sensor that reads gravity, m/s2."""
+_MOST_REPEATED = 0.5
+_ROUNDING = 0.1
+"""Tolerance of the lengths of quaternions."""
 _LONGEST_STEP_S = 0.5
 """Between attitudes further apart, nothing is known about the rate."""
+_LARGE_M = 1e5
+"""No odometry reaches so far, m; eastings and northings do."""
+
+
+def _rows(samples: Samples, group: tuple[str, ...], what: str, good: NDArray[np.bool_] | None = None) -> Signal | None:
+    """Return the samples that have all quantities of a group, of equal times the first; None without any.
+
+    Raises BadInputError: times run backwards, or most of them repeat.
+    """
+    if not set(group) <= set(samples.values):
+        return None
+    time, values = samples.values["time"], np.stack([samples.values[quantity] for quantity in group], axis=1)
+    rows = np.flatnonzero(np.isfinite(time) & np.isfinite(values).all(axis=1) & (True if good is None else good))
+    if not len(rows):
+        return None
+    time, values, what = time[rows], values[rows], f"the {what} of {samples.source}"
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < 0.0)
+    if len(back):
+        place = int(back[0])
+        raise BadInputError(
+            f"the times of {what} run backwards {len(back):,} times, first from {time[place]:.3f} s to "
+            f"{time[place + 1]:.3f} s at sample {place + 2:,}. If these are several drives, give each as its own file; "
+            "if the clock was set while recording, use a time that runs on, such as the time since the start"
+        )
+    keep = np.append(True, steps > 0.0)
+    repeated = int((~keep).sum())
+    if repeated > _MOST_REPEATED * len(time):
+        raise BadInputError(
+            f"{repeated:,} of the {len(time):,} times of {what} repeat the one before: the column of times is too "
+            "coarse (whole seconds?). Name a finer one: `columns='time=NAME[unit]'`"
+        )
+    if repeated:
+        samples.notes.append(f"{repeated:,} samples of {what} repeat the time before them and are left out")
+    return Signal(time[keep], values[keep])
+
+
+def _rate(samples: Samples) -> Signal | None:
+    """Return angular rates about x, y, z, rad/s.
+
+    Raises BadInputError: they are too large, or all of them are zero.
+    """
+    found = _rows(samples, RATES, "angular rates")
+    if found is None:
+        return None
+    with np.errstate(over="ignore"):
+        size = np.linalg.norm(found.values, axis=1)
+    middle, peak = (float(value) for value in np.percentile(size, (50, 99)))
+    names = [samples.columns.get(quantity, quantity) for quantity in RATES]
+    if not size.any():
+        raise BadInputError(
+            f"the angular rates of {samples.source} ({', '.join(names)}) are all zero: these columns hold no "
+            "gyroscope. Name those that do: `columns='rate_x=NAME,rate_y=NAME,rate_z=NAME'`"
+        )
+    if middle > _MOST_RATE or peak > _MOST_PEAK:
+        stated = ",".join(f"{rate}={name}[deg/s]" for rate, name in zip(RATES, names, strict=True))
+        raise BadInputError(
+            f"the angular rates of {samples.source} ({', '.join(names)}) are too large for rad/s: half of them are "
+            f"above {middle:.3g}, one in a hundred above {peak:.3g}. State their unit: `columns='{stated}'` (rad/s, "
+            "deg/s, mrad/s or mdeg/s)"
+        )
+    return found
+
+
+def _acceleration(samples: Samples) -> Signal | None:
+    """Return the specific force along x, y, z, m/s2; None if it holds no gravity."""
+    found = _rows(samples, ACCELERATIONS, "accelerations")
+    if found is None:
+        return None
+    middle = float(np.linalg.norm(np.median(found.values, axis=0)))  # of noise alone it would be small
+    if _GRAVITY[0] < middle < _GRAVITY[1]:
+        return found
+    samples.notes.append(
+        f"accelerations of {samples.source} are not used: their median is {middle:.3g} m/s2, and with gravity it would "
+        "be about 9.8"
+    )
+    return None
+
+
+def _attitude(samples: Samples) -> Signal | None:
+    """Return quaternions x, y, z, w that turn vectors of the sensor's axes into those of a fixed frame.
+
+    Those that are no rotation are left out; None if they are fewer than two, or all the same.
+    """
+    found = _rows(samples, QUATERNION, "attitudes")
+    if found is None and {"roll", "pitch"} <= set(samples.values):
+        if "yaw" not in samples.values:
+            samples.notes.append(f"{samples.source} has roll and pitch, but no yaw: turning is left out of its rates")
+        values = {"yaw": np.zeros_like(samples.values["roll"]), **samples.values}
+        angles = _rows(Samples(samples.source, values, notes=samples.notes), ANGLES, "attitudes")
+        found = None if angles is None else Signal(angles.time, quaternions_of_angles(*angles.values.T))
+    if found is None:
+        return None
+    with np.errstate(invalid="ignore", over="ignore"):
+        good = np.abs(np.linalg.norm(found.values, axis=1) - 1.0) < _ROUNDING
+    known = good.sum() > 1 and np.ptp(found.values[good], axis=0).any()
+    return Signal(found.time[good], found.values[good]) if known else None
 
 
 def quaternions_of_angles(roll: Floats, pitch: Floats, yaw: Floats) -> Floats:
@@ -340,3 +204,190 @@ def body_rates(attitude: Signal) -> Signal:
     near = step <= _LONGEST_STEP_S
     rates = vector * factor / step[:, None]
     return Signal((attitude.time[:-1] + 0.5 * step)[near], rates[near])
+
+
+def _places(samples: Samples) -> PlaceTrack | None:
+    """Return longitude and latitude before eastings and northings, these before odometry."""
+    groups: dict[tuple[str, str], PlaceKind] = {LONLAT: "lonlat", EASTING_NORTHING: "projected", LOCAL: "local"}
+    for group, kind in groups.items():
+        if set(group) <= set(samples.values) and (track := _track(samples, group, kind)) is not None:
+            return track
+    return None
+
+
+def _track(samples: Samples, group: tuple[str, str], kind: PlaceKind) -> PlaceTrack | None:
+    source, values, notes = samples.source, samples.values, samples.notes
+    unknown = np.full(len(values["time"]), np.nan)
+    bad = values.get("fix", unknown) < 0.0
+    if kind == "lonlat":
+        bad |= (values[group[0]] == 0.0) & (values[group[1]] == 0.0)
+    known = np.isfinite(values[group[0]] + values[group[1]])
+    if lost := int((bad & known).sum()):
+        notes.append(f"{lost:,} of {known.sum():,} positions of {source} were taken without a fix and are left out")
+    error = np.nan_to_num(values.get("error", unknown), nan=-1.0)
+    found = _rows(Samples(source, {**values, "error": error}, notes=notes), (*group, "error"), "positions", ~bad)
+    if found is None:
+        return None
+    x, y, error = found.values.T
+    if kind == "lonlat":
+        x, y = _degrees(samples, x, y)
+    elif kind == "local" and max(float(np.median(np.abs(x))), float(np.median(np.abs(y)))) > _LARGE_M:
+        kind = "projected"
+        notes.append(f"x and y of {source} are as large as eastings and northings, and are taken for those")
+    elif kind == "local":
+        notes.append(f"x and y of {source} are taken for odometry: they say how far it drove, but not where")
+    # A table may repeat the last position in each row until the next one.
+    fresh = np.append(True, np.hypot(np.diff(x), np.diff(y)) > 0.0)
+    if kind == "local" or fresh.sum() < 3 or fresh.mean() >= _MOST_REPEATED:
+        fresh[:] = True
+    if lost := int((~fresh).sum()):
+        notes.append(f"{lost:,} positions of {source} only repeat the one before and are left out")
+    return PlaceTrack(found.time[fresh], x[fresh], y[fresh], np.where(error[fresh] > 0.0, error[fresh], np.nan), kind)
+
+
+def _degrees(samples: Samples, lon: Floats, lat: Floats) -> tuple[Floats, Floats]:
+    """Return longitude and latitude in degrees: whole numbers may be of 1e-7 degrees.
+
+    Raises BadInputError: they are out of range.
+    """
+    if min(np.median(np.abs(lon)), np.median(np.abs(lat))) > 1e5 and not (lon % 1.0).any() and np.abs(lon).max() > 1e7:
+        lon, lat = lon * 1e-7, lat * 1e-7
+        samples.notes.append(f"longitude and latitude of {samples.source} are taken as 1e-7 degrees")
+    far_lon, far_lat = float(np.abs(lon).max()), float(np.abs(lat).max())
+    if far_lat <= 90.0 and far_lon <= 360.0:
+        return lon, lat
+    names = [samples.columns.get(quantity, quantity) for quantity in LONLAT]
+    raise BadInputError(
+        f"the positions of {samples.source} ({', '.join(names)}) reach longitude {far_lon:.6g}, latitude "
+        f"{far_lat:.6g}. Longitudes are -180 to 180 degrees, latitudes -90 to 90, without minutes. Are they swapped? "
+        f"`columns='longitude={names[1]},latitude={names[0]}'`. Metres are named so: "
+        "`columns='easting=NAME,northing=NAME'`"
+    )
+
+
+def _wheels(samples: Samples) -> WheelTrack | None:
+    sides = _rows(samples, SIDES, "wheel speeds")
+    if sides is not None:
+        return WheelTrack(sides.time, sides.values.mean(axis=1), sides.values[:, 1] - sides.values[:, 0])
+    one = _rows(samples, ("speed",), "speeds")
+    return None if one is None else WheelTrack(one.time, one.values[:, 0], np.full(len(one.time), np.nan))
+
+
+_FEWEST = 20
+"""Samples of angular rates."""
+_SLOWEST_S = 1.0
+"""Median time between two angular rates."""
+_KINDS = ("lonlat", "projected", "local")
+_GAP = 5.0
+"""A gap is so many times the median time between two samples, and at least `_LEAST_GAP_S`."""
+_LEAST_GAP_S = {"angular rates": 0.1, "positions": 2.0, "wheel speeds": 1.0}
+_BRIDGED_S = 0.25
+"""Accelerations are interpolated over at most so much time."""
+_COLUMNS = {
+    "angular rates": {*RATES, "imu"},
+    "attitudes": {*ANGLES, *QUATERNION, "imu", "odometry", "attitude"},
+    "accelerations": {*ACCELERATIONS, "imu"},
+    "positions": {*LONLAT, *EASTING_NORTHING, *LOCAL, "error", "fix", "gnss", "odometry"},
+    "wheel speeds": {"speed", *SIDES, "odometry", "twist"},
+}
+"""Signal -> quantities and purposes of topics that it is read from."""
+
+
+class _Joined:
+    """The signals of all sources, and what is said about the choice between them."""
+
+    def __init__(self, sources: Sequence[Samples]) -> None:
+        self.sources = sources
+        self.columns: dict[str, str] = {}
+        self.notes: list[str] = []
+
+    def first(
+        self, what: str, read: Callable[[Samples], Track | None], rank: Callable[[Samples, Track], tuple[float, ...]]
+    ) -> tuple[Samples, Track] | None:
+        """Return the signal of the source that ranks lowest; say which others have one."""
+        found = [(source, track) for source in self.sources if (track := read(source)) is not None]
+        found.sort(key=lambda each: rank(*each))
+        if not found:
+            return None
+        source, track = found[0]
+        if len(found) > 1 and what in _LEAST_GAP_S:
+            others = ", ".join(other.source for other, _ in found[1:])
+            self.notes.append(f"{what} are read from {source.source}; {others} has some too")
+        several = sum(bool(each.columns) for each in self.sources) > 1
+        for key, text in source.columns.items():
+            if key in _COLUMNS[what] or key == "time":
+                self.columns.setdefault(key, f"{source.source}: {text}" if several and text != source.source else text)
+        return source, track
+
+
+def assemble(name: str, paths: Sequence[Path], sources: Sequence[Samples]) -> DriveLog:
+    """Join samples to a drive.
+
+    Raises
+    ------
+    BadInputError
+        No source has angular rates or attitudes, they are too few, values cannot be meant, or the clocks of the sources
+        have nothing in common.
+    """
+    joined = _Joined(sources)
+    imu = _imu(name, joined)
+    place = joined.first("positions", _places, lambda _, track: (_KINDS.index(track.kind),))
+    roll = joined.first("wheel speeds", _wheels, lambda _, track: (bool(np.isnan(track.difference).all()),))
+    places, wheels = place[1] if place else None, roll[1] if roll else None
+    notes = [*(note for source in sources for note in source.notes), *joined.notes]
+    for what, track in (("angular rates", imu), ("positions", places), ("wheel speeds", wheels)):
+        if track is None:
+            continue
+        if track.time[-1] < imu.time[0] or track.time[0] > imu.time[-1]:
+            raise BadInputError(
+                f"the {what} of {name} have no time in common with its angular rates: {track.time[0]:.3f} to "
+                f"{track.time[-1]:.3f} s against {imu.time[0]:.3f} to {imu.time[-1]:.3f} s. Write both with times of "
+                "the same clock and time zone"
+            )
+        steps = np.diff(track.time)
+        gaps = steps[steps > max(_GAP * float(np.median(steps)), _LEAST_GAP_S[what])] if len(steps) else steps
+        if len(gaps):
+            notes.append(f"{what} have {len(gaps):,} gap{'s' * (len(gaps) > 1)}, the longest of {gaps.max():.2f} s")
+    return DriveLog(name, tuple(paths), imu, places, wheels, joined.columns, tuple(notes))
+
+
+def _imu(name: str, joined: _Joined) -> ImuTrack:
+    forces = {id(source): force for source in joined.sources if (force := _acceleration(source)) is not None}
+    found = joined.first("angular rates", _rate, lambda source, rate: (id(source) not in forces, -len(rate.time)))
+    if found is None:
+        found = joined.first("attitudes", _attitude, lambda _, attitude: (-len(attitude.time),))
+        if found is None:
+            held = "; ".join(source.listing for source in joined.sources if source.listing)
+            raise BadInputError(
+                f"{name} has neither angular rates nor attitudes that are known by their names. It holds {held}. Name "
+                "the columns: `columns='rate_x=NAME[deg/s],rate_y=NAME[deg/s],rate_z=NAME[deg/s]'`"
+            )
+        found = found[0], body_rates(found[1])
+        joined.notes.append(f"{found[0].source} has no angular rates: they are differences of its attitudes")
+    source, rate = found
+    if len(rate.time) < _FEWEST:
+        raise BadInputError(
+            f"{name} has {len(rate.time)} samples of angular rates; at least {_FEWEST} are required, and a drive has "
+            "thousands. Was the recording cut off?"
+        )
+    step = float(np.median(np.diff(rate.time)))
+    if step > _SLOWEST_S:
+        raise BadInputError(
+            f"the angular rates of {name} are {step:.3g} s apart, which is no recording of an IMU. If times are in "
+            "another unit, state it: `columns='time=NAME[ms]'`"
+        )
+    felt = joined.first("accelerations", lambda each: forces.get(id(each)), lambda each, _: (each is not source,))
+    unknown = np.full(rate.values.shape, np.nan)
+    return ImuTrack(rate.time, rate.values, unknown if felt is None else _at(rate.time, felt[1]))
+
+
+def _at(times: Floats, signal: Signal) -> Floats:
+    """Interpolate a signal at times; NaN where its samples are too far away."""
+    if np.array_equal(times, signal.time):
+        return signal.values
+    values = np.stack([np.interp(times, signal.time, column) for column in signal.values.T], axis=1)
+    after = np.clip(np.searchsorted(signal.time, times), 1, max(len(signal.time) - 1, 1))
+    last = signal.time[np.minimum(after, len(signal.time) - 1)]
+    far = np.maximum(last - times, times - signal.time[after - 1]) > _BRIDGED_S
+    exact = np.isin(times, signal.time)
+    return np.where((far & ~exact)[:, None], np.nan, values)

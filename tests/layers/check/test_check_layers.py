@@ -1,6 +1,5 @@
-"""The stretches and tiles of a check for GIS, and as a table."""
+"""The stretches and tiles of a check for GIS."""
 
-import csv
 import json
 from dataclasses import replace
 
@@ -10,8 +9,8 @@ from check_records import STRETCH_M, made_up_check
 from pyproj import CRS, Transformer
 from route_records import UTM, MadeUpMap
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, Georeference
-from bumpymap.layers.check_vectors import CheckPlaces, write_stretch_table, write_stretches
+from bumpymap.core import CLASS_NAMES, Georeference
+from bumpymap.layers.check_vectors import CheckPlaces, write_stretches
 
 TO_UTM = Transformer.from_crs("OGC:CRS84", "EPSG:32614", always_xy=True)
 
@@ -68,36 +67,6 @@ def test_without_a_crs_the_own_coordinates_are_kept_and_declared(tmp_path, unit)
     own = np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
     assert own[:, 0] == pytest.approx(result.stretches.easting / unit, abs=1e-3)
     assert "not longitude and latitude" in found["local_coordinates"]
-
-
-def rows_of(path):
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-def test_the_table_has_positions_and_the_same_values(tmp_path):
-    result = made_up_check(unknown=[2], drives=2)
-    places = places_of(result)
-    layer = written(write_stretches, result, places, tmp_path / "check.geojson")
-    write_stretch_table(result, places, tmp_path / "stretches.csv")
-    rows = rows_of(tmp_path / "stretches.csv")
-    assert len(rows) == 40
-    for row, feature in zip(rows, layer["features"], strict=True):
-        assert [float(row["lon"]), float(row["lat"])] == feature["geometry"]["coordinates"]
-        for name, value in feature["properties"].items():
-            text = "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
-            assert row[name] == text
-    assert [float(row["x"]) for row in rows] == pytest.approx(result.stretches.easting, abs=1e-3)
-    assert {row["drive"] for row in rows} == {"drive 1", "drive 2"}
-
-
-def test_the_table_without_positions_leaves_them_empty(tmp_path):
-    result = made_up_check(5, ground=False)
-    write_stretch_table(result, None, tmp_path / "stretches.csv")
-    for row in rows_of(tmp_path / "stretches.csv"):
-        assert [row[name] for name in ("lon", "lat", "x", "y")] == [""] * 4
-        assert float(row["measured"]) > 0
-    assert (result.stretches.class_id != NO_CLASS).all()  # a made-up one has values of a map all the same
 
 
 def test_a_crs_in_feet(tmp_path):

@@ -2,8 +2,7 @@
 
 import pytest
 
-from bumpymap.core import UsageError
-from bumpymap.readers.drives.columns import chosen_columns, guess_columns
+from bumpymap.readers.drives.quantities import guess_columns
 
 RATES = ("rate_x", "rate_y", "rate_z")
 HEADERS = {
@@ -71,8 +70,3 @@ def test_units_in_names():
 )
 def test_nothing_is_told_that_names_do_not_say(text, quantities):
     assert set(guess_columns("a.csv", text.split(","))) == quantities
-
-
-def test_an_unknown_unit_is_answered_with_the_nearest():
-    with pytest.raises(UsageError, match=r"'mpa' is no unit of speed .* Did you mean 'mph'\?"):
-        chosen_columns({"speed": "v[mpa]"}, ["v"])

@@ -140,13 +140,8 @@ def test_positions_that_are_repeated_in_each_row_count_once(tmp_path):
     place = np.minimum(np.arange(2000) // 10, 100)  # from the 100th on it stands
     columns["lon"], columns["lat"] = -99.1 + 1e-6 * place, 19.4 + 1e-6 * place
     log = read_drive(write(tmp_path / "a.csv", columns))
-    np.testing.assert_allclose(log.places.time, columns["time"][::10])
+    np.testing.assert_allclose(log.places.time, columns["time"][:1001:10])
     assert any("only repeat" in note for note in log.notes)
-    place[1005:1500] = place[1004]
-    place[1500:] = 180 + np.arange(500) // 10  # lost, and found again far away
-    columns["lon"], columns["lat"] = -99.1 + 1e-6 * place, 19.4 + 1e-6 * place
-    log = read_drive(write(tmp_path / "b.csv", columns))
-    assert not ((log.places.time > 10.05) & (log.places.time < 14.99)).any()
 
 
 @pytest.mark.parametrize(
@@ -230,17 +225,6 @@ def test_files_of_a_phone_are_named_after_their_sensors(tmp_path):
     late = np.interp(columns["time"], columns["time"] + 0.002, columns["acc_y"])
     np.testing.assert_allclose(log.imu.acceleration[1:, 1], late[1:], atol=1e-3)
     assert log.places is None
-
-
-def test_a_line_of_units_below_the_names(tmp_path):
-    columns = drive()
-    units = "ms;deg/s;deg/s;deg/s;g;g;g;deg;deg"
-    columns["time"] = columns["time"] * 1e3
-    lines = open(write(tmp_path / "a.csv", columns, ";"), encoding="utf-8").read().split("\n")  # noqa: PTH123, SIM115
-    (tmp_path / "b.csv").write_text("\n".join([lines[0], units, *lines[1:]]), encoding="utf-8")
-    log = read_drive(str(tmp_path / "b.csv"))
-    np.testing.assert_allclose(log.imu.rate, np.deg2rad(gyro(columns)))
-    np.testing.assert_allclose(log.imu.time, columns["time"] * 1e-3)
 
 
 def test_rates_from_attitudes(tmp_path):
