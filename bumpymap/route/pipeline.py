@@ -311,13 +311,15 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
     points = stops.points
     ways = find_alternatives(partial(planner.way, points), config.alternatives, ground.risk_m)
     if not ways:
+        from bumpymap.route.no_way import what_closes  # slow to load
+
         legs = zip(pairwise(points), pairwise(stops.names), strict=True)
-        first, second = next(names for (start, goal), names in legs if planner.line(start, goal) is None)
+        ends, (first, second) = next((ends, names) for ends, names in legs if planner.line(*ends) is None)
         unknown = "cross unknown ground with `unknown=COST`, " if config.cost.unknown is None else ""
         raise BadInputError(
-            f"there is no way from {first} to {second} on which the vehicle fits. Choose other points (without a goal, "
-            f"the same command maps what can be reached), {unknown}map the survey for another vehicle, or drive "
-            "through what the map takes for an obstacle with `through_obstacles`"
+            f"there is no way from {first} to {second} on which the vehicle fits. {what_closes(ground, *ends)}Choose "
+            f"other points (without a goal, the same command maps what can be reached), {unknown}map the survey for "
+            "another vehicle, or drive through what the map takes for an obstacle with `through_obstacles`"
         )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []

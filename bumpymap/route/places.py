@@ -35,6 +35,10 @@ _FORMS = (
 )
 
 
+_NEAR_M = 5000.0
+"""How far from the map two numbers may lie that are thought to be swapped, m."""
+
+
 class GridPoint(NamedTuple):
     """A point on the grid of tiles."""
 
@@ -109,7 +113,11 @@ def place_point(
             f"{name} lies on the map both as longitude and latitude and in its CRS. Write lonlat:{x:.10g},{y:.10g} or "
             f"crs:{x:.10g},{y:.10g}"
         )
-    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {_FORMS}")
+    swapped = [_on_grid(y, x, route_map, each, forced=False) for each in systems]
+    hint = ""
+    if any(point is not None and _outside_m(point, route_map) <= _NEAR_M for point in swapped):
+        hint = f"Longitude comes before latitude, x (east) before y (north): did you mean {y:.10g},{x:.10g}? "
+    raise BadInputError(f"{name} lies outside the map, which spans {_extent(route_map)}. {hint}{_FORMS}")
 
 
 def place_in_window(

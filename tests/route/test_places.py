@@ -90,3 +90,10 @@ def test_a_map_without_a_crs_knows_its_own_coordinates_only():
     with pytest.raises(BadInputError, match=r"x 0\.00 to 30\.00, y 0\.00 to 30\.00 in local coordinates") as caught:
         parse_point("40,20", place)
     assert "longitude 0" not in str(caught.value)
+
+
+def test_swapped_numbers_are_noticed():
+    longitude, latitude = SITE.to_lonlat(480_100.0, 2_136_100.0)
+    for text, meant in ((f"{latitude:.7f},{longitude:.7f}", "-99"), ("2136100,480100", "480100,2136100")):
+        with pytest.raises(BadInputError, match=f"did you mean {meant}"):
+            parse_point(text, SITE)

@@ -1,5 +1,7 @@
 """Ways over maps in memory: weights of risk, closed tiles, areas, stops."""
 
+import math
+
 import numpy as np
 import pytest
 import shapely
@@ -7,6 +9,7 @@ from tile_maps import TileMap
 
 from bumpymap.core import Barred
 from bumpymap.route.ground import CostGround
+from bumpymap.route.no_way import widest_opening
 from bumpymap.route.planner import Planner
 from bumpymap.route.settings import CostSettings
 
@@ -126,3 +129,18 @@ def test_a_corridor_that_an_obstacle_fills_is_left_for_another_far_away():
     figures = planner(site).way(stops).figures
     assert figures.obstacle_m == 0.0
     assert figures.length_m > 2 * 17 * 3.0
+
+
+@pytest.mark.parametrize(("half", "width"), [(0.65, 1.4), (0.45, 1.0)])
+def test_the_widest_opening_in_a_wall_is_found_and_measured(half, width):
+    site = TileMap(np.full((20, 20), 0.1))
+    south, north = site.at(20, 10)[1], site.at(0, 10)[1]
+    line, wall = np.arange(south + 0.1, north, 0.2), site.at(0, 10)[0] + 0.1
+    stops = np.array([site.at(15.5, 3.5), site.at(15.5, 16.5)])
+    gap, narrower = site.at(2.2, 10)[1] + 0.1, site.at(15.5, 10)[1]
+    site.stones = [(wall, y) for y in line if abs(y - gap) > half and abs(y - narrower) > 0.25]
+    place, found = widest_opening(planner(site).ground, *stops)
+    assert math.dist(place, (wall, gap)) < 0.5
+    assert found == pytest.approx(width, abs=0.21)
+    site.stones = [(wall, y) for y in line]
+    assert widest_opening(planner(site).ground, *stops) is None

@@ -1,7 +1,11 @@
 """Yards within walls, surveyed and mapped: nothing gets in or out but through a gap that the vehicle fits through."""
 
+import math
+import re
+
 import numpy as np
 import pytest
+from pyproj import Transformer
 from ring_maps import SIDE_M, TOOLS, Yard, read_graph
 from scipy.sparse.csgraph import dijkstra
 
@@ -52,3 +56,15 @@ def test_a_solver_that_follows_the_graph_goes_where_a_route_goes(tmp_path):
     for line in (places[nodes[::-1]], route.line):
         x, y = yard.place.in_scene(*line.T)
         assert abs(np.interp(0.5 * SIDE_M, x, y)) < 0.5 * 2.3 - 0.4
+
+
+def test_without_a_way_the_message_names_the_gap_that_is_too_narrow(tmp_path):
+    yard = Yard(2.0, 0.2, 50, classified=True, seed=4)
+    layers = yard.map(tmp_path, vehicle="car")
+    with pytest.raises(bumpymap.BadInputError) as raised:
+        bumpymap.find_routes(layers, *yard.ends, snap=6.0)
+    said = re.search(r"widest opening .* (\S+),(\S+) \(longitude, latitude\), about (\S+) m wide", str(raised.value))
+    longitude, latitude, width = map(float, said.groups())
+    place = Transformer.from_crs(4326, 32632, always_xy=True).transform(longitude, latitude)
+    assert math.dist(place, yard.place.of_scene(0.5 * SIDE_M + 0.1, 0.0)) < 0.6
+    assert 1.5 < width < 2.0

@@ -1,0 +1,106 @@
+"""The reason why there is no way between two points: the widest opening that is too narrow, or where both sides come closest."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred
+from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
+from bumpymap.route.places import on_grid, overlap, place_in_window
+from bumpymap.route.search import find_way, spread
+from bumpymap.route.stops import place_text
+from bumpytiles import TileWindow
+
+__all__ = ["what_closes", "widest_opening"]
+
+Floats = NDArray[np.float64]
+_PAD_TILES, _PAD_SHARE = 24, 0.25
+"""Tiles around two points in which an opening is looked for, at least, and as a share of their distance."""
+_BYTES_PER_TILE = 7000
+_LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
+"""Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
+vehicle does not fit, so that a line leads through few of them."""
+
+
+def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
+    """Say where the widest opening between two points [m] is; without one, where the two sides come closest.
+
+    Empty if memory does not allow to look for either.
+    """
+    needed, found = 2.0 * ground.site.vehicle.reach_m, widest_opening(ground, start, goal)
+    if found is not None and found[1] < needed:
+        place, width = found
+        return (
+            f"The widest opening between them is at {place_text(ground.site, place)}, about {width:.1f} m wide; the "
+            f"vehicle needs {needed:.1f} m. "
+        )
+    site, window, grid = ground.site, ground.site.window, ground.site.grid
+    if window.cols * window.rows > ground.memory_tiles:
+        return ""
+    cost = ground.on_tiles(window, through=False)
+    ends = (place_in_window(end, grid, window) for end in (start, goal))
+    first, second = (np.isfinite(spread(cost, end, margin=ground.margin)[0]) for end in ends)
+    if not (first.any() and second.any()):
+        return ""
+    apart, (rows, cols) = ndimage.distance_transform_edt(~second, return_indices=True)
+    row, col = np.unravel_index(np.where(first, apart, np.inf).argmin(), first.shape)
+    closest = np.array([[row, col], [rows[row, col], cols[row, col]]]) + 0.5
+    middle = on_grid(closest.mean(axis=0)[None], grid, window)[0]
+    code = int(site.read(TileWindow.around(*grid.index(middle)[:, None]), ()).barred[0, 0])
+    why = BARRED_TEXT[Barred(code)] if code in BARRED_TEXT and code != Barred.NO else "no passable ground"
+    return (
+        f"Both sides come closest at {place_text(site, middle)}, {math.dist(*closest) * grid.tile_size:.0f} m from "
+        f"tile to tile, where there is: {why}. "
+    )
+
+
+def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Floats, float] | None:
+    """Find the widest opening that is too narrow for the vehicle and joins two points that are not joined otherwise.
+
+    Parameters
+    ----------
+    ground : CostGround
+        The map, with costs.
+    start, goal : array (2,)
+        Easting and northing, m; the vehicle fits there.
+
+    Returns
+    -------
+    place : array (2,)
+        Easting and northing of its narrowest point, m.
+    width : float
+        Between the pixels that close it, m.
+        None if all openings around the two points are narrower than 0.4 m (of pixels of 0.2 m), or memory does not
+        allow to look for one.
+    """
+    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
+    window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)
+    if window.rows * window.cols * _BYTES_PER_TILE > ground.memory_bytes:
+        return None
+    pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size
+    closed = np.repeat(np.repeat(np.isinf(ground.on_tiles(window)), pixels, 0), pixels, 1)
+    closed |= ground.site.objects(window) == OBSTACLE
+    room = ndimage.distance_transform_edt(np.pad(~closed, 1))[1:-1, 1:-1]
+    ends = [(float(row), float(col)) for row, col in ground.in_window(np.array([start, goal]), window)]
+    first, last = ((math.floor(row), math.floor(col)) for row, col in ends)
+    reach = min(room[first], room[last], ground.site.vehicle.reach_m / pixel)
+    levels = np.unique(room[(room >= _LEAST_OPENING) & (room < reach)])
+    for level in levels[::-1].tolist():
+        pieces = ndimage.label(room >= level)[0]
+        if pieces[first] == pieces[last]:
+            break
+    else:
+        return None
+    cost = np.where(room < reach, np.float32(_TOO_NARROW), np.float32(1.0))
+    cost[room < level] = np.inf
+    found = find_way(cost, *ends, margin=PIXEL_MARGIN)
+    if found is None:
+        return None
+    steps = [np.linspace(a, b, 2 + math.ceil(2.0 * math.dist(a, b))) for a, b in pairwise(found.line)]
+    places = np.floor(np.concatenate(steps)).astype(np.int64)
+    narrowest = places[room[places[:, 0], places[:, 1]].argmin()]
+    width = (2.0 * room[tuple(narrowest)] - 1.0) * pixel
+    return on_grid((narrowest[None] + 0.5) / pixels, ground.site.grid, window)[0], float(width)
