@@ -1,4 +1,4 @@
-"""The reason why there is no way between two points: the widest opening that is too narrow, or where both sides come closest."""
+"""Why there is no way between two points: the widest opening is too narrow, or both sides come closest somewhere."""
 
 import math
 from itertools import pairwise
