@@ -497,7 +497,8 @@ def map_survey(
     out : path, optional
         Folder for the layers. Without one they are temporary, and deleted with the returned object.
     **settings
-        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``, ``align``, ``rating``,
+        Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
+        ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
         ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``,
         ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables

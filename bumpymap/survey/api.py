@@ -34,6 +34,7 @@ class EachSettings(TypedDict, total=False):
     tile_size: float
     pixels: int
     ground: Ground
+    ground_classes: Sequence[int]
     align: Align
     rating: Rating
     compat: Compat

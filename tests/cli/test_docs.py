@@ -45,7 +45,7 @@ def test_the_reference_is_filled_from_the_declarations():
     assert "| `chassis.com_height_m` | m | -2 to 6 | height of the centre of mass" in filled
     assert re.search(r"\| `rocker.stiffness_nm_per_rad` \| 120000 \| 5000 \| 300 \| 10000 \|", filled)
     assert "| affine | BSD | default |" in filled
-    assert "--tile-size M        Side of a tile, in metres [3]." in filled
+    assert re.search(r"--tile-size M +Side of a tile, in metres \[3\]\.", filled)
     assert "#pixels = 15" in filled
 
 

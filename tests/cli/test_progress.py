@@ -133,7 +133,7 @@ def test_a_run_in_events(tmp_path):
         (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
         (["info", "a.laz", "--json"], 3, "BadInputError"),
         (["train", "--json"], 2, "MissingParameter"),
-        (["calibrate", "--json"], 2, "UsageError"),
+        (["calibrate", "--json"], 2, "MissingParameter"),
         (["nothing", "--json"], 2, "NoSuchCommand"),
     ],
 )

@@ -367,7 +367,6 @@ def test_summary_and_page_are_written_during_the_night(surveys, tmp_path, monkey
     ("settings", "words"),
     [
         ({"resumes": True}, "survey_per, jobs, tile_size"),
-        ({"resume": True}, "the same run continues an interrupted one"),
         ({"jobs": 0}, "`jobs` is 0"),
         ({"jobs": 2, "scheduler": "tcp://a:1"}, "Give `jobs=1`, or no `scheduler`"),
         ({"ground": "grass"}, "ground"),
