@@ -54,6 +54,7 @@ BAD = [
     ({"crs": "EPSG:1"}, "crs='EPSG:1'"),
     ({"crs": "EPSG:4326"}, "CRS"),
     ({"crs": "EPSG:32632", "local": True}, "crs and local"),
+    ({"resume": True}, "the same run continues an interrupted one"),
     ({"memory": "lots"}, "memory"),
     ({"features": {"max_holes": 1}}, "max_holes"),
     ({"features": 3}, "features"),
@@ -210,6 +211,7 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
     ("words", "said"),
     [
         (["--crs", "EPSG:1"], "--crs EPSG:1 is not a coordinate reference system"),
+        (["--resume"], "--resume is gone: the same command continues an interrupted run"),
         (["--tile-size", "5"], "Use --tile-size 3, --set pixels=15"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],

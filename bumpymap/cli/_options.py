@@ -42,7 +42,9 @@ __all__ = [
     "JOBS",
     "LOCATION",
     "PATH",
+    "RESUME",
     "Run",
+    "gone_option",
     "grouped_option",
     "job",
     "settings_options",
@@ -278,12 +280,27 @@ def job(
     return make
 
 
+def gone_option(name: str, instead: str) -> GroupedOption:
+    """Return an option that there was, which only says what to do ``instead``."""
+
+    def refuse(_ctx: click.Context, _option: click.Parameter, value: bool) -> None:
+        if value:
+            raise UsageError(f"{name} is gone: {instead}")
+
+    dest = "gone" + name.replace("-", "_")
+    return GroupedOption([name, dest], is_flag=True, hidden=True, expose_value=False, callback=refuse)
+
+
+RESUME = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
 _HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
 _CONFIG = (
     GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),
     GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", help=_HELP_OF_SET),
 )
-_JSON = (GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),)
+_JSON = (
+    GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),
+    gone_option("--log-json", "give --json, as to every command"),
+)
 JOBS = GroupedOption(
     ["--jobs"], type=click.IntRange(min=1), metavar="N", help="Drives at a time, each a process [one per core]."
 )

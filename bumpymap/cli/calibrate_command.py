@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from bumpymap.cli._options import FILE, JOBS, Run, grouped_option, job
+from bumpymap.cli._options import FILE, JOBS, Run, gone_option, grouped_option, job
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, print_line
 from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bumpymap.rating import Calibration
 
 
-@job("calibrate", CalibrationSettings, [JOBS])
+@job("calibrate", CalibrationSettings, [JOBS, gone_option("--check", "the tests of the simulation hold it")])
 @grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
 @grouped_option(
     "--out", required=True, type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import PATH, Run, grouped_option, job
+from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
 from bumpymap.cli._text import print_line
 from bumpymap.core import BadInputError, MapConfig, OutputError, atomic, settings_template
 
@@ -38,7 +38,7 @@ def compile_command(run: Run) -> None:
         raise OutputError(f"the compiled kernels cannot be kept. Set NUMBA_CACHE_DIR to {folder}")
 
 
-@job("demo")
+@job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
 @click.option(
     "--out",
     default="demo_out",
@@ -77,7 +77,11 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job("report", quiet="Print nothing.")
+@job(
+    "report",
+    [gone_option("--check", "open check.html, which bumpymap check leaves")],
+    quiet="Print nothing.",
+)
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(

@@ -307,7 +307,7 @@ def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, mon
         ("pixels", "give KEY=VALUE"),
         ("pixels=a", "pixels is 'a'; it must be a whole number from 3 to 255"),
         ("csf.rigidness=4", "csf.rigidness is 4; it must be a whole number from 1 to 3"),
-        ("resume=true", "unknown setting resume"),
+        ("resume=true", "the same run continues an interrupted one"),
         ("a.b.c=4", "give KEY=VALUE"),
     ],
 )

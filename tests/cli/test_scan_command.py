@@ -183,6 +183,7 @@ def test_bad_input_is_one_message_and_leaves_nothing(scan, tmp_path, make, words
         (["--set", "products=cloud,map"], "value 2 of products is 'map'; it must be one of polygons, table, cloud"),
         (["--crs", "EPSG:32614"], "add --poses"),
         (["--set", "model=a.onnx", "--method", "filter"], "give one of them"),
+        (["--fit"], "--fit is gone: train a network"),
     ],
 )
 def test_wrong_usage(scan, frame, tmp_path, options, words):

@@ -1,15 +1,20 @@
-"""index.html, the page of a batch: a row for each survey, with a thumbnail of its map."""
+"""index.html, the page of a batch: a row for each survey, with a thumbnail of its map and its place."""
 
 import io
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
+from pyproj import Transformer
+from pyproj.exceptions import ProjError
 
-from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text
+from bumpymap.core import CLASS_NAMES, NO_CLASS, Barred, shares_text, stated_crs
 from bumpymap.layers import (
     BARRED_COLOURS,
     CLASS_COLOURS,
@@ -19,9 +24,64 @@ from bumpymap.layers import (
     read_averaged,
 )
 from bumpymap.views.page.page import render_page
-from bumpymap.views.pictures.drawing import LEVEL, light_of
+from bumpymap.views.pictures.drawing import LEVEL, bar_length, light_of
 
 __all__ = ["SurveyView", "index_page", "read_thumbnail"]
+
+_LEAST_WIDTH, _WIDTH, _MOST_HEIGHT, _EDGE = 260.0, 640.0, 280.0, 24.0
+_DEGREE_M = 111_320.0
+_LEAST_M = 100.0
+_SMALLEST_PX = 7.0
+
+
+def _places(rows: Sequence[SurveyRow]) -> dict[str, Any] | None:
+    """Return the map of the surveys in pixels; None if fewer than two have a known place, or they lie far apart."""
+    found = [(row, box) for row in rows if (box := _box(row))]
+    if len(found) < 2:
+        return None
+    lows, highs = (pick(np.array([box for _, box in found]), axis=0).tolist() for pick in (np.min, np.max))
+    (west, south, _, _), (_, _, east, north) = lows, highs
+    if east - west > 180 or max(abs(south), abs(north)) > 85:
+        return None
+    east_m = _DEGREE_M * math.cos(math.radians((south + north) / 2))
+    wide, high = max((east - west) * east_m, _LEAST_M), max((north - south) * _DEGREE_M, _LEAST_M)
+    scale = min((_WIDTH - 2 * _EDGE) / wide, (_MOST_HEIGHT - 2 * _EDGE) / high)
+    boxes = []
+    for row, (left, bottom, right, top) in found:
+        size = (right - left) * east_m * scale, (top - bottom) * _DEGREE_M * scale
+        grown = [max(side, _SMALLEST_PX) for side in size]
+        x, y = _EDGE + (left - west) * east_m * scale, _EDGE + (north - top) * _DEGREE_M * scale
+        boxes.append((row, (x - (grown[0] - size[0]) / 2, y - (grown[1] - size[1]) / 2, *grown)))
+    bar_m = bar_length(_WIDTH / 4 / scale)
+    return {
+        "boxes": boxes,
+        "bounds": (west, east, south, north),
+        "width": max(wide * scale + 2 * _EDGE, _LEAST_WIDTH),
+        "height": high * scale + 2 * _EDGE + 16,
+        "bar": bar_m * scale,
+        "bar_m": bar_m,
+        "missing": len(rows) - len(found),
+    }
+
+
+def _box(row: SurveyRow) -> tuple[float, float, float, float] | None:
+    """Return west, south, east and north of a survey in WGS 84, degrees; None if they are not known."""
+    left, bottom, right, top = row.min_x, row.min_y, row.max_x, row.max_y
+    if row.crs is None or left is None or bottom is None or right is None or top is None:
+        return None
+    try:
+        west, south, east, north = _to_degrees(row.crs).transform_bounds(left, bottom, right, top)
+    except ProjError:
+        return None
+    if not all(map(math.isfinite, (west, south, east, north))) or west > east:
+        return None
+    return west, south, east, north
+
+
+@cache
+def _to_degrees(crs: str) -> Transformer:
+    return Transformer.from_crs(stated_crs(crs), "EPSG:4326", always_xy=True)
+
 
 _SIDES = ((96, 12), (96, 5), (64, 5), (48, 3), (32, 2))
 """Pixels of the longer side and shades of each colour: the first that fits is taken."""
@@ -143,6 +203,7 @@ def index_page(
         links=links,
         note=note,
         order={status: place for place, status in enumerate(_ORDER)},
+        places=_places(shown),
         rows=shown,
         shares_of=_shares,
         title=title,

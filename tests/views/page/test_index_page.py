@@ -104,10 +104,29 @@ def test_the_headline_counts(statuses, words):
     assert f"{words}\n" in Reader(index_page(rows, {}, [], "night")).text
 
 
+def test_a_name_that_is_not_utf8_has_a_link_to_its_bytes():
+    page = index_page([done("caf\udce9")], {"caf\udce9": SurveyView(has_report=True)}, [], "n\udce9")
+    assert 'href="caf%E9/report.html"' in page
+    assert "caf\\xe9" in page
+    page.encode()
+
+
 def test_a_page_of_500_surveys_is_small():
     rows = [done(f"survey_{number:03}", min_x=5e5 + number, message="x" * 100) for number in range(500)]
     views = {row.name: SurveyView(bytes(1_800), has_report=True) for row in rows}
     assert len(index_page(rows, views, ["summary.csv"], "night").encode()) < 2_000_000
+
+
+def test_places_are_drawn_if_two_are_known():
+    far = done("far", crs="EPSG:32632", min_x=5e5, min_y=5e6, max_x=5.001e5, max_y=5.0001e6)
+    assert "<figure>" not in index_page([done("a")], {}, [], "night")
+    assert "<figure>" not in index_page([done("a"), done("b", crs="nonsense"), done("c", crs=None)], {}, [], "night")
+    page = index_page([done("a"), far, SurveyRow("x", "failed")], {}, [], "night")
+    boxes = re.findall(r'<rect class="good" x="([\d.]+)" y="([\d.]+)"[^>]*><title>(\w+)<', page)
+    place = {name: (float(x), float(y)) for x, y, name in boxes}
+    assert place["a"][0] < place["far"][0]  # Texas is west of Europe, and south
+    assert place["a"][1] > place["far"][1]
+    assert "1 without a known place" in page
 
 
 def write_rasters(folder, class_id, barred, heights):
@@ -154,6 +173,28 @@ def test_smooth_ground_that_is_not_passable_is_dark(tmp_path, most):
     half = dark.shape[1] // 2
     assert not dark[:, :half].any()
     assert dark[:, half:].all()
+
+
+@pytest.mark.parametrize("most", [100_000, 2_000, 700])
+def test_colours_of_rare_ground_are_not_mixed(tmp_path, most):
+    """A little grey among light blue stays grey, however few colours a picture has."""
+    class_id, barred = np.ones((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    class_id[48:54, 48:54], barred[48:54, 48:54] = NO_CLASS, Barred.UNKNOWN
+    heights = np.random.default_rng(0).normal(0, 1, (96, 96)).astype(np.float32)
+    write_rasters(tmp_path, class_id, barred, heights)
+    found = pixels(read_thumbnail(tmp_path, most))
+    spread = np.ptp(found.reshape(-1, 3), axis=1)
+    assert 0.5 < (spread < 2).sum() / (6 * len(found) / 96) ** 2 < 2
+    assert ((spread < 2) | (spread > 20)).all()
+
+
+def test_relief_is_lit_from_the_north_west(tmp_path):
+    class_id, barred = np.zeros((96, 96), np.uint8), np.full((96, 96), Barred.NO, np.uint8)
+    rows, cols = np.mgrid[0:96, 0:96]
+    ridge = (-np.abs(cols - 48) * 2.0).astype(np.float32) + 0 * rows
+    write_rasters(tmp_path, class_id, barred, ridge.astype(np.float32))
+    found = pixels(read_thumbnail(tmp_path, 100_000)).sum(axis=2)
+    assert found[:, 10:40].mean() > found[:, 56:86].mean() + 50
 
 
 def test_a_picture_is_as_small_as_asked(tmp_path):
