@@ -8,7 +8,8 @@ GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDA
 file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
 Two threads that write rasters at the same time also lose parts of blocks: one flushes the other's blocks to free cache,
 and the other reads them back too early. Therefore small rasters are made in memory and written by Python; a large one
-is made only if the disk has space for it, and is read back afterwards; and rasters are written one after the other.
+is made only if the disk has space for it, and is read back afterwards; and rasters are written one after the other, and
+traced while none is written: `raster_lock`.
 
 rasterio cannot write category names and raster attribute tables. The layout of the side file is that of GDAL's
 ``PAMDataset``; types and usages are the numbers of GDAL's ``GDALRATFieldType`` and ``GDALRATFieldUsage``.
@@ -43,6 +44,7 @@ __all__ = [
     "RasterSpec",
     "checksum",
     "count_values",
+    "raster_lock",
     "require_disk_space",
     "require_intact",
     "write_array",
@@ -170,6 +172,11 @@ def _reset_after_fork() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_reset_after_fork)
+
+
+def raster_lock() -> threading.Lock:
+    """Return the lock that every thread holds while it lets GDAL work on pixels, in memory too: see above."""
+    return _gdal
 
 
 def write_cog(

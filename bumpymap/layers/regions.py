@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from rasterio.transform import Affine
 
 from bumpymap.core import CLASS_NAMES, FAIL_SHARE, NO_CLASS, REASON_TEXT, CostTable, Reason
+from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.placement import Placement, RasterWindow
 from bumpytiles import BLOCK_TILES, TileWindow, helper, kernel
 
@@ -170,7 +171,9 @@ def trace_labels(
     held = shared_corners(np.pad(part, 1)) if corners is None else corners[rows.start : rows.start + len(part) + 1]
     mask = (part >= wanted.start) & (part < wanted.stop)
     order, holes, rings = [], [], []
-    for shape, number in rasterio.features.shapes(part, mask=mask, connectivity=4, transform=Affine.identity()):
+    with raster_lock():  # a raster in memory, whose blocks share the cache with those that other threads write
+        shapes = list(rasterio.features.shapes(part, mask=mask, connectivity=4, transform=Affine.identity()))
+    for shape, number in shapes:
         order.append(int(number) - wanted.start)
         holes.append(len(shape["coordinates"]))
         rings += shape["coordinates"]

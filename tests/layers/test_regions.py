@@ -2,6 +2,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+import rasterio.features
 import shapely
 from coverages import check_coverage, holes_of_tiles
 from hypothesis import given, settings, strategies as st
@@ -11,6 +12,7 @@ from scipy import ndimage
 
 from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Reason
 from bumpymap.layers import label
+from bumpymap.layers._cog import raster_lock
 from bumpymap.layers.regions import dissolve
 
 
@@ -151,3 +153,14 @@ def test_areas_are_those_of_scipy_in_reading_order(keys):
     for number in range(len(first)):
         inside = np.flatnonzero(labels == number + 1)
         assert (inside[0], inside[-1]) == (first[number], last[number])
+
+
+def test_no_raster_is_written_while_outlines_are_traced(make_field, monkeypatch):
+    """Blocks of both share GDAL's cache, from which one thread may push those that another has not finished."""
+    trace, held = rasterio.features.shapes, []
+    monkeypatch.setattr(
+        rasterio.features, "shapes", lambda *args, **more: held.append(raster_lock().locked()) or trace(*args, **more)
+    )
+    assert regions_of(make_field(20, 16))
+    assert held
+    assert all(held)
