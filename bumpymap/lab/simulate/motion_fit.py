@@ -186,10 +186,10 @@ def fit_motion(settings: CalibrationSettings, driven: Mapping[Key, Any]) -> Moti
     means = np.array([[getattr(record, name) for name in QUANTITIES] for record in records], np.float64).mean(axis=2)
     # As they are recorded, so that a later fit to the record gives the same bits.
     recorded = [[list(map(six_digits, row)) for row in one] for one in means.swapaxes(1, 2).tolist()]
-    return fit_means(settings, np.array(recorded, np.float64))
+    return fit_means(settings, np.array(recorded, np.float64), settings.motion_starts)
 
 
-def fit_means(settings: CalibrationSettings, means: Floats) -> MotionModel:
+def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> MotionModel:
     """Fit the model to drives over the library; terrains where a drive failed are left out.
 
     Parameters
@@ -197,12 +197,14 @@ def fit_means(settings: CalibrationSettings, means: Floats) -> MotionModel:
     settings : CalibrationSettings
     means : array (terrains, speeds, 3)
         Means over the starts of each of ``QUANTITIES``, in the order of `motion_jobs`; NaN where a drive failed.
+    starts : int
+        Drives over each at each speed; for the record.
     """
-    jobs, own = motion_jobs(settings), SPEED_RATIOS.index(1.0)
+    own = SPEED_RATIOS.index(1.0)
     c_r = means[:, own, 0]
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
-    places = [job.key[1:] for job, wanted in zip(jobs, used, strict=True) if wanted]
-    terrains = [library_terrain(settings, str(kind), int(index)) for kind, index in places]
+    places = [divmod(number, len(KINDS)) for number in np.flatnonzero(used).tolist()]
+    terrains = [library_terrain(settings, KINDS[kind], index) for index, kind in places]
     vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
     relief, _ = relief_and_slope(terrains)
     speeds = tuple(ratio * speed for ratio in SPEED_RATIOS)
@@ -217,9 +219,9 @@ def fit_means(settings: CalibrationSettings, means: Floats) -> MotionModel:
         for number, name in enumerate(QUANTITIES)
     }
     origin = {
-        "terrains": len(jobs),
+        "terrains": len(means),
         "used": int(used.sum()),
-        "starts": settings.motion_starts,
+        "starts": starts,
         "ratios": list(SPEED_RATIOS),
         "seed": settings.seed,
         "driven": [[list(map(six_digits, row)) for row in terrain] for terrain in means.tolist()],

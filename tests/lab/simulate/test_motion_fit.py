@@ -29,7 +29,7 @@ def invented(spread=0.0, seed=1):
 
 @pytest.mark.slow
 def test_it_finds_what_was_put_in():
-    model = fit_means(SETTINGS, invented())
+    model = fit_means(SETTINGS, invented(), 2)
     c_r = np.array([0.03, 0.1, 0.3])
     told = np.exp(model.plain_log_factors(c_r, (0.5, 1.0, 1.5)))
     assert told[:, :, 0] == pytest.approx(np.broadcast_to([0.5**-0.1, 1.0, 1.5**-0.1], (3, 3)), rel=1e-3)
@@ -41,7 +41,7 @@ def test_it_finds_what_was_put_in():
 def test_the_spread_is_that_of_the_errors_and_failed_terrains_are_left_out():
     means = invented(spread=0.1)
     means[3, 2] = np.nan
-    model = fit_means(SETTINGS, means)
+    model = fit_means(SETTINGS, means, 2)
     assert model.origin["used"] == len(means) - 1
     for fit in (model.c_r, model.c_roll, model.a_w):
         assert fit.plain_log_sd == pytest.approx(0.1, rel=0.3)
@@ -52,7 +52,7 @@ def test_the_spread_is_that_of_the_errors_and_failed_terrains_are_left_out():
 def test_the_shipped_record_is_what_its_drives_give(name):
     shipped = Calibration.shipped(name)
     origin = shipped.motion["origin"]
-    made = fit_means(calibrated_settings(shipped), np.array(origin["driven"], np.float64)).to_record()
+    made = fit_means(calibrated_settings(shipped), np.array(origin["driven"], np.float64), origin["starts"]).to_record()
     for key in ("c_r", "c_roll", "a_w"):
         assert made[key]["plain"] == pytest.approx(shipped.motion[key]["plain"], rel=1e-4, abs=1e-5)
         assert made[key]["log_sd"] == pytest.approx(shipped.motion[key]["log_sd"], rel=0.01)
