@@ -21,7 +21,11 @@ if TYPE_CHECKING:
     from bumpymap.rating import Calibration
 
 
-@job("calibrate", CalibrationSettings, [JOBS, gone_option("--check", "the tests of the simulation hold it")])
+@job(
+    "calibrate",
+    CalibrationSettings,
+    [JOBS, gone_option("--check", "the project's tests drive over planes and waves of known C_r")],
+)
 @grouped_option("--vehicle", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle")
 @grouped_option(
     "--out", required=True, type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output"

@@ -1,4 +1,4 @@
-"""Why there is no way between two points: the widest opening is too narrow, or both sides come closest somewhere."""
+"""Explain that there is no way between two points: the widest opening, or the place where both sides come closest."""
 
 import math
 from itertools import pairwise
@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from bumpymap.core import BARRED_TEXT, OBSTACLE, Barred
 from bumpymap.route.ground import PIXEL_MARGIN, CostGround, window_around
+from bumpymap.route.passages import BYTES_PER_TILE, first_pad
 from bumpymap.route.places import on_grid, overlap, place_in_window
 from bumpymap.route.search import find_way, spread
 from bumpymap.route.stops import place_text
@@ -17,9 +18,6 @@ from bumpytiles import TileWindow
 __all__ = ["what_closes", "widest_opening"]
 
 Floats = NDArray[np.float64]
-_PAD_TILES, _PAD_SHARE = 24, 0.25
-"""Tiles around two points in which an opening is looked for, at least, and as a share of their distance."""
-_BYTES_PER_TILE = 7000
 _LEAST_OPENING, _TOO_NARROW = 1.5, 100.0
 """Distance from what closes an opening, px: what is narrower is a gap between points. And cost of a pixel in which the
 vehicle does not fit, so that a line leads through few of them."""
@@ -76,9 +74,9 @@ def widest_opening(ground: CostGround, start: Floats, goal: Floats) -> tuple[Flo
         None if all openings around the two points are narrower than 0.4 m (of pixels of 0.2 m), or memory does not
         allow to look for one.
     """
-    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
+    pad = first_pad(ground, start, goal)
     window = overlap(window_around(ground.site, np.array([start, goal]), pad), ground.site.window)
-    if window.rows * window.cols * _BYTES_PER_TILE > ground.memory_bytes:
+    if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:
         return None
     pixels, pixel = ground.site.grid.pixels, ground.site.grid.pixel_size
     closed = np.repeat(np.repeat(np.isinf(ground.on_tiles(window)), pixels, 0), pixels, 1)

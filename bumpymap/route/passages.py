@@ -20,7 +20,7 @@ from bumpymap.route.ground import CostGround, points_along, window_around
 from bumpymap.route.places import on_grid, overlap
 from bumpytiles import TileWindow
 
-__all__ = ["BYTES_PER_TILE", "reach_over_areas", "way_over_areas"]
+__all__ = ["BYTES_PER_TILE", "first_pad", "reach_over_areas", "way_over_areas"]
 
 Floats = NDArray[np.float64]
 
@@ -51,6 +51,11 @@ class AreaGraph(NamedTuple):
     """(n, n) cost from node to node, in tiles."""
 
 
+def first_pad(ground: CostGround, start: Floats, goal: Floats) -> int:
+    """Return how many tiles around two points, easting and northing [m], are looked at first."""
+    return max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
+
+
 def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | None:
     """Find the cheapest way on pixels between two points; None if there is none, or the graph needs too much memory.
 
@@ -58,7 +63,7 @@ def way_over_areas(ground: CostGround, start: Floats, goal: Floats) -> Floats | 
     northing of the corners, m.
     """
     ends = np.array([start, goal])
-    pad = max(_PAD_TILES, math.ceil(_PAD_SHARE * math.dist(start, goal) / ground.site.grid.tile_size))
+    pad = first_pad(ground, start, goal)
     while True:
         window = overlap(window_around(ground.site, ends, pad), ground.site.window)
         if window.rows * window.cols * BYTES_PER_TILE > ground.memory_bytes:

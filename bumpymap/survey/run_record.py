@@ -94,7 +94,7 @@ class MapResult:
     points: int
     """Points read that are neither withheld nor noise; duplicates are included."""
     ground_only: bool
-    """Only ground was measured: points of class 2, or those that the cloth filter found (``ground = "csf"``)."""
+    """Only ground was measured: points of ground classes, or those that the cloth filter found (``ground = "csf"``)."""
     skipped: dict[str, str]
     """Inputs that could not be read, with the error message (``skip_bad``)."""
     seconds: dict[str, float]

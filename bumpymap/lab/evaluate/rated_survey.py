@@ -28,7 +28,7 @@ from bumpymap.core import (
     decide_ground,
     remove_path,
 )
-from bumpymap.patches import join_stacks, measure
+from bumpymap.patches import decks_as_ground, join_stacks, measure
 from bumpymap.rating import Calibration, RideModel, TextureModel, Vehicle, classify, rate
 from bumpymap.readers import Location, PointStats, ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import BLOCK_TILES, Grid, MemoryLimits, TileBuckets, TilePoints
@@ -142,13 +142,13 @@ class MeasuredSurvey:
 
     buckets: TileBuckets
     ground_only: bool
-    """True if only points of class 2 are measured."""
+    """True if only ground points are measured."""
     features: FeatureSettings
 
     def measured(self, parts: Iterable[TilePoints]) -> Iterator[PatchStack]:
         """Measure the tiles of blocks; a dense block comes in several parts."""
         for points in parts:
-            yield measure(points, self.features, ground_only=self.ground_only)
+            yield measure(decks_as_ground(points), self.features, ground_only=self.ground_only)
 
     def patches(self, col: Ints, row: Ints) -> PatchStack:
         """Measure the given tiles (at least one, all with points), in the given order."""

@@ -91,7 +91,7 @@ _PLAIN = ("z_variance", "ransac_residual", "slope_free_sd")
 
 def _opening(findings: Findings) -> list[str]:
     facts = findings.facts
-    points = "points of class 2 (ground) only" if facts["ground_only"] else "all points"
+    points = "ground points only" if facts["ground_only"] else "all points"
     why = ", ".join(f"{name}: {count}" for name, count in facts["unknown_tiles"].items())
     unknown = f"{sum(facts['unknown_tiles'].values())} unknown" + (f" ({why})" if why else "")
     first = (

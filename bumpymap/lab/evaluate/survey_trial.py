@@ -253,7 +253,7 @@ def _rate(
         listed = ", ".join(f"{name}: {count}" for name, count in unknown.items())
         raise BadInputError(
             f"no tile of the survey can be classified ({listed}), so there is nothing to evaluate"
-            + (". Only points of class 2 were measured; try `ground='all'`" if survey.ground_only else "")
+            + (". Only ground points were measured; try `ground='all'`" if survey.ground_only else "")
         )
     return joined, {name: Verdict.join([part[name] for part in verdicts]) for name in verdicts[0]}, unknown
 
