@@ -164,7 +164,7 @@ class Turn(NamedTuple):
     length_m: float
     """Its length, m."""
     why: str
-    """What is there."""
+    """The reasons."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ __all__ = ["look_straight_ahead"]
 _NAMED = 3
 """Stretches that are named."""
 _LEAST_M = 1.0
-"""What a stretch costs beyond its length to be named, m."""
+"""Least cost of a stretch beyond its length to be named, m."""
 
 
 def look_straight_ahead(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
