@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import xarray
-from cost_maps import part_of
 from route_maps import write_folder
 from route_sites import ROWS, SOUTH, WEST, place, site
 
@@ -51,17 +50,3 @@ def test_a_reach_is_a_dataset(layers):
     assert way.figures.cost_m <= cost <= 1.03 * way.figures.cost_m
     assert np.isnan(reach["cost"].sel(x=(WEST + 15.5) * 3, y=(SOUTH + ROWS - 20.5) * 3))
     assert set(bumpymap.map_reach(layers, pair(20.5, 8.5), minutes=0.5).data_vars) == {"cost", "minutes"}
-
-
-def test_a_map_in_sheets_gives_the_same_way(layers, tmp_path):
-    whole = site()
-    middle = WEST + 9
-    sheets = [
-        write_folder(tmp_path / "west", part_of(whole, whole.patches.col < middle)),
-        write_folder(tmp_path / "east", part_of(whole, whole.patches.col >= middle - 2)),
-    ]
-    ends = (pair(20.5, 8.5), pair(20.5, 22.5))
-    one, *others = (bumpymap.find_routes(folders, *ends)[0] for folders in (layers, sheets, sheets[::-1]))
-    for other in others:
-        np.testing.assert_array_equal(other.line, one.line)
-        assert other.figures == one.figures
