@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +38,11 @@ from bumpymap.survey import (
     describe_lines,
     enough_points,
     estimate,
+    file_doubts,
 )
 from bumpytiles import Bounds, Grid, TileWindow
 
 __all__ = ["FileReport", "Report"]
-
-_FAR_APART = 100_000.0
-"""Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,6 +111,7 @@ class Report:
             yield ""
         together = self._why_not_together() or self._one_map()
         yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
+        yield from (Styled(as_options(doubt), "yellow", "  doubtful: ") for doubt in self._doubts())
         forecast = self._estimate()
         if forecast is not None:
             threads = count_text(self.budget.threads, "thread")
@@ -127,6 +126,7 @@ class Report:
         return {
             "files": [self._record(file) for file in self.files],
             "together": " ".join(self._why_not_together()),
+            "doubts": [as_options(doubt) for doubt in self._doubts()],
             "too_large": as_options(self._too_large()),
             "run": forecast
             and {
@@ -150,10 +150,6 @@ class Report:
             lines.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if file.dropped is not None and file.summary is None:
             lines.append("no usable points (all are withheld, noise or without return): nothing to map")
-        box = file.bounds
-        if box and (side := max(box.east - box.west, box.north - box.south)) > _FAR_APART:
-            spread = f"its points are spread over {side / 1000:,.0f} km"
-            lines.append(f"{spread}: there may be stray coordinates, or the CRS may be wrong")
         lines += self._unknown(file)
         grid = self.grid
         if grid != Grid():
@@ -217,6 +213,11 @@ class Report:
         except BadInputError as error:
             return str(error)
         return ""
+
+    def _doubts(self) -> list[str]:
+        """Return what the extents and heights of the files make doubtful."""
+        infos = [replace(file.info, bounds=file.bounds) for file in self.files if file.info is not None]
+        return file_doubts(infos)
 
     def _why_not_together(self) -> list[str]:
         """Return why the files cannot be mapped in one run, in lines; empty if they can."""

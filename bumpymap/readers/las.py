@@ -230,7 +230,9 @@ class LasSurvey(SurveyReader):
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
-        return replace(info, parallel=raw.compressed, header_date=raw.created)
+        low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
+        heights = None if bounds is None else (low, high)
+        return replace(info, parallel=raw.compressed, header_date=raw.created, heights=heights)
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""

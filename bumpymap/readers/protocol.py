@@ -96,6 +96,8 @@ class SurveyInfo:
     """True if the points can only be decoded sequentially from the start of the file."""
     parallel: bool = False
     """True if several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
+    heights: tuple[float, float] | None = None
+    """Lowest and highest in the header, m; None if the format has none, or they are to be ignored."""
     header_date: date | None = None
     """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 
