@@ -94,7 +94,8 @@ def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> t
         )
     text = f"--ground all measures every point, {outcome.all_points_per_tile:.0f} per tile on average, vegetation too"
     if outcome.measured == "ground points":
-        text += "; --ground csf detects ground points where the survey has any"
+        text += "; --ground csf detects ground points where the survey has any; bumpymap info names classes that lie "
+        text += "on the ground and are left out, for --ground-classes"
     return why, text
 
 
