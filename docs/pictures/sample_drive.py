@@ -16,7 +16,7 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
 from check import ROOT, SENSORS, drive
 from driven_ways import Stop
-from sensed_drives import GNSS, read_motion, sense_drive, write_drive_files
+from sensed_drives import RTK, read_motion, sense_drive, write_drive_files
 
 WAY = ((14, 10), (14, 29), (62, 29))
 """Metres east and north of the south-west corner of the map: road, washboard."""
@@ -33,7 +33,7 @@ def main(folder: Path) -> None:
         bumpymap.map_survey(ROOT / "sample_data" / "quarry.laz", layers)
     if not motion.exists():
         drive(layers, motion, WAY, (Stop(30.0, 3.0),))
-    imu, gnss = replace(SENSORS.imu, sample_hz=IMU_HZ, cutoff_hz=20.0), replace(GNSS["rtk"], sample_hz=GNSS_HZ)
+    imu, gnss = replace(SENSORS.imu, sample_hz=IMU_HZ, cutoff_hz=20.0), replace(RTK, sample_hz=GNSS_HZ)
     sensors = replace(SENSORS, imu=imu, gnss=gnss)
     log = sense_drive(read_motion(motion), sensors, 1, "quarry_drive", "EPSG:32632")
     start = log.imu.time[0]

@@ -1,26 +1,23 @@
 """Simulated drive logs: the true motion of a vehicle, the faults of its sensors, the files of its logger.
 
-*Cheap* is the InvenSense MPU-6050 (product specification 3.4): low-frequency noise of the rates 0.033 deg/s from 1 to
-10 Hz, 131 LSB per deg/s; acceleration 400 ug/sqrt(Hz), 16384 LSB per g, zero offset 50 mg; sensitivity within 3 %, of
-which a third is taken as the standard deviation. *Good* is the Analog Devices ADIS16470 (data sheet, revision C): rates
-0.008 deg/s/sqrt(Hz), 8 deg/h in-run stability; acceleration 13 ug in-run stability. Biases at switch-on are those that
-remain after a user's calibration of the cheap sensor, and the factory's of the good one.
+The good IMU is the Analog Devices ADIS16470 (data sheet, revision C): rates 0.008 deg/s/sqrt(Hz), 8 deg/h in-run
+stability; acceleration 13 ug in-run stability. Its biases at switch-on are those that remain after the factory's
+calibration.
 
 Vibration is that of a Husky A200 on firm ground in BorealTC (LaRocque et al. 2024, CC0): 15 to 50 Hz while it drives.
 At standstill, with its motors on, it reads a mean absolute pitch rate of 0.004 to 0.02 rad/s below 10 Hz; here 0.006.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
+from pyproj import Transformer
 from scipy.signal import butter, lfilter, sosfilt, sosfilt_zi, sosfiltfilt, sosfreqz
 from scipy.spatial.transform import Rotation
 
-from bumpymap.core import BadInputError, DriveLog, ImuTrack, PlaceTrack, atomic
+from bumpymap.core import DriveLog, ImuTrack, PlaceTrack
 
 Floats = NDArray[np.float64]
 
@@ -42,8 +39,6 @@ class TrueDrive:
     """(n, 3) angular velocity, rad/s."""
     velocity: Floats
     """(n, 3) velocity of the centre of mass, m/s."""
-    wheels: Floats
-    """(n, 2) speed of the left and of the right wheels, m/s."""
 
     @property
     def time(self) -> Floats:
@@ -52,8 +47,7 @@ class TrueDrive:
 
     def place_of(self, arm_m: tuple[float, float, float]) -> Floats:
         """Return the places (n, 3) of a sensor ``arm_m`` forward, left and up of the centre of mass, m."""
-        places: Floats = self.place + self.rotation @ np.array(arm_m)
-        return places
+        return self.place + self.rotation @ np.array(arm_m)
 
     def specific_force(self, arm_m: tuple[float, float, float]) -> Floats:
         """Return what an accelerometer there feels, (n, 3) in the chassis' axes, m/s2: the mean over a sample."""
@@ -66,26 +60,15 @@ class TrueDrive:
 
 def save_motion(drive: TrueDrive, path: Path) -> None:
     """Write a drive as a compressed NumPy archive, in single precision but for its places."""
-    small = {name: getattr(drive, name).astype(np.float32) for name in ("rotation", "rates", "velocity", "wheels")}
-    with atomic(path) as part, part.open("wb") as file:
-        np.savez_compressed(file, rate_hz=drive.rate_hz, place=drive.place, **small)
+    small = {name: getattr(drive, name).astype(np.float32) for name in ("rotation", "rates", "velocity")}
+    np.savez_compressed(path, rate_hz=drive.rate_hz, place=drive.place, **small)
 
 
 def read_motion(path: Path) -> TrueDrive:
-    """Read what `save_motion` wrote.
-
-    Raises
-    ------
-    BadInputError
-        The file is missing or another one.
-    """
-    try:
-        with np.load(path) as held:
-            rate_hz = float(held["rate_hz"])
-            arrays = {name: held[name].astype(np.float64) for name in TrueDrive.__slots__ if name != "rate_hz"}
-    except (OSError, KeyError, ValueError) as error:
-        raise BadInputError(f"{path} is not a recorded motion: {error}; record the drive again") from error
-    return TrueDrive(rate_hz, **arrays)
+    """Read what `save_motion` wrote."""
+    with np.load(path) as held:
+        arrays = {name: held[name].astype(np.float64) for name in ("place", "rotation", "rates", "velocity")}
+        return TrueDrive(float(held["rate_hz"]), **arrays)
 
 
 _SAMPLES = 4096
@@ -161,11 +144,6 @@ class GnssGrade:
     latency_s: float = 0.0
     """From the fix to its time stamp."""
 
-    @property
-    def error_m(self) -> float:
-        """Standard deviation of a position, east and north each, m."""
-        return float(np.hypot(self.white_m, self.slow_m))
-
 
 @dataclass(frozen=True, slots=True)
 class Vibration:
@@ -209,28 +187,16 @@ class DriveSensors:
     vibration: Vibration | None = field(default_factory=Vibration)
 
 
-IMUS: Mapping[str, ImuGrade] = MappingProxyType(
-    {
-        "perfect": ImuGrade(SensorGrade(0, 0, 0, 0, 0, 0), SensorGrade(0, 0, 0, 0, 0, 0), 100.0, None, 0.0),
-        "good": ImuGrade(
-            SensorGrade(0.008 * _DEG, 0.1 * _DEG, 8 / 3600 * _DEG, 0.00625 * _DEG, 0.001, 0.0005),
-            SensorGrade(100e-6 * GRAVITY, 2e-3 * GRAVITY, 13e-6 * GRAVITY, 1e-4 * GRAVITY, 0.001, 0.0005),
-            sample_hz=200.0,
-            cutoff_hz=80.0,
-            jitter_s=0.0002,
-        ),
-    }
+PERFECT_IMU = ImuGrade(SensorGrade(0, 0, 0, 0, 0, 0), SensorGrade(0, 0, 0, 0, 0, 0), 100.0, None, 0.0)
+GOOD_IMU = ImuGrade(
+    SensorGrade(0.008 * _DEG, 0.1 * _DEG, 8 / 3600 * _DEG, 0.00625 * _DEG, 0.001, 0.0005),
+    SensorGrade(100e-6 * GRAVITY, 2e-3 * GRAVITY, 13e-6 * GRAVITY, 1e-4 * GRAVITY, 0.001, 0.0005),
+    sample_hz=200.0,
+    cutoff_hz=80.0,
+    jitter_s=0.0002,
 )
-"""Grades by name."""
-GNSS: Mapping[str, GnssGrade] = MappingProxyType(
-    {
-        "perfect": GnssGrade(0.0, 0.0),
-        "rtk": GnssGrade(white_m=0.015, slow_m=0.013, latency_s=0.05),
-    }
-)
-"""Receivers by name."""
-
-
+PERFECT_GNSS = GnssGrade(0.0, 0.0)
+RTK = GnssGrade(white_m=0.015, slow_m=0.013, latency_s=0.05)
 _WANDER_S = 100.0
 """Time in which a bias forgets."""
 _FILTER_ORDER = 2
@@ -247,38 +213,35 @@ def mount_rotation(mount_deg: tuple[float, float, float]) -> Floats:
 def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> ImuTrack:
     """Simulate the readings of the inertial sensor; the same generator state gives the same bits."""
     grade, mount = sensors.imu, mount_rotation(sensors.mount_deg)
-    idle, moving = _vibration(drive, sensors.vibration, rng)
+    of_rates, of_force = _vibration(drive, sensors.vibration, rng)
     force = drive.specific_force(sensors.imu_arm_m)
     stamp, at = _sample_times(drive, grade, rng)
     # Rows of vectors: v @ mount turns from the vehicle's axes to the sensor's.
-    rates = (drive.rates + idle[0] + moving[0]) @ mount
-    felt = (force + idle[1] + moving[1]) @ mount
+    rates = (drive.rates + of_rates[0] + of_rates[1]) @ mount
+    felt = (force + of_force[0] + of_force[1]) @ mount
     read = _read(_sampled(rates, grade, drive, at), grade.rate, grade, rng)
     felt = _read(_sampled(felt, grade, drive, at), grade.acceleration, grade, rng)
     return ImuTrack(stamp, read, felt)
 
 
-def _vibration(
-    drive: TrueDrive, vibration: Vibration | None, rng: np.random.Generator
-) -> tuple[tuple[Floats, Floats], tuple[Floats, Floats]]:
-    """Return the vibration of idle motors and of the drive, each of rates and accelerations (n, 3)."""
+def _vibration(drive: TrueDrive, vibration: Vibration | None, rng: np.random.Generator) -> list[tuple[Floats, Floats]]:
+    """Return the vibration of idle motors and of the drive, (n, 3) each: of the rates, then of the accelerations."""
     shape = (len(drive.place), 3)
     if vibration is None:
-        none = np.zeros(shape)
-        return (none, none), (none, none)
+        return [(np.zeros(shape), np.zeros(shape))] * 2
     speed = np.abs(drive.velocity[:, 0])
     loud = np.minimum(speed / vibration.full_mps, 1.0)[:, None]
-    idle, moving = [], []
     phase = 2 * np.pi * vibration.tone_per_m * np.cumsum(speed) / drive.rate_hz
+    made = []
     for standing, driving in (
         (vibration.idle_rate, vibration.moving_rate),
         (vibration.idle_acceleration, vibration.moving_acceleration),
     ):
-        idle.append(np.array(standing) * band_noise(rng, shape, vibration.idle_hz, drive.rate_hz))
+        idle = np.array(standing) * band_noise(rng, shape, vibration.idle_hz, drive.rate_hz)
         tone = np.sin(phase[:, None] + rng.uniform(0, 2 * np.pi, 3))
         noise = np.sqrt(0.5) * band_noise(rng, shape, vibration.moving_hz, drive.rate_hz)
-        moving.append(np.array(driving) * loud * (noise + tone))
-    return (idle[0], idle[1]), (moving[0], moving[1])
+        made.append((idle, np.array(driving) * loud * (noise + tone)))
+    return made
 
 
 def _sample_times(drive: TrueDrive, grade: ImuGrade, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -320,13 +283,11 @@ def sense_places(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generat
     error = grade.white_m * rng.standard_normal(shape)
     error = error + grade.slow_m * slow_noise(rng, shape, grade.slow_s, grade.sample_hz)
     x, y = (np.interp(at, drive.time, true[:, axis]) + error[:, axis] for axis in (0, 1))
-    stamp = _on_clock(at + grade.latency_s, sensors.clock, drive)
-    return PlaceTrack(stamp, x, y, np.full(len(at), grade.error_m), "projected")
-
-
-def _on_clock(at: Floats, clock: ClockFault, drive: TrueDrive) -> Floats:
-    """Return times of the IMU's clock as the other clock shows them."""
-    return np.asarray(at - clock.offset_s - 1e-6 * clock.drift_ppm * (at - drive.time[-1] / 2))
+    # What the other clock shows at the IMU's times.
+    fault, shown = sensors.clock, at + grade.latency_s
+    stamp = shown - fault.offset_s - 1e-6 * fault.drift_ppm * (shown - drive.time[-1] / 2)
+    error_m = float(np.hypot(grade.white_m, grade.slow_m))
+    return PlaceTrack(stamp, x, y, np.full(len(at), error_m), "projected")
 
 
 START_S = 1_760_000_000.0
@@ -350,23 +311,16 @@ def sense_drive(
     imu_stream, place_stream = np.random.SeedSequence(seed).spawn(2)
     imu = sense_imu(drive, sensors, np.random.default_rng(imu_stream))
     places = sense_places(drive, sensors, np.random.default_rng(place_stream))
+    if crs is not None:
+        longitude, latitude = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(places.x, places.y)
+        places = replace(places, x=longitude, y=latitude, kind="lonlat")
     return DriveLog(
         name=name,
         paths=(),
         imu=replace(imu, time=imu.time + START_S),
-        places=_geographic(replace(places, time=places.time + START_S), crs),
+        places=replace(places, time=places.time + START_S),
         wheels=None,
     )
-
-
-def _geographic(places: PlaceTrack, crs: str | None) -> PlaceTrack:
-    """Turn easting and northing into longitude and latitude."""
-    if crs is None:
-        return places
-    from pyproj import Transformer
-
-    longitude, latitude = Transformer.from_crs(crs, "EPSG:4326", always_xy=True).transform(places.x, places.y)
-    return replace(places, x=longitude, y=latitude, kind="lonlat")
 
 
 _IMU = "time [s],gyro_x [rad/s],gyro_y [rad/s],gyro_z [rad/s],acc_x [m/s2],acc_y [m/s2],acc_z [m/s2]"
@@ -379,13 +333,9 @@ _PLACES = {
 def write_drive_files(log: DriveLog, folder: Path) -> list[Path]:
     """Write a log as NAME_imu.csv and NAME_gnss.csv."""
     columns = np.column_stack([log.imu.time, log.imu.rate, log.imu.acceleration])
-    imu = _write(folder / f"{log.name}_imu.csv", _IMU, columns, ["%.6f"] * 7)
+    imu, gnss = (folder / f"{log.name}_{kind}.csv" for kind in ("imu", "gnss"))
+    np.savetxt(imu, columns, fmt=["%.6f"] * 7, delimiter=",", header=_IMU, comments="")
     header, form = _PLACES[log.places.kind]
     columns = np.column_stack([log.places.time, log.places.x, log.places.y, log.places.error])
-    return [imu, _write(folder / f"{log.name}_gnss.csv", header, columns, ["%.6f", form, form, "%.3f"])]
-
-
-def _write(path: Path, header: str, columns: Floats, form: list[str]) -> Path:
-    with atomic(path) as part:
-        np.savetxt(part, columns, fmt=form, delimiter=",", header=header, comments="")
-    return path
+    np.savetxt(gnss, columns, fmt=["%.6f", form, form, "%.3f"], delimiter=",", header=header, comments="")
+    return [imu, gnss]

@@ -9,9 +9,9 @@ from known_grounds import sine_c_r
 from pyproj import Transformer
 from scipy.spatial.transform import Rotation
 from sensed_drives import (
-    GNSS,
     GRAVITY,
-    IMUS,
+    PERFECT_GNSS,
+    PERFECT_IMU,
     START_S,
     DriveSensors,
     TrueDrive,
@@ -23,7 +23,7 @@ from sensed_drives import (
 from bumpymap.rating.vehicle_profile import load_profile
 
 PROFILE = load_profile("warthog")
-PERFECT = DriveSensors(IMUS["perfect"], GNSS["perfect"], vibration=None)
+PERFECT = DriveSensors(PERFECT_IMU, PERFECT_GNSS, vibration=None)
 RATE_HZ = 500.0
 ORIGIN = np.array([480_000.0, 2_136_000.0, 2300.0])
 
@@ -37,8 +37,7 @@ def circle(speed, turn, seconds=20.0, pitch_rate=0.0):
         place = speed / turn * np.stack([np.sin(heading), 1 - np.cos(heading), 0 * time], axis=1)
     rates, velocity = np.tile([0.0, pitch_rate, turn], (len(time), 1)), np.tile([speed, 0.0, 0.0], (len(time), 1))
     rotation = Rotation.from_euler("Z", heading[:, None]).as_matrix()
-    wheels = speed + np.outer(np.ones(len(time)), [-0.5, 0.5]) * turn
-    return TrueDrive(RATE_HZ, place + ORIGIN, rotation, rates, velocity, wheels)
+    return TrueDrive(RATE_HZ, place + ORIGIN, rotation, rates, velocity)
 
 
 def sensed(drive, seed=1, **faults):
@@ -51,10 +50,9 @@ def test_a_recorded_drive_stands_stops_and_shakes_as_the_closed_form_says():
     east = (np.arange(200) + 0.5) * 0.2
     waves = ReliefGround.from_heightmap(np.tile(0.02 * np.sin(2 * np.pi * east / 3), (30, 1)), 0.2)
     settings = RecordSettings(stand_before_s=2.0, stand_after_s=1.0, stops=(Stop(15.0, 1.5),))
-    made = record_way(PROFILE, waves, np.array([[3.0, 3.0], [33.0, 3.0]]), settings)
-    motion = made.motion
-    assert made.result.outcome == "completed"
-    assert made.result.c_r == pytest.approx(sine_c_r(PROFILE, 0.02, 3.0), rel=0.1)
+    result, motion = record_way(PROFILE, waves, np.array([[3.0, 3.0], [33.0, 3.0]]), settings)
+    assert result.outcome == "completed"
+    assert result.c_r == pytest.approx(sine_c_r(PROFILE, 0.02, 3.0), rel=0.1)
     still = np.linalg.norm(motion.velocity, axis=1) < 0.02
     changes = np.flatnonzero(np.diff(still.astype(int)))
     assert len(changes) == 4  # starts, stops, starts again, stops
