@@ -23,16 +23,7 @@ from bumpytiles import TileWindow
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
 from driven_ways import RecordSettings, ReliefGround, Stop, record_way
-from sensed_drives import (
-    GOOD_IMU,
-    RTK,
-    ClockFault,
-    DriveSensors,
-    read_motion,
-    save_motion,
-    sense_drive,
-    write_drive_files,
-)
+from sensed_drives import GOOD, read_motion, save_motion, sense_drive, write_drive_files
 
 ROOT = Path(__file__).resolve().parents[2]
 WAY = (
@@ -41,7 +32,7 @@ WAY = (
 )
 """Clear of obstacles over meadow, road, ruts, rubble, floor, ramp; m east and north of the map's south-west corner."""
 STOPS = (Stop(60.0, 4.0), Stop(150.0, 4.0))
-SENSORS = DriveSensors(GOOD_IMU, RTK, mount_deg=(1.0, -2.0, 1.5), clock=ClockFault(offset_s=0.23, drift_ppm=20.0))
+SENSORS = replace(GOOD, mount_deg=(1.0, -2.0, 1.5), clock_offset_s=0.23, clock_drift_ppm=20.0)
 
 
 def drive(layers: Path, motion: Path, way: tuple[tuple[int, int], ...] = WAY, stops: tuple[Stop, ...] = STOPS) -> None:

@@ -45,17 +45,13 @@ class TrueDrive:
         """(n,) s."""
         return np.arange(len(self.place)) / self.rate_hz
 
-    def place_of(self, arm_m: tuple[float, float, float]) -> Floats:
-        """Return the places (n, 3) of a sensor ``arm_m`` forward, left and up of the centre of mass, m."""
-        return self.place + self.rotation @ np.array(arm_m)
-
-    def specific_force(self, arm_m: tuple[float, float, float]) -> Floats:
-        """Return what an accelerometer there feels, (n, 3) in the chassis' axes, m/s2: the mean over a sample."""
-        velocity = self.velocity + np.cross(self.rates, np.array(arm_m))
-        in_space = np.einsum("nij,nj->ni", self.rotation, velocity)
+    @property
+    def specific_force(self) -> Floats:
+        """What an accelerometer there feels, (n, 3) in the chassis' axes, m/s2: the mean over a sample."""
+        in_space = np.einsum("nij,nj->ni", self.rotation, self.velocity)
         felt = np.gradient(in_space, 1 / self.rate_hz, axis=0)
         felt[:, 2] += GRAVITY
-        return np.asarray(np.einsum("nji,nj->ni", self.rotation, felt))
+        return np.einsum("nji,nj->ni", self.rotation, felt)
 
 
 def save_motion(drive: TrueDrive, path: Path) -> None:
@@ -95,199 +91,147 @@ def slow_noise(rng: np.random.Generator, shape: tuple[int, int], forget_s: float
 
 
 _DEG = float(np.radians(1.0))
-_Axes = tuple[float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class SensorGrade:
     """Faults of a sensor with three axes; its unit u is rad/s or m/s2."""
 
-    noise: float
+    noise: float = 0.0
     """Density of the white noise, u/sqrt(Hz)."""
-    bias: float
+    bias: float = 0.0
     """Standard deviation of the constant bias, u."""
-    wander: float
+    wander: float = 0.0
     """Standard deviation of the slow change of the bias, u."""
-    step: float
+    step: float = 0.0
     """Step of the digital output, u."""
-    scale: float
+    scale: float = 0.0
     """Standard deviation of the error of the sensitivity, a share."""
-    cross: float
+    cross: float = 0.0
     """Standard deviation of the share of each other axis that is read."""
 
 
 @dataclass(frozen=True, slots=True)
-class ImuGrade:
-    """An inertial sensor."""
+class DriveSensors:
+    """The IMU and the satellite receiver of a vehicle, at its centre of mass; perfect if no faults are given."""
 
-    rate: SensorGrade
-    acceleration: SensorGrade
-    sample_hz: float
-    """Samples in a second."""
-    cutoff_hz: float | None
-    """Of the low-pass filter before sampling; None: there is none, and vibration folds down."""
-    jitter_s: float
-    """Standard deviation of the time stamps."""
-
-
-@dataclass(frozen=True, slots=True)
-class GnssGrade:
-    """A satellite receiver."""
-
-    white_m: float
+    rate: SensorGrade = field(default_factory=SensorGrade)
+    acceleration: SensorGrade = field(default_factory=SensorGrade)
+    imu_hz: float = 100.0
+    """Samples of the IMU in a second."""
+    cutoff_hz: float | None = None
+    """Of the low-pass filter before sampling; None: there is none."""
+    jitter_s: float = 0.0
+    """Standard deviation of the time stamps of the IMU."""
+    vibrates: bool = False
+    """True if motors and tyres shake the IMU."""
+    mount_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Roll, pitch and yaw of the IMU in the vehicle: turned by yaw about up, then by pitch about left, then by roll."""
+    gnss_hz: float = 10.0
+    """Fixes of the receiver in a second."""
+    white_m: float = 0.0
     """Standard deviation of the error that differs from fix to fix, east and north each."""
-    slow_m: float
+    slow_m: float = 0.0
     """Standard deviation of the error that changes slowly."""
-    slow_s: float = 60.0
-    """Time in which it is forgotten (Gauss-Markov process)."""
-    sample_hz: float = 10.0
     latency_s: float = 0.0
-    """From the fix to its time stamp."""
-
-
-@dataclass(frozen=True, slots=True)
-class Vibration:
-    """What motors and tyres add to all axes: roll, pitch, yaw [rad/s]; forward, left, up [m/s2]; root mean square."""
-
-    moving_rate: _Axes = (0.011, 0.008, 0.003)
-    """15 to 60 Hz, at the speed ``full_mps`` and above; in proportion to the speed below."""
-    moving_acceleration: _Axes = (0.8, 1.0, 0.45)
-    idle_rate: _Axes = (0.010, 0.014, 0.008)
-    """3 to 25 Hz, always."""
-    idle_acceleration: _Axes = (0.25, 0.25, 0.1)
-    full_mps: float = 1.0
-    moving_hz: tuple[float, float] = (15.0, 60.0)
-    idle_hz: tuple[float, float] = (3.0, 25.0)
-    tone_per_m: float = 30.0
-    """Half of the power while moving is one tone with so many periods per metre."""
-
-
-@dataclass(frozen=True, slots=True)
-class ClockFault:
-    """How the clock of the positions runs against that of the IMU."""
-
-    offset_s: float = 0.0
-    """To add to the positions' times for the IMU's, in the middle of the drive."""
-    drift_ppm: float = 0.0
+    """From a fix to its time stamp."""
+    clock_offset_s: float = 0.0
+    """To add to the times of the receiver's clock for the IMU's, in the middle of the drive."""
+    clock_drift_ppm: float = 0.0
     """Change of it, microseconds per second."""
 
 
-@dataclass(frozen=True, slots=True)
-class DriveSensors:
-    """All sensors of a vehicle and how they are fitted."""
-
-    imu: ImuGrade
-    gnss: GnssGrade
-    mount_deg: _Axes = (0.0, 0.0, 0.0)
-    """Roll, pitch and yaw of the IMU in the vehicle: turned by yaw about up, then by pitch about left, then by roll."""
-    imu_arm_m: _Axes = (0.0, 0.0, 0.0)
-    """Place of the IMU forward, left and up of the centre of mass."""
-    antenna_arm_m: _Axes = (0.0, 0.0, 0.0)
-    clock: ClockFault = field(default_factory=ClockFault)
-    vibration: Vibration | None = field(default_factory=Vibration)
-
-
-PERFECT_IMU = ImuGrade(SensorGrade(0, 0, 0, 0, 0, 0), SensorGrade(0, 0, 0, 0, 0, 0), 100.0, None, 0.0)
-GOOD_IMU = ImuGrade(
+GOOD = DriveSensors(
     SensorGrade(0.008 * _DEG, 0.1 * _DEG, 8 / 3600 * _DEG, 0.00625 * _DEG, 0.001, 0.0005),
     SensorGrade(100e-6 * GRAVITY, 2e-3 * GRAVITY, 13e-6 * GRAVITY, 1e-4 * GRAVITY, 0.001, 0.0005),
-    sample_hz=200.0,
+    imu_hz=200.0,
     cutoff_hz=80.0,
     jitter_s=0.0002,
+    vibrates=True,
+    white_m=0.015,
+    slow_m=0.013,
+    latency_s=0.05,
 )
-PERFECT_GNSS = GnssGrade(0.0, 0.0)
-RTK = GnssGrade(white_m=0.015, slow_m=0.013, latency_s=0.05)
-_WANDER_S = 100.0
-"""Time in which a bias forgets."""
+"""An ADIS16470 and an RTK receiver."""
+_WANDER_S, _SLOW_S = 100.0, 60.0
+"""Times in which a bias and the slow error of a fix forget."""
 _FILTER_ORDER = 2
 _MOST_JITTER = 0.4
 """Largest error of a time stamp, in sample periods: stamps stay in order."""
+_IDLE_HZ, _MOVING_HZ = (3.0, 25.0), (15.0, 60.0)
+_VIBRATION = (((0.010, 0.014, 0.008), (0.011, 0.008, 0.003)), ((0.25, 0.25, 0.1), (0.8, 1.0, 0.45)))
+"""Root mean square of what idle motors always add, and tyres at 1 m/s and more: to rates about forward, left and up
+[rad/s], and to accelerations along them [m/s2]."""
+_TONE_PER_M = 30.0
+"""Half of the power while moving is one tone with so many periods per metre."""
 
 
 def mount_rotation(mount_deg: tuple[float, float, float]) -> Floats:
     """Return the rotation (3, 3) from the axes of a sensor, mounted at roll, pitch and yaw, to those of the vehicle."""
-    roll, pitch, yaw = mount_deg
-    return np.asarray(Rotation.from_euler("ZYX", [yaw, pitch, roll], degrees=True).as_matrix(), np.float64)
+    return Rotation.from_euler("ZYX", mount_deg[::-1], degrees=True).as_matrix()
 
 
 def sense_imu(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> ImuTrack:
     """Simulate the readings of the inertial sensor; the same generator state gives the same bits."""
-    grade, mount = sensors.imu, mount_rotation(sensors.mount_deg)
-    of_rates, of_force = _vibration(drive, sensors.vibration, rng)
-    force = drive.specific_force(sensors.imu_arm_m)
-    stamp, at = _sample_times(drive, grade, rng)
-    # Rows of vectors: v @ mount turns from the vehicle's axes to the sensor's.
-    rates = (drive.rates + of_rates[0] + of_rates[1]) @ mount
-    felt = (force + of_force[0] + of_force[1]) @ mount
-    read = _read(_sampled(rates, grade, drive, at), grade.rate, grade, rng)
-    felt = _read(_sampled(felt, grade, drive, at), grade.acceleration, grade, rng)
-    return ImuTrack(stamp, read, felt)
+    shaken = _vibration(drive, rng) if sensors.vibrates else ((0.0, 0.0), (0.0, 0.0))
+    period = 1 / sensors.imu_hz
+    at = np.arange(rng.uniform(0, period), drive.time[-1], period)
+    jitter = np.clip(sensors.jitter_s * rng.standard_normal(len(at)), -_MOST_JITTER * period, _MOST_JITTER * period)
+    mount, read = mount_rotation(sensors.mount_deg), []
+    for signal, (idle, moving), grade in zip(
+        (drive.rates, drive.specific_force), shaken, (sensors.rate, sensors.acceleration), strict=True
+    ):
+        # Rows of vectors: v @ mount turns from the vehicle's axes to the sensor's.
+        felt = _sampled((signal + idle + moving) @ mount, sensors.cutoff_hz, drive, at)
+        read.append(_read(felt, grade, sensors.imu_hz, rng))
+    return ImuTrack(at + jitter, *read)
 
 
-def _vibration(drive: TrueDrive, vibration: Vibration | None, rng: np.random.Generator) -> list[tuple[Floats, Floats]]:
+def _vibration(drive: TrueDrive, rng: np.random.Generator) -> list[tuple[Floats, Floats]]:
     """Return the vibration of idle motors and of the drive, (n, 3) each: of the rates, then of the accelerations."""
     shape = (len(drive.place), 3)
-    if vibration is None:
-        return [(np.zeros(shape), np.zeros(shape))] * 2
     speed = np.abs(drive.velocity[:, 0])
-    loud = np.minimum(speed / vibration.full_mps, 1.0)[:, None]
-    phase = 2 * np.pi * vibration.tone_per_m * np.cumsum(speed) / drive.rate_hz
+    loud = np.minimum(speed, 1.0)[:, None]
+    phase = 2 * np.pi * _TONE_PER_M * np.cumsum(speed) / drive.rate_hz
     made = []
-    for standing, driving in (
-        (vibration.idle_rate, vibration.moving_rate),
-        (vibration.idle_acceleration, vibration.moving_acceleration),
-    ):
-        idle = np.array(standing) * band_noise(rng, shape, vibration.idle_hz, drive.rate_hz)
+    for standing, driving in _VIBRATION:
+        idle = np.array(standing) * band_noise(rng, shape, _IDLE_HZ, drive.rate_hz)
         tone = np.sin(phase[:, None] + rng.uniform(0, 2 * np.pi, 3))
-        noise = np.sqrt(0.5) * band_noise(rng, shape, vibration.moving_hz, drive.rate_hz)
+        noise = np.sqrt(0.5) * band_noise(rng, shape, _MOVING_HZ, drive.rate_hz)
         made.append((idle, np.array(driving) * loud * (noise + tone)))
     return made
 
 
-def _sample_times(drive: TrueDrive, grade: ImuGrade, rng: np.random.Generator) -> tuple[Floats, Floats]:
-    """Return time stamps and true times of the samples, s."""
-    period = 1 / grade.sample_hz
-    at = np.arange(rng.uniform(0, period), drive.time[-1], period)
-    jitter = np.clip(grade.jitter_s * rng.standard_normal(len(at)), -_MOST_JITTER * period, _MOST_JITTER * period)
-    return at + jitter, at
-
-
-def _sampled(signal: Floats, grade: ImuGrade, drive: TrueDrive, at: Floats) -> Floats:
+def _sampled(signal: Floats, cutoff_hz: float | None, drive: TrueDrive, at: Floats) -> Floats:
     """Filter a signal (n, 3) as the sensor does and sample it."""
-    if grade.cutoff_hz is not None:
-        sos = butter(_FILTER_ORDER, grade.cutoff_hz, fs=drive.rate_hz, output="sos")
+    if cutoff_hz is not None:
+        sos = butter(_FILTER_ORDER, cutoff_hz, fs=drive.rate_hz, output="sos")
         start = sosfilt_zi(sos)[:, :, None] * signal[0]
         signal, _ = sosfilt(sos, signal, axis=0, zi=start)
     return np.stack([np.interp(at, drive.time, column) for column in signal.T], axis=1)
 
 
-def _read(signal: Floats, grade: SensorGrade, imu: ImuGrade, rng: np.random.Generator) -> Floats:
+def _read(signal: Floats, grade: SensorGrade, sample_hz: float, rng: np.random.Generator) -> Floats:
     """Return the digital readings of a signal (n, 3)."""
     scale = np.eye(3) * (1 + grade.scale * rng.standard_normal(3))
     scale += grade.cross * rng.standard_normal((3, 3)) * (1 - np.eye(3))
     added = grade.bias * rng.standard_normal(3)
-    added = added + grade.wander * slow_noise(rng, signal.shape, _WANDER_S, imu.sample_hz)
-    added = added + grade.noise * np.sqrt(imu.sample_hz / 2) * rng.standard_normal(signal.shape)
+    added = added + grade.wander * slow_noise(rng, signal.shape, _WANDER_S, sample_hz)
+    added = added + grade.noise * np.sqrt(sample_hz / 2) * rng.standard_normal(signal.shape)
     read = signal @ scale + added
-    if grade.step > 0:
-        read = grade.step * np.round(read / grade.step)
-    return np.asarray(read)
+    return grade.step * np.round(read / grade.step) if grade.step > 0 else read
 
 
 def sense_places(drive: TrueDrive, sensors: DriveSensors, rng: np.random.Generator) -> PlaceTrack:
     """Simulate the fixes of a receiver, in the coordinates of the drive; time stamps are those of its own clock."""
-    grade = sensors.gnss
-    at = np.arange(rng.uniform(0, 1 / grade.sample_hz), drive.time[-1], 1 / grade.sample_hz)
-    true = drive.place_of(sensors.antenna_arm_m)
+    at = np.arange(rng.uniform(0, 1 / sensors.gnss_hz), drive.time[-1], 1 / sensors.gnss_hz)
     shape = (len(at), 2)
-    error = grade.white_m * rng.standard_normal(shape)
-    error = error + grade.slow_m * slow_noise(rng, shape, grade.slow_s, grade.sample_hz)
-    x, y = (np.interp(at, drive.time, true[:, axis]) + error[:, axis] for axis in (0, 1))
-    # What the other clock shows at the IMU's times.
-    fault, shown = sensors.clock, at + grade.latency_s
-    stamp = shown - fault.offset_s - 1e-6 * fault.drift_ppm * (shown - drive.time[-1] / 2)
-    error_m = float(np.hypot(grade.white_m, grade.slow_m))
-    return PlaceTrack(stamp, x, y, np.full(len(at), error_m), "projected")
+    error = sensors.white_m * rng.standard_normal(shape)
+    error = error + sensors.slow_m * slow_noise(rng, shape, _SLOW_S, sensors.gnss_hz)
+    x, y = (np.interp(at, drive.time, drive.place[:, axis]) + error[:, axis] for axis in (0, 1))
+    shown = at + sensors.latency_s
+    stamp = shown - sensors.clock_offset_s - 1e-6 * sensors.clock_drift_ppm * (shown - drive.time[-1] / 2)
+    return PlaceTrack(stamp, x, y, np.full(len(at), np.hypot(sensors.white_m, sensors.slow_m)), "projected")
 
 
 START_S = 1_760_000_000.0
