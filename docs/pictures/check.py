@@ -37,7 +37,7 @@ SENSORS = replace(GOOD, mount_deg=(1.0, -2.0, 1.5), clock_offset_s=0.23, clock_d
 
 def drive(layers: Path, motion: Path, way: tuple[tuple[int, int], ...] = WAY, stops: tuple[Stop, ...] = STOPS) -> None:
     """Drive over the ground of the map and keep the motion."""
-    site = open_map([layers])
+    site = open_map(layers)
     bounds, size = site.grid.window_bounds(site.window), site.grid.tile_size
     line = np.array([bounds.west, bounds.south]) + np.array(way, float)
     low, high = np.floor(line.min(axis=0) / size).astype(int) - 3, np.ceil(line.max(axis=0) / size).astype(int) + 3

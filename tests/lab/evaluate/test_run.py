@@ -70,7 +70,7 @@ def cli(subject, tmp_path):
             1,
             *words,
         ]
-        return CliRunner().invoke(main, ["evaluate", *map(str, given)])
+        return CliRunner().invoke(main, ["evaluate", "survey", *map(str, given)])
 
     return run
 

@@ -78,8 +78,9 @@ def test_onnx_says_what_torch_says(pixels):
 def test_command_writes_model_and_card(tmp_path, monkeypatch):
     monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 10)
     out = tmp_path / "m.onnx"
-    rare = [word for setting in ("epochs=1", "patches_per_texture=16", "seed=4") for word in ("--set", setting)]
-    result = CliRunner().invoke(main, ["train", "--out", str(out), "--tile-size", "1.5", *rare])
+    own = ("epochs=1", "patches_per_texture=16", "seed=4", "tile_size=1.5")
+    words = [word for setting in own for word in ("--set", setting)]
+    result = CliRunner().invoke(main, ["train", "textures", "--out", str(out), *words])
     assert result.exit_code == 0, result.output
     model = TextureModel.load(out)
     assert (model.tile_size, model.pixels) == (1.5, 15)
@@ -104,7 +105,7 @@ def test_command_writes_model_and_card(tmp_path, monkeypatch):
 )
 def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, message):
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(main, ["train", *options])
+    result = CliRunner().invoke(main, ["train", "textures", *options])
     assert result.exit_code == code
     assert message in result.output
     assert "Traceback" not in result.output

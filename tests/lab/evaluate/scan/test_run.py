@@ -35,7 +35,7 @@ def evaluate(drive, tmp_path):
 
     def run(*words):
         out = tmp_path / "out"
-        made = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out), *words])
+        made = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out), *words])
         assert made.exit_code == 0, made.output
         text = (out / "report.md").read_text()
         assert "nan" not in text
@@ -54,7 +54,7 @@ def test_a_report_holds_both_methods_and_is_not_replaced(drive, evaluate, tmp_pa
     assert smooth["stripes"][0] > rough["stripes"][0]
     assert "Compared with labels" not in text
     assert "## Ground" not in text
-    again = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(tmp_path / "out")])
+    again = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(tmp_path / "out")])
     assert again.exit_code != 0
     assert "--overwrite" in again.output
 
@@ -92,7 +92,7 @@ def test_labels_set_both_methods_beside_constant_answers(drive, evaluate):
 def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, message):
     if ids:
         label_drive(drive, ids)
-    run = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), *words, "--out", str(tmp_path / "out")])
+    run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), *words, "--out", str(tmp_path / "out")])
     assert run.exit_code == code, run.output
     assert re.search(message, run.output.replace("\n", " "))
     assert not (tmp_path / "out" / "report.md").exists()
@@ -100,6 +100,6 @@ def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, me
 
 def test_an_empty_drive_says_so(tmp_path):
     np.zeros((50, 4), "<f4").tofile(tmp_path / "0.bin")
-    run = CliRunner().invoke(main, ["evaluate", "--scans", str(tmp_path), "--out", str(tmp_path / "out")])
+    run = CliRunner().invoke(main, ["evaluate", "scans", str(tmp_path), "--out", str(tmp_path / "out")])
     assert run.exit_code == 3
     assert "no scan has a sector" in run.output
