@@ -58,18 +58,8 @@ def cli(subject, tmp_path):
     (tmp_path / "own.json").write_text(subject.calibration.to_json())
 
     def run(survey, *words):
-        given = [
-            survey,
-            "--crs",
-            "EPSG:32632",
-            "--calibration",
-            tmp_path / "own.json",
-            "--out",
-            tmp_path / "o",
-            "--jobs",
-            1,
-            *words,
-        ]
+        files = ["--calibration", tmp_path / "own.json", "--out", tmp_path / "o"]
+        given = [survey, *files, "--set", "crs=EPSG:32632", "--jobs", 1, *words]
         return CliRunner().invoke(main, ["evaluate", "survey", *map(str, given)])
 
     return run
