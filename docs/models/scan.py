@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from bumpymap.core import Scan
 from bumpymap.lab.settings import ScanTrainSettings
 from bumpymap.lab.train.model_files import model_files
 from bumpymap.lab.train.scan_net import TrainingData, train_and_write
@@ -54,7 +53,7 @@ def simulated_sectors(seed: int, scenes: range, turns: int = 0) -> list[Sectors]
 def overhead_sectors(seed: int, scenes: range) -> list[Sectors]:
     """Return the sectors of the ground of each scene, fully visible and partly covered with blocks."""
     seen = (overhead_scan(make_scene(seed, index), index) for index in scenes)
-    return [labelled_sectors(Scan(scan.points, scan.intensity, scan.label.astype(np.uint16))) for scan in seen]
+    return [labelled_sectors(scan) for scan in seen]
 
 
 def main() -> None:

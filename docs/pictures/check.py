@@ -23,16 +23,7 @@ from bumpytiles import TileWindow
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
 from driven_ways import RecordSettings, ReliefGround, Stop, record_way
-from sensed_drives import (
-    GNSS,
-    IMUS,
-    ClockFault,
-    DriveSensors,
-    read_motion,
-    save_motion,
-    sense_drive,
-    write_drive_files,
-)
+from sensed_drives import GOOD, read_motion, save_motion, sense_drive, write_drive_files
 
 ROOT = Path(__file__).resolve().parents[2]
 WAY = (
@@ -41,21 +32,19 @@ WAY = (
 )
 """Clear of obstacles over meadow, road, ruts, rubble, floor, ramp; m east and north of the map's south-west corner."""
 STOPS = (Stop(60.0, 4.0), Stop(150.0, 4.0))
-SENSORS = DriveSensors(
-    IMUS["good"], GNSS["rtk"], mount_deg=(1.0, -2.0, 1.5), clock=ClockFault(offset_s=0.23, drift_ppm=20.0)
-)
+SENSORS = replace(GOOD, mount_deg=(1.0, -2.0, 1.5), clock_offset_s=0.23, clock_drift_ppm=20.0)
 
 
 def drive(layers: Path, motion: Path, way: tuple[tuple[int, int], ...] = WAY, stops: tuple[Stop, ...] = STOPS) -> None:
     """Drive over the ground of the map and keep the motion."""
-    site = open_map([layers])
+    site = open_map(layers)
     bounds, size = site.grid.window_bounds(site.window), site.grid.tile_size
     line = np.array([bounds.west, bounds.south]) + np.array(way, float)
     low, high = np.floor(line.min(axis=0) / size).astype(int) - 3, np.ceil(line.max(axis=0) / size).astype(int) + 3
     window = TileWindow(*low.tolist(), *(high - low).tolist())
     ground = ReliefGround.from_heightmap(site.heights(window), site.grid.pixel_size, site.objects(window))
-    made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=stops))
-    save_motion(replace(made.motion, place=made.motion.place + np.array([*(low * size), 0.0])), motion)
+    _, made = record_way(load_profile("warthog"), ground, line - low * size, RecordSettings(stops=stops))
+    save_motion(replace(made, place=made.place + np.array([*(low * size), 0.0])), motion)
 
 
 def photograph(page: Path, picture: Path) -> None:

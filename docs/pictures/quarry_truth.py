@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
-from made_quarry import ZONES, QuarrySite
+from made_quarry import BOUNDS, TREES, ZONES, height, zone_at
 
 STEP = 0.1
 LABELS = {
@@ -33,13 +33,12 @@ LABELS = {
 
 def draw(target: Path) -> None:
     """Draw hillshade and zone outlines side by side."""
-    site = QuarrySite(seed=1)
-    box = site.bounds
+    box = BOUNDS
     easting = np.arange(box.west + STEP / 2, box.east, STEP)
     northing = np.arange(box.south + STEP / 2, box.north, STEP)
     east, north = np.meshgrid(easting, northing)
-    shade = LightSource(315, 40).hillshade(site.height(east, north), vert_exag=2.0, dx=STEP, dy=STEP)
-    zones = np.searchsorted(sorted(ZONES), site.zone_at(east, north))
+    shade = LightSource(315, 40).hillshade(height(east, north), vert_exag=2.0, dx=STEP, dy=STEP)
+    zones = np.searchsorted(sorted(ZONES), zone_at(east, north))
     extent = (0.0, box.east - box.west, 0.0, box.north - box.south)
     figure, (left, right) = plt.subplots(1, 2, figsize=(16, 6.9), sharey=True, layout="constrained")
     left.imshow(shade, origin="lower", extent=extent, cmap="gray")
@@ -48,7 +47,7 @@ def draw(target: Path) -> None:
     colours = np.ma.masked_equal(zones, sorted(ZONES).index("transition"))
     right.imshow(colours, origin="lower", extent=extent, cmap="gist_rainbow", alpha=0.35, interpolation="nearest")
     right.set_title("zones; grey: one surface fades into the next")
-    for tree in site.trees:
+    for tree in TREES:
         left.add_patch(Circle((tree.easting - box.west, tree.northing - box.south), tree.radius, color="#2e7d32"))
     for name, (x, y) in LABELS.items():
         right.text(x, y, name, ha="center", va="center", fontsize=11, color="black")

@@ -38,7 +38,6 @@ def make_frames(folder: Path, count: int) -> Path:
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
     points = simulate_scan(make_scene(0, 0, "yard"), SENSORS["64_down"], 0).points
-    points = points[points.any(axis=1)]
     for number in range(count):
         rng = np.random.default_rng(number)
         seen = points[np.sort(rng.choice(len(points), _POINTS))] + 0.01 * rng.standard_normal((_POINTS, 3))

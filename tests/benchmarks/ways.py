@@ -224,9 +224,9 @@ class WayTrial:
     def run(self, job):
         """Read the heights around a way and drive along it."""
         window, corners = self._around(job.line)
-        size, pixel = self.site.grid.tile_size, self.site.grid.pixel_size
-        ground = ReliefGround.from_heightmap(self.site.heights(window), pixel, self.site.objects(window))
-        return drive_way(self.profile, ground, corners, size, job.offset, DriveSettings())
+        heights, objects = self.site.heights(window), self.site.objects(window)
+        ground = ReliefGround.from_heightmap(heights, self.site.grid.pixel_size, objects)
+        return drive_way(self.profile, ground, corners, job.offset)
 
     def drive(self, pairs, repeats, seed, folder, workers=1):
         """Drive along both ways of every pair, ``repeats`` times each: number of the pair, name, repeat -> drive."""
@@ -248,7 +248,7 @@ class WayTrial:
             "drive": asdict(DriveSettings()),
             "versions": {name: version(name) for name in ("dartpy", "numpy")},
         }
-        journal = Journal(folder / f"ways-{self.profile.name}.jsonl", record, WayDrive.from_record)
+        journal = Journal(folder / f"ways-{self.profile.name}.jsonl", record, lambda fields: WayDrive(**fields))
         return drive_jobs(partial(WayTrial.run, self), jobs, workers=workers, journal=journal)
 
 

@@ -3,7 +3,7 @@
 C_r is measured as in the drives of a calibration, after settling and acceleration: the integral of abs(omega_y) dt over
 the horizontal length of the path. The vehicle steers to a point ahead on the line. The more it has to turn, the slower
 it drives; at 90 degrees and more it turns on the spot. What it pitches while it turns counts, for so a gyroscope on
-board would measure it; how much that is, is recorded beside it. Length and pitch are recorded by tile too.
+board would measure it.
 
 Coordinates are metres east and north of a window's south-west corner: easting and northing themselves do not fit the
 single precision of a mesh. A recorded drive begins and ends with a standstill and may stop on its way.
@@ -17,11 +17,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import convolve, distance_transform_edt, uniform_filter1d
 from sensed_drives import TrueDrive
 
-from bumpymap.core import OBSTACLE, BadInputError, UsageError
+from bumpymap.core import OBSTACLE
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome
-from bumpymap.lab.simulate.model import DartVehicle, Pose, VehicleModel
+from bumpymap.lab.simulate.model import DartVehicle, Physics, Pose
 from bumpymap.lab.simulate.terrain import Strip, cell_triangles, fit_plane
 from bumpymap.rating import Vehicle
 
@@ -44,32 +45,13 @@ class GuideLine:
 
     @classmethod
     def along(cls, corners: _Floats, offset: float = 0.0) -> "GuideLine":
-        """Make the line through corners (m, 2), in m, moved to the left by ``offset`` m.
-
-        Raises
-        ------
-        UsageError
-            The line has no length.
-        """
+        """Make the line through corners (m, 2), in m, moved to the left by ``offset`` m."""
         distance = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(corners, axis=0).T))])
-        if not distance[-1] > 0:
-            raise UsageError("the way has no length: start and goal must be different places")
         count = max(math.ceil(float(distance[-1]) / _STEP_M), 2)
         at = np.linspace(0.0, distance[-1], count + 1)
         points = np.stack([np.interp(at, distance, corners[:, axis]) for axis in (0, 1)], axis=1)
         step = float(distance[-1]) / count
         return cls(points + offset * _normals(points, step) if offset else points, step)
-
-    @property
-    def length(self) -> float:
-        """Length of the line, m; of the one before it was moved sideways."""
-        return self.step * (len(self.points) - 1)
-
-    @property
-    def heading(self) -> float:
-        """Direction in which it starts, radians from east to north."""
-        (x, y), (x_1, y_1) = self.points[:2]
-        return math.atan2(y_1 - y, x_1 - x)
 
     def progress(self, easting: float, northing: float, before: int) -> tuple[int, float]:
         """Return the number of the nearest point from ``before`` onwards, up to 3 m ahead, and its distance, m."""
@@ -91,8 +73,6 @@ class GuideLine:
 
 def _normals(points: _Floats, step: float) -> _Floats:
     """Return the unit normals (n, 2) to the left, averaged along the line: at a corner they turn gradually."""
-    from scipy.ndimage import uniform_filter1d
-
     forward = np.gradient(points, axis=0)
     forward = uniform_filter1d(forward, max(round(_SMOOTH_M / step), 1), axis=0, mode="nearest")
     forward /= np.maximum(np.hypot(forward[:, 0], forward[:, 1]), 1e-12)[:, None]
@@ -111,28 +91,11 @@ _SLOPE_PIXELS = 15
 def fill_gaps(heights: NDArray[np.floating]) -> _Floats:
     """Fill NaN pixels as the map does: with the mean of their known 8 neighbours, from the rim of a hole inwards.
 
-    What lies more than 15 pixels inside, such as all that is beyond the survey, gets the nearest height.
-
-    Parameters
-    ----------
-    heights : array (rows, cols)
-        m; some are known.
-
-    Returns
-    -------
-    array (rows, cols) float64
-
-    Raises
-    ------
-    BadInputError
-        No height is known.
+    What lies more than 15 pixels inside, such as all that is beyond the survey, gets the nearest height. Heights
+    (rows, cols) are in m, and some are known.
     """
-    from scipy.ndimage import convolve, distance_transform_edt
-
     filled = heights.astype(np.float64)
     missing = np.isnan(filled)
-    if missing.all():
-        raise BadInputError("no height is known in this window of the map, so there is no ground to drive over")
     ring = np.ones((3, 3))
     for _ in range(_RINGS):
         if not missing.any():
@@ -237,8 +200,6 @@ def corridor_triangles(ground: ReliefGround, points: _Floats, half_width: float)
     array (m, 3, 3) float32
         As from `strip_triangles`; cells have half the size of a pixel.
     """
-    from scipy.ndimage import distance_transform_edt
-
     step = ground.spacing
     first = np.floor((points.min(axis=0) - half_width) / step).astype(np.int64) - 1
     last = np.ceil((points.max(axis=0) + half_width) / step).astype(np.int64) + 1
@@ -282,38 +243,14 @@ class WayDrive:
     """Horizontal length of the chassis' path during the measurement."""
     pitched_rad: float = 0.0
     """Integral of abs(omega_y) dt during the measurement."""
-    reached_m: float = 0.0
-    """Distance along the line at the end."""
-    aside_m: float = 0.0
-    """Largest distance from the line."""
-    turning_m: float = 0.0
-    """Part of ``path_m`` on which the vehicle was turning."""
-    turning_rad: float = 0.0
-    """Part of ``pitched_rad`` in which it was turning."""
-    seconds: float = 0.0
-    tiles: list[tuple[int, int, float, float]] = field(default_factory=list)
-    """Column and row in the window, from the south-west, with the path [m] and the pitch motion [rad] in each tile."""
 
     @property
     def c_r(self) -> float:
         """Ride cost of the way, rad/m; NaN unless completed."""
         return self.pitched_rad / self.path_m if self.outcome == "completed" and self.path_m > 0 else math.nan
 
-    @classmethod
-    def from_record(cls, fields: dict[str, Any]) -> "WayDrive":
-        """Make it of the fields that a journal holds."""
-        tiles = [(int(col), int(row), float(path), float(pitch)) for col, row, path, pitch in fields["tiles"]]
-        return cls(**(fields | {"tiles": tiles}))
 
-
-def drive_way(
-    profile: Vehicle,
-    ground: ReliefGround,
-    corners: NDArray[np.float64],
-    tile_size: float,
-    offset: float = 0.0,
-    settings: DriveSettings | None = None,
-) -> WayDrive:
+def drive_way(profile: Vehicle, ground: ReliefGround, corners: _Floats, offset: float = 0.0) -> WayDrive:
     """Drive along a line in DART; the same arguments give the same bits in any process.
 
     Parameters
@@ -322,73 +259,68 @@ def drive_way(
     ground : ReliefGround
     corners : array (n, 2)
         The line, m east and north of the ground's south-west corner.
-    tile_size : float
-        Side of the tiles by which the pitch is recorded, m.
     offset : float
         The vehicle drives this far to the left of the line, m.
-    settings : DriveSettings, optional
-        ``measure_s`` has no effect: a drive ends with the line, or when the vehicle is stuck.
     """
-    settings = settings or DriveSettings()
-    guide = GuideLine.along(corners, offset)
-    return follow_guide(vehicle_on_way(profile, ground, guide, settings), guide, profile, tile_size, settings)
+    settings, guide = DriveSettings(), GuideLine.along(corners, offset)
+    return follow_guide(DartVehicle(profile, *_start(profile, ground, guide, settings)), guide, profile, settings)
 
 
-def vehicle_on_way(profile: Vehicle, ground: ReliefGround, guide: GuideLine, settings: DriveSettings) -> DartVehicle:
-    """Return a vehicle in DART at the start of a line, with the ground along the line as a mesh."""
+def _start(
+    profile: Vehicle, ground: ReliefGround, guide: GuideLine, settings: DriveSettings
+) -> tuple[ReliefGround, Strip, Physics, NDArray[np.float32]]:
+    """Return what a `DartVehicle` takes to stand at the start of a line, with the ground along the line as a mesh."""
     half_width = profile.wheelbase_m / 2 + profile.track_m / 2 + profile.wheel.radius_m + settings.margin_m
-    easting, northing = guide.points[0].tolist()
-    strip = Strip(easting, northing, guide.heading, guide.length, half_width)
+    (easting, northing), (x, y) = guide.points[:2].tolist()
+    strip = Strip(easting, northing, math.atan2(y - northing, x - easting), 0.0, half_width)
     # Beyond the end of the line there is ground too: the chassis' front reaches farther than its middle.
     beyond = np.array([guide.ahead(len(guide.points) - 1, metres) for metres in np.arange(0.1, 1.0, 0.1)])
     triangles = corridor_triangles(ground, np.concatenate([guide.points, beyond]), half_width)
-    return DartVehicle(profile, ground.sloped_at(easting, northing), strip, settings.physics, triangles)
+    return ground.sloped_at(easting, northing), strip, settings.physics, triangles
 
 
 def follow_guide(
-    vehicle: VehicleModel,
-    guide: GuideLine,
-    profile: Vehicle,
-    tile_size: float,
-    settings: DriveSettings,
-    stops: Sequence[Stop] = (),
+    vehicle: DartVehicle, guide: GuideLine, profile: Vehicle, settings: DriveSettings, stops: Sequence[Stop] = ()
 ) -> WayDrive:
     """Drive a vehicle along a line and integrate its gyroscope readings; it stands at the start of the line.
 
-    ``stops`` are in the order of their distances.
+    ``stops`` are in the order of their distances. The drive ends with the line, or when the vehicle is stuck.
     """
     period = 1 / settings.sample_hz
     quiet = round((settings.settle_s + settings.ramp_s + settings.cruise_s) / period)
     made = WayDrive("completed")
-    tiles: dict[tuple[int, int], list[float]] = {}
     recent: deque[int] = deque(maxlen=round(_STUCK_WINDOW_S / period))
     least = settings.stuck_share * profile.speed_mps * _STUCK_WINDOW_S
-    pose, speed, sample, at = vehicle.pose(), 0.0, 0, 0
-    halts = _Halts(stops)
+    pose, speed, stood, sample, at = vehicle.pose(), 0.0, 0.0, 0, 0
+    ahead = deque(stops)
     while at < len(guide.points) - 1:
         angle = _angle_to(guide.ahead(at, _LOOK_AHEAD * profile.wheelbase_m), pose)
-        held = sample * period < settings.settle_s or halts.hold(at * guide.step, speed, period)
+        held = sample * period < settings.settle_s
+        if not held and ahead and at * guide.step >= ahead[0].at_m:
+            stood += period if speed == 0 else 0.0
+            held = stood < ahead[0].seconds
+            if not held:
+                ahead.popleft()
+                stood = 0.0
         speed = _next_speed(speed, 0.0 if held else max(math.cos(angle), 0.0) ** 2, profile, settings)
         _command(vehicle, angle, speed, profile)
         vehicle.advance(settings.steps_per_sample)
         before, pose = pose, vehicle.pose()
         sample += 1
         at, aside = guide.progress(pose.easting, pose.northing, at)
-        made.aside_m = max(made.aside_m, aside)
         if sample > quiet:
-            _record(made, tiles, before, pose, period, tile_size, turning=abs(angle) > _TURNING_RAD)
+            made.path_m += math.hypot(pose.easting - before.easting, pose.northing - before.northing)
+            made.pitched_rad += (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
             recent.append(at)
         if held:
             recent.clear()
+        crawls = len(recent) == recent.maxlen and (at - recent[0]) * guide.step < least
         if pose.tilt > math.radians(settings.rolled_deg):
             made.outcome = "rolled"
             break
-        crawls = len(recent) == recent.maxlen and (at - recent[0]) * guide.step < least
         if crawls or aside > settings.margin_m:
             made.outcome = "stuck"
             break
-    made.reached_m, made.seconds = at * guide.step, sample * period
-    made.tiles = [(col, row, path, pitch) for (col, row), (path, pitch) in tiles.items()]
     return made
 
 
@@ -405,57 +337,11 @@ def _next_speed(speed: float, share: float, profile: Vehicle, settings: DriveSet
     return min(max(wanted, speed - most), speed + most)
 
 
-class _Halts:
-    """The stops that are still ahead, and how long the vehicle has stood at the present one."""
-
-    def __init__(self, stops: Sequence[Stop]) -> None:
-        self._ahead = deque(stops)
-        self._stood = 0.0
-
-    def hold(self, along: float, speed: float, period: float) -> bool:
-        """Return whether the vehicle brakes or stands now, ``along`` m after the start of the line."""
-        if not self._ahead or along < self._ahead[0].at_m:
-            return False
-        self._stood += period if speed == 0 else 0.0
-        if self._stood < self._ahead[0].seconds:
-            return True
-        self._ahead.popleft()
-        self._stood = 0.0
-        return False
-
-
-def _command(vehicle: VehicleModel, angle: float, speed: float, profile: Vehicle) -> None:
+def _command(vehicle: DartVehicle, angle: float, speed: float, profile: Vehicle) -> None:
     """Set the speeds of both sides; a vehicle at rest before its start does not turn either."""
     most = _MAX_STEERING * profile.speed_mps if speed > 0 or abs(angle) >= math.pi / 2 else 0.0
     difference = min(max(_YAW_GAIN * angle * profile.track_m / 2, -most), most)
     vehicle.command(speed - difference, speed + difference)
-
-
-def _record(
-    made: WayDrive,
-    tiles: dict[tuple[int, int], list[float]],
-    before: Pose,
-    pose: Pose,
-    period: float,
-    tile_size: float,
-    *,
-    turning: bool,
-) -> None:
-    """Add one sample to the sums."""
-    path = math.hypot(pose.easting - before.easting, pose.northing - before.northing)
-    pitched = (abs(before.pitch_rate) + abs(pose.pitch_rate)) / 2 * period
-    made.path_m += path
-    made.pitched_rad += pitched
-    if turning:
-        made.turning_m += path
-        made.turning_rad += pitched
-    sums = tiles.setdefault((int(pose.easting // tile_size), int(pose.northing // tile_size)), [0.0, 0.0])
-    sums[0] += path
-    sums[1] += pitched
-
-
-_TILE_M = 3.0
-"""Side of the tiles of ``WayDrive.tiles``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -470,72 +356,32 @@ class RecordSettings:
     """In the order of their distances."""
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedWay:
-    """A recorded drive."""
+class RecordedVehicle(DartVehicle):
+    """A vehicle in DART whose motion is recorded at every time step after the first ``unrecorded`` ones."""
 
-    result: WayDrive
-    motion: TrueDrive
-    """Places are in the coordinates of the ground."""
-
-
-def motion_of(vehicle: DartVehicle) -> NDArray[np.float64]:
-    """Return the whole motion of the chassis and its wheels.
-
-    Returns
-    -------
-    array (20,)
-        Rotation by rows (9; its columns are the forward, left and upward axis), place of the centre of mass (3, m),
-        angular velocity (3, rad/s) and velocity (3, m/s) in the chassis' own axes, speeds of the left and the right
-        wheels (2, m/s).
-    """
-    matrix = vehicle.chassis.getWorldTransform().matrix()
-    sides = [sum(joint.getVelocity(0) for joint in vehicle._wheels[side]) / 2 for side in ("left", "right")]
-    wheels = vehicle._radius * np.array(sides)
-    return np.concatenate([matrix[:3, :3].ravel(), matrix[:3, 3], vehicle.chassis.getSpatialVelocity(), wheels])
-
-
-class MotionRecorder:
-    """A vehicle in DART whose motion is recorded at every time step."""
-
-    def __init__(self, vehicle: DartVehicle, unrecorded_steps: int) -> None:
-        self._vehicle = vehicle
-        self._unrecorded = unrecorded_steps
-        self._rows: list[NDArray[np.float64]] = []
-
-    def command(self, left_mps: float, right_mps: float) -> None:
-        """Set the speed of the tyres on either side."""
-        self._vehicle.command(left_mps, right_mps)
+    def __init__(self, profile: Vehicle, unrecorded: int, *start: Any) -> None:
+        super().__init__(profile, *start)
+        self._unrecorded = unrecorded
+        self._rows: list[_Floats] = []
 
     def advance(self, steps: int) -> None:
-        """Simulate ``steps`` time steps and record the motion after each, but for the first ones of all."""
+        """Simulate ``steps`` time steps and record the motion after each."""
         for _ in range(steps):
-            self._vehicle.advance(1)
-            if self._unrecorded:
-                self._unrecorded -= 1
-            else:
-                self._rows.append(motion_of(self._vehicle))
-
-    def pose(self) -> Pose:
-        """Return the present state of the chassis."""
-        return self._vehicle.pose()
+            super().advance(1)
+            matrix = self.chassis.getWorldTransform().matrix()
+            motion = [matrix[:3, :3].ravel(), matrix[:3, 3], self.chassis.getSpatialVelocity()]
+            self._rows.append(np.concatenate(motion))
 
     def motion(self, time_step: float) -> TrueDrive:
         """Return what was recorded."""
-        rows = np.array(self._rows).reshape(-1, 20)
-        return TrueDrive(
-            rate_hz=1 / time_step,
-            place=rows[:, 9:12],
-            rotation=rows[:, :9].reshape(-1, 3, 3),
-            rates=rows[:, 12:15],
-            velocity=rows[:, 15:18],
-            wheels=rows[:, 18:],
-        )
+        rows = np.array(self._rows[self._unrecorded :])
+        rotation, place, rates, velocity = np.split(rows, [9, 12, 15], axis=1)
+        return TrueDrive(1 / time_step, place, rotation.reshape(-1, 3, 3), rates, velocity)
 
 
 def record_way(
-    profile: Vehicle, ground: ReliefGround, corners: NDArray[np.float64], settings: RecordSettings | None = None
-) -> RecordedWay:
+    profile: Vehicle, ground: ReliefGround, corners: _Floats, settings: RecordSettings | None = None
+) -> tuple[WayDrive, TrueDrive]:
     """Drive along a line in DART and record the motion; the same arguments give the same bits in any process.
 
     Parameters
@@ -545,15 +391,22 @@ def record_way(
     corners : array (n, 2)
         The line, m east and north of the ground's south-west corner.
     settings : RecordSettings, optional
+
+    Returns
+    -------
+    WayDrive
+    TrueDrive
+        Places are in the coordinates of the ground.
     """
     settings = settings or RecordSettings()
     drive, physics = settings.drive, settings.drive.physics
     guide = GuideLine.along(corners)
-    recorder = MotionRecorder(vehicle_on_way(profile, ground, guide, drive), round(drive.settle_s / physics.time_step))
+    start = _start(profile, ground, guide, drive)
+    vehicle = RecordedVehicle(profile, round(drive.settle_s / physics.time_step), *start)
     standing = replace(drive, settle_s=drive.settle_s + settings.stand_before_s)
-    result = follow_guide(recorder, guide, profile, _TILE_M, standing, settings.stops)
+    result = follow_guide(vehicle, guide, profile, standing, settings.stops)
     brake = np.linspace(1.0, 0.0, max(round(drive.ramp_s * drive.sample_hz), 1))
     for share in np.append(brake, np.zeros(round(settings.stand_after_s * drive.sample_hz))):
-        recorder.command(share * profile.speed_mps, share * profile.speed_mps)
-        recorder.advance(drive.steps_per_sample)
-    return RecordedWay(result, recorder.motion(physics.time_step))
+        vehicle.command(share * profile.speed_mps, share * profile.speed_mps)
+        vehicle.advance(drive.steps_per_sample)
+    return result, vehicle.motion(physics.time_step)

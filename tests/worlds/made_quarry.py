@@ -3,13 +3,12 @@
 Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
 of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
 surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
-the distance from the core in metres: zero or less inside.
+the distance from the core in metres: zero or less inside. `height`, `is_water`, `zone_at` and `tiles_inside`, and what
+has capitals, are in coordinates of the CRS.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
-from types import SimpleNamespace
 from typing import Literal, get_args
 
 import numpy as np
@@ -202,32 +201,28 @@ _RUT_OFFSETS = (-3.8, -1.4, 1.4, 3.8)
 _RUT_WIDTH = 0.24
 
 
-@lru_cache(maxsize=8)
-def _roughness(seed: int) -> SimpleNamespace:
-    """Draw the random fields of one site."""
-    return SimpleNamespace(
-        floor=WaveField((seed, 1), 0.8, 20.0, 0.04, waves=24),
-        road=WaveField((seed, 2), 0.6, 4.0, 0.004),
-        undulation=WaveField((seed, 3), 12.0, 34.0, 0.17, waves=9),
-        tussocks=WaveField((seed, 4), 0.5, 1.6, 0.012, waves=24),
-        rock=WaveField((seed, 5), 0.7, 6.0, 0.24, waves=36),
-        gravel=WaveField((seed, 6), 0.4, 2.5, 0.05),
-        small_blocks=BlockLayer(seed * 64, 0.6, 0.10, 0.25),
-        large_blocks=BlockLayer(seed * 64 + 32, 1.25, 0.20, 0.50),
-    )
+_SEED = 1
+_FLOOR = WaveField((_SEED, 1), 0.8, 20.0, 0.04, waves=24)
+_ROAD = WaveField((_SEED, 2), 0.6, 4.0, 0.004)
+_UNDULATION = WaveField((_SEED, 3), 12.0, 34.0, 0.17, waves=9)
+_TUSSOCKS = WaveField((_SEED, 4), 0.5, 1.6, 0.012, waves=24)
+_ROCK = WaveField((_SEED, 5), 0.7, 6.0, 0.24, waves=36)
+_GRAVEL = WaveField((_SEED, 6), 0.4, 2.5, 0.05)
+_SMALL_BLOCKS = BlockLayer(_SEED * 64, 0.6, 0.10, 0.25)
+_LARGE_BLOCKS = BlockLayer(_SEED * 64 + 32, 1.25, 0.20, 0.50)
 
 
-def relief(seed: int, x: Floats, y: Floats) -> Floats:
+def relief(x: Floats, y: Floats) -> Floats:
     """Return the height of the ground, (n,) m, at local coordinates ``x``, ``y`` (n,) m."""
-    z = _open_ground(seed, x, y)
-    z = _overlay(z, x, y, outside_stockpile(x, y) < 0.0, lambda z, x, y: z + _stockpile(seed, x, y))
-    z = _overlay(z, x, y, _stone_share(x, y, 2.0) > 0.0, lambda z, x, y: z + _rubble(seed, x, y))
+    z = _open_ground(x, y)
+    z = _overlay(z, x, y, outside_stockpile(x, y) < 0.0, lambda z, x, y: z + _stockpile(x, y))
+    z = _overlay(z, x, y, _stone_share(x, y, 2.0) > 0.0, lambda z, x, y: z + _rubble(x, y))
     z = _overlay(z, x, y, outside_pond(x, y) < BLEND["pond"], _pond)
     z = _overlay(z, x, y, outside_box(x, y, PAD) < BLEND["pad"], _pad)
     z = _overlay(z, x, y, outside_ramp(x, y) < BLEND["ramp"], _ramp)
-    z = _overlay(z, x, y, outside_spur(x, y) < BLEND["spur"], lambda z, x, y: _spur(seed, z, x, y))
+    z = _overlay(z, x, y, outside_spur(x, y) < BLEND["spur"], _spur)
     near_road = np.abs(road_offset(x, y)) < ROAD_HALF_WIDTH + BLEND["road"]
-    return _overlay(z, x, y, near_road, lambda z, x, y: _road(seed, z, x, y))
+    return _overlay(z, x, y, near_road, _road)
 
 
 def _overlay(
@@ -250,35 +245,33 @@ def _meadow_share(x: Floats, y: Floats) -> Floats:
     return np.maximum(south, smooth_step(along_bank(x, y), BANK_WIDTH - 1.5, BANK_WIDTH))
 
 
-def _open_ground(seed: int, x: Floats, y: Floats) -> Floats:
+def _open_ground(x: Floats, y: Floats) -> Floats:
     """Floor, meadow and the bench wall: two rough faces with a narrow berm between them."""
-    rough = _roughness(seed)
     north = along_bank(x, y)
     faces = 3.7 * smooth_step(north, 0.0, 5.0) + (BENCH_HEIGHT - 3.7) * smooth_step(north, 7.0, BANK_WIDTH)
     meadow = _meadow_share(x, y)
     z = _base(x, y) + faces + 0.5 * smooth_step(road_offset(x, y), -7.0, -22.0)
-    z = _overlay(z, x, y, meadow < 1.0, lambda z, x, y: z + (1.0 - _meadow_share(x, y)) * rough.floor(x, y))
-    grown = rough.undulation
-    z = _overlay(z, x, y, meadow > 0.0, lambda z, x, y: z + _meadow_share(x, y) * (grown(x, y) + rough.tussocks(x, y)))
-    return _overlay(z, x, y, (north > -1.0) & (north < BANK_WIDTH), lambda z, x, y: z + _rock(seed, x, y))
+    z = _overlay(z, x, y, meadow < 1.0, lambda z, x, y: z + (1.0 - _meadow_share(x, y)) * _FLOOR(x, y))
+    z = _overlay(z, x, y, meadow > 0.0, lambda z, x, y: z + _meadow_share(x, y) * (_UNDULATION(x, y) + _TUSSOCKS(x, y)))
+    return _overlay(z, x, y, (north > -1.0) & (north < BANK_WIDTH), lambda z, x, y: z + _rock(x, y))
 
 
-def _rock(seed: int, x: Floats, y: Floats) -> Floats:
+def _rock(x: Floats, y: Floats) -> Floats:
     """Broken rock on the faces: folded waves give ribs and gullies, fading at the foot and at the edge."""
     north = along_bank(x, y)
     strength = smooth_step(north, -1.0, 0.8) * smooth_step(north, BANK_WIDTH, BANK_WIDTH - 1.2)
-    waves = _roughness(seed).rock(x, y)
+    waves = _ROCK(x, y)
     return strength * (waves - 0.6 * np.abs(waves))
 
 
-def _stockpile(seed: int, x: Floats, y: Floats) -> Floats:
+def _stockpile(x: Floats, y: Floats) -> Floats:
     """Gravel heaps at 32 degrees with rounded tops, m above the floor."""
     tops: list[Floats] = [
         np.tan(np.radians(32.0)) * np.maximum(radius - np.sqrt((x - x0) ** 2 + (y - y0) ** 2 + 0.6) + 0.05, 0.0)
         for x0, y0, radius in STOCKPILES
     ]
     heap = np.maximum(tops[0], tops[1])
-    return heap + np.minimum(heap, 1.0) * _roughness(seed).gravel(x, y)
+    return heap + np.minimum(heap, 1.0) * _GRAVEL(x, y)
 
 
 def _stone_share(x: Floats, y: Floats, reach: float = 0.0) -> Floats:
@@ -292,11 +285,10 @@ def _stone_share(x: Floats, y: Floats, reach: float = 0.0) -> Floats:
     return np.maximum(0.92 * field, 0.22 * talus)
 
 
-def _rubble(seed: int, x: Floats, y: Floats) -> Floats:
+def _rubble(x: Floats, y: Floats) -> Floats:
     """Blocks over smaller blocks, m above the ground."""
-    rough = _roughness(seed)
-    small = rough.small_blocks.height(x, y, _stone_share)
-    return np.maximum(small, rough.large_blocks.height(x, y, lambda x, y: 0.6 * _stone_share(x, y)))
+    small = _SMALL_BLOCKS.height(x, y, _stone_share)
+    return np.maximum(small, _LARGE_BLOCKS.height(x, y, lambda x, y: 0.6 * _stone_share(x, y)))
 
 
 def _pond(z: Floats, x: Floats, y: Floats) -> Floats:
@@ -321,18 +313,18 @@ def _ramp(z: Floats, x: Floats, y: Floats) -> Floats:
     return (1.0 - share) * z + share * plane
 
 
-def _spur(seed: int, z: Floats, x: Floats, y: Floats) -> Floats:
+def _spur(z: Floats, x: Floats, y: Floats) -> Floats:
     """Graded track from the road to the ramp; its blend stops at the ramp's toe."""
     share = smooth_step(outside_spur(x, y), BLEND["spur"], 0.0) * smooth_step(y, RAMP[1], RAMP[1] - 3.0)
-    return (1.0 - share) * z + share * (DATUM + 0.75 + 0.006 * (y - RAMP[1]) + _roughness(seed).road(x, y))
+    return (1.0 - share) * z + share * (DATUM + 0.75 + 0.006 * (y - RAMP[1]) + _ROAD(x, y))
 
 
-def _road(seed: int, z: Floats, x: Floats, y: Floats) -> Floats:
+def _road(z: Floats, x: Floats, y: Floats) -> Floats:
     """Crowned haul road with a washboard and a rutted section, and a windrow along its southern edge."""
     offset = road_offset(x, y)
     share = smooth_step(np.abs(offset), ROAD_HALF_WIDTH + BLEND["road"], ROAD_HALF_WIDTH)
     crown = -CROWN * (np.sqrt(offset**2 + 0.5) - np.sqrt(0.5))
-    surface: Floats = DATUM + 0.6 + 0.012 * x + crown + _roughness(seed).road(x, y)
+    surface: Floats = DATUM + 0.6 + 0.012 * x + crown + _ROAD(x, y)
     surface += _washboard(x, offset) + _ruts(x, offset)
     windrow = 0.45 * np.exp(-(((offset + 7.4) / 0.55) ** 2)) * (1.0 - smooth_step(-offset, 6.6, 6.0))
     return (1.0 - share) * z + share * surface + np.where(offset < -ROAD_HALF_WIDTH, windrow, 0.0)
@@ -357,127 +349,57 @@ def _ruts(x: Floats, offset: Floats) -> Floats:
     return RUT_DEPTH * strength * total
 
 
-_WANTED = 30
-
-
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """One tree; the crown is round seen from above."""
-
-    easting: float
-    """m."""
-    northing: float
-    """m."""
-    radius: float
-    """Radius of the crown, m."""
-
-
-def plant(
-    seed: int, corner: tuple[float, float], may_stand: Callable[[Floats, Floats], NDArray[np.bool_]]
-) -> tuple[Tree, ...]:
-    """Draw random trees that do not touch each other, where ``may_stand`` is True of local x and y (n,)."""
-    rng = np.random.default_rng((seed, 101))
-    candidates = rng.random((400, 2)) * (EAST_WEST, NORTH_SOUTH)
-    candidates = candidates[may_stand(candidates[:, 0], candidates[:, 1])]
-    chosen: list[Tree] = []
-    for x, y in candidates.tolist():
-        radius = float(rng.uniform(1.3, 2.7))
-        rng.random(2)  # height and kind of the tree, which only its points tell
-        tree = Tree(corner[0] + x, corner[1] + y, radius)
-        clear = all(
-            np.hypot(tree.easting - other.easting, tree.northing - other.northing) > radius + other.radius + 0.5
-            for other in chosen
-        )
-        if clear:
-            chosen.append(tree)
-        if len(chosen) == _WANTED:
-            break
-    return tuple(chosen)
-
-
-def is_under_tree(trees: Iterable[Tree], easting: Floats, northing: Floats) -> NDArray[np.bool_]:
-    """Return True under the crown of a tree."""
-    return np.any([np.hypot(easting - tree.easting, northing - tree.northing) < tree.radius for tree in trees], axis=0)
-
-
 Zone = Literal[
     "transition", "floor", "meadow", "bank", "rubble", "stockpile", "pond", "pad", "step", "ramp", "road", "washboard",
     "ruts", "outside",
 ]  # fmt: skip
 ZONES: tuple[Zone, ...] = get_args(Zone)
 """'transition' is the blend between two surfaces; 'outside' is beyond the site."""
-EPSG = 32632
-"""CRS of the site: WGS 84 / UTM zone 32N, metres. The location is arbitrary."""
+_WEST, _SOUTH = 512_340.0, 5_403_210.0
+BOUNDS = Bounds(_WEST, _SOUTH, _WEST + EAST_WEST, _SOUTH + NORTH_SOUTH)
+"""Extent of the site in WGS 84 / UTM zone 32N, m; a whole number of 3 m tiles. The location is arbitrary."""
 
-_CORNER = (512_340.0, 5_403_210.0)
+
+def height(easting: Floats, northing: Floats) -> Floats:
+    """Return the height of the bare ground at any places, m; continuous except at the kerb of the pad."""
+    x, y = _local(easting, northing)
+    return relief(x.ravel(), y.ravel()).reshape(x.shape)
 
 
-@dataclass(frozen=True, slots=True)
-class QuarrySite:
-    """A quarry of 126 x 102 m: road, washboard, ruts, rubble, pad with kerb, ramp, bench wall, meadow, pond, trees.
+def is_water(easting: Floats, northing: Floats) -> NDArray[np.bool_]:
+    """Return True in the pond, where surveys have no points."""
+    return outside_pond(*_local(easting, northing)) <= 0.0
 
-    The seed changes stones, waves and trees, but not the zones.
-    """
 
-    seed: int = 1
+def zone_at(easting: Floats, northing: Floats) -> NDArray[np.str_]:
+    """Return the zone at each position, one of ``ZONES``."""
+    return np.array(ZONES)[_zone_code(*_local(easting, northing))]
 
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise ValueError(f"seed is {self.seed}; it must be zero or more")
 
-    @property
-    def bounds(self) -> Bounds:
-        """Extent of the site, m; a whole number of 3 m tiles."""
-        west, south = _CORNER
-        return Bounds(west, south, west + EAST_WEST, south + NORTH_SOUTH)
-
-    @property
-    def trees(self) -> tuple[Tree, ...]:
-        """The trees; their crowns do not belong to the ground."""
-        return _trees(self.seed)
-
-    def height(self, easting: Floats, northing: Floats) -> Floats:
-        """Return the height of the bare ground at any places, m; continuous except at the kerb of the pad."""
-        x, y = _local(easting, northing)
-        return relief(self.seed, x.ravel(), y.ravel()).reshape(x.shape)
-
-    def is_water(self, easting: Floats, northing: Floats) -> NDArray[np.bool_]:
-        """Return True in the pond, where surveys have no points."""
-        return outside_pond(*_local(easting, northing)) <= 0.0
-
-    def zone_at(self, easting: Floats, northing: Floats) -> NDArray[np.str_]:
-        """Return the zone at each position, one of ``ZONES``."""
-        x, y = _local(easting, northing)
-        return np.array(ZONES)[_zone_code(x, y)]
-
-    def tiles_inside(self, zone: Zone, size: float = 3.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return columns and rows (k,) of the tiles that lie in a zone at 31 x 31 places of each, and under no tree."""
-        box = self.bounds
-        col, row = np.meshgrid(
-            np.arange(np.floor(box.west / size), np.ceil(box.east / size)),
-            np.arange(np.floor(box.south / size), np.ceil(box.north / size)),
+def tiles_inside(zone: Zone, size: float = 3.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return columns and rows (k,) of the tiles that lie in a zone at 31 x 31 places of each, and under no tree."""
+    col, row = np.meshgrid(
+        np.arange(np.floor(BOUNDS.west / size), np.ceil(BOUNDS.east / size)),
+        np.arange(np.floor(BOUNDS.south / size), np.ceil(BOUNDS.north / size)),
+    )
+    west, south = col.ravel() * size, row.ravel() * size
+    for places in (3, 31):  # coarse test first, which excludes most tiles
+        inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
+        easting, northing = np.broadcast_arrays(
+            west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
         )
-        west, south = col.ravel() * size, row.ravel() * size
-        for places in (3, 31):  # coarse test first, which excludes most tiles
-            inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
-            easting, northing = np.broadcast_arrays(
-                west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
-            )
-            within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
-            west, south = west[within], south[within]
-        clear = ~np.any(is_under_tree(self.trees, easting[within], northing[within]), axis=(1, 2))
-        return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
+        within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
+        west, south = west[within], south[within]
+    easting, northing = easting[within], northing[within]
+    crowns = [np.hypot(easting - tree.easting, northing - tree.northing) < tree.radius for tree in TREES]
+    clear = ~np.any(crowns, axis=(0, 2, 3))
+    return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
 
 
 def _local(easting: Floats, northing: Floats) -> tuple[Floats, Floats]:
     """Return coordinates relative to the south-west corner, m, broadcast to a common shape."""
     x, y = np.broadcast_arrays(np.asarray(easting, np.float64), np.asarray(northing, np.float64))
-    return x - _CORNER[0], y - _CORNER[1]
-
-
-@lru_cache(maxsize=8)
-def _trees(seed: int) -> tuple[Tree, ...]:
-    return plant(seed, _CORNER, lambda x, y: _zone_code(x, y) == ZONES.index("meadow"))
+    return x - _WEST, y - _SOUTH
 
 
 def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
@@ -511,3 +433,35 @@ def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
         paint(zone, core & (x >= west) & (x <= east), core & (x > west - 4.0) & (x < east + 4.0))
     paint("outside", (x < 0.0) | (x >= EAST_WEST) | (y < 0.0) | (y >= NORTH_SOUTH))
     return code
+
+
+@dataclass(frozen=True, slots=True)
+class Tree:
+    """One tree; the crown is round seen from above and does not belong to the ground."""
+
+    easting: float
+    """m."""
+    northing: float
+    """m."""
+    radius: float
+    """Radius of the crown, m."""
+
+
+def _plant(wanted: int) -> list[Tree]:
+    """Draw random trees on the meadow that do not touch each other."""
+    rng = np.random.default_rng((_SEED, 101))
+    x, y = (rng.random((400, 2)) * (EAST_WEST, NORTH_SOUTH)).T
+    on_meadow = _zone_code(x, y) == ZONES.index("meadow")
+    chosen: list[Tree] = []
+    for east, north in zip(x[on_meadow].tolist(), y[on_meadow].tolist(), strict=True):
+        tree = Tree(_WEST + east, _SOUTH + north, float(rng.uniform(1.3, 2.7)))
+        rng.random(2)  # height and kind of the tree, which only its points tell
+        if len(chosen) < wanted and all(
+            np.hypot(tree.easting - other.easting, tree.northing - other.northing) > tree.radius + other.radius + 0.5
+            for other in chosen
+        ):
+            chosen.append(tree)
+    return chosen
+
+
+TREES = _plant(30)

@@ -1,7 +1,6 @@
 """Which patches are driven, and random numbers that belong to a thing."""
 
 import numpy as np
-import pytest
 from hypothesis import given, strategies as st
 
 from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, driven_ground, strata
@@ -9,28 +8,21 @@ from bumpymap.lab.evaluate.survey_trial import BINS, choose_patches, driven_grou
 SEEDS = st.integers(0, 2**31)
 
 
-def ground(seed, count=2000):
+def ground(seed):
     rng = np.random.default_rng(seed)
-    return np.exp(rng.normal(-1, 1, count)), rng.random(count) ** 3, rng.random(count)
+    return np.exp(rng.normal(-1, 1, 2000)), rng.random(2000) ** 3, rng.random(2000)
 
 
 @given(SEEDS)
-def test_every_stratum_gives_as_many_patches_as_it_can(seed):
+def test_every_stratum_gives_as_many_patches_as_it_can_and_more_patches_keep_those_of_before(seed):
     c_r, p_fail, priority = ground(seed)
     stratum = strata(c_r, p_fail)
-    chosen = choose_patches(stratum, priority, 300)
-    assert len(set(chosen.tolist())) == 300
-    there, taken = (np.bincount(part, minlength=BINS + 1) for part in (stratum, stratum[chosen]))
+    few, chosen = (set(choose_patches(stratum, priority, total).tolist()) for total in (120, 300))
+    assert len(chosen) == 300
+    assert few < chosen
+    there, taken = (np.bincount(part, minlength=BINS + 1) for part in (stratum, stratum[list(chosen)]))
     short = taken < taken.max() - 1
     assert np.array_equal(taken[short], there[short])
-
-
-@given(SEEDS)
-def test_more_patches_keep_those_of_before(seed):
-    c_r, p_fail, priority = ground(seed, 500)
-    stratum = strata(c_r, p_fail)
-    few, many = choose_patches(stratum, priority, 50), choose_patches(stratum, priority, 120)
-    assert set(few.tolist()) < set(many.tolist())
 
 
 def test_ground_that_is_expected_to_fail_is_a_stratum_of_its_own():
@@ -41,20 +33,10 @@ def test_ground_that_is_expected_to_fail_is_a_stratum_of_its_own():
     assert np.allclose(within, np.median(within), rtol=0.1)
 
 
-@pytest.fixture(scope="module")
-def bumpy():
-    """Heights of a bumpy slope 1500 m up, four points a pixel."""
-
-    def surface(x, y):
-        return 1500 + 0.3 * x - 0.1 * y + 0.05 * np.sin(4 * x) * np.cos(3 * y)
-
+def test_holes_are_filled_on_the_same_plane(measure_points):
     axis = (np.arange(30) + 0.5) * 0.1
     x, y = (part.ravel() for part in np.meshgrid(axis, axis))
-    return x, y, surface(x, y)
-
-
-def test_holes_are_filled_on_the_same_plane(bumpy, measure_points):
-    x, y, z = bumpy
+    z = 1500 + 0.3 * x - 0.1 * y + 0.05 * np.sin(4 * x) * np.cos(3 * y)
     kept = np.hypot(x - 1.2, y - 1.8) > 0.4
     whole, holed = measure_points(x, y, z), measure_points(x[kept], y[kept], z[kept])
     assert np.isnan(holed.heights[0]).any()

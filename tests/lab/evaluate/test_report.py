@@ -40,7 +40,7 @@ def findings(verdict_of):
     return Findings("survey", FACTS, VEHICLE, {"seed": 7}, classes, comparison, patches)
 
 
-def test_everything_is_written(findings, tmp_path):
+def test_page_and_json_hold_every_number_and_none_for_the_unknown(findings, tmp_path):
     files = write_report(findings, tmp_path)
     assert sorted(path.name for path in files) == sorted(path.name for path in tmp_path.iterdir())
     text = (tmp_path / "report.md").read_text()
@@ -54,10 +54,6 @@ def test_everything_is_written(findings, tmp_path):
     ):
         assert words in text
     assert "nan" not in text
-
-
-def test_json_holds_every_number_and_none_for_the_unknown(findings, tmp_path):
-    write_report(findings, tmp_path)
     record = json.loads((tmp_path / "report.json").read_text())
     assert record["format"] == "bumpymap-evaluation"
     assert record["comparison"]["agreement"]["z_variance"]["coverage"] is None

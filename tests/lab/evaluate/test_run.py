@@ -18,21 +18,16 @@ from bumpymap.readers import ReadOptions
 pytestmark = pytest.mark.slow
 
 
-def trial(out):
-    return TrialOptions(out, 1, overwrite=False, progress=SilentProgress())
-
-
 def evaluate(quarry, subject, settings, out):
-    options = ReadOptions()
-    return evaluate_survey(open_readers([quarry], options, local=False), options, "all", subject, settings, trial(out))
+    options, trial = ReadOptions(crs="EPSG:32632"), TrialOptions(out, 1, overwrite=False, progress=SilentProgress())
+    return evaluate_survey(open_readers([quarry], options, local=False), options, "all", subject, settings, trial)
 
 
 def test_a_survey_is_driven_and_rated(quarry, subject, settings, tmp_path):
     pytest.importorskip("dartpy")
     found = evaluate(quarry, subject, settings, tmp_path)
     own = found.comparison
-    assert own.patches == 10
-    assert own.drives == 20
+    assert (own.patches, own.drives) == (10, 20)
     assert set(own.agreement) >= {"ride", "table"}
     assert sum(row["tiles"] for row in found.classes["ride"]["rows"]) == found.facts["judged_tiles"]
     assert [path.suffix for path in tmp_path.iterdir()] == [".jsonl"]
@@ -57,49 +52,41 @@ def test_a_survey_too_sparse_to_judge_says_why(quarry, subject, settings, tmp_pa
         evaluate(quarry, subject, picky, tmp_path)
 
 
-def cli(*words):
-    return CliRunner().invoke(main, ["evaluate", "survey", *map(str, words)])
+@pytest.fixture
+def cli(subject, tmp_path):
+    """The command with a calibration file of the subject."""
+    (tmp_path / "own.json").write_text(subject.calibration.to_json())
+
+    def run(survey, *words):
+        files = ["--calibration", tmp_path / "own.json", "--out", tmp_path / "o"]
+        given = [survey, *files, "--set", "crs=EPSG:32632", "--jobs", 1, *words]
+        return CliRunner().invoke(main, ["evaluate", "survey", *map(str, given)])
+
+    return run
 
 
-def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives):
-    out, calibration = tmp_path / "trust", tmp_path / "own.json"
-    calibration.write_text(replace(subject.calibration, ride=None).to_json())
-    words = [quarry, "--out", out, "--calibration", calibration, "--set", "total_patches=10", "--jobs", "1"]
-    result = cli(*words)
+def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives, cli):
+    (tmp_path / "own.json").write_text(replace(subject.calibration, ride=None).to_json())
+    few = ("--set", "total_patches=10")
+    result = cli(quarry, *few)
     assert result.exit_code == 0, result.output
-    record = json.loads((out / "report.json").read_text())
-    assert list(record["classes"]) == ["table"]
-    written = sorted(path.name for path in out.iterdir() if path.suffix != ".jsonl")
+    assert list(json.loads((tmp_path / "o" / "report.json").read_text())["classes"]) == ["table"]
+    written = sorted(path.name for path in (tmp_path / "o").iterdir() if path.suffix != ".jsonl")
     assert written == ["report.json", "report.md"]
-    refused = cli(*words)
+    refused = cli(quarry, *few)
     assert refused.exit_code == 3
     assert "--overwrite" in refused.output
-    assert cli(*words, "--overwrite").exit_code == 0
+    assert cli(quarry, *few, "--overwrite").exit_code == 0
 
 
-def test_a_survey_that_is_not_there_leaves_no_folder(subject, tmp_path):
-    (tmp_path / "own.json").write_text(subject.calibration.to_json())
-    words = ["--calibration", tmp_path / "own.json", "--out", tmp_path / "o"]
-    result = cli(tmp_path / "gone.laz", *words)
+def test_a_survey_that_is_not_there_leaves_no_folder(tmp_path, cli):
+    result = cli(tmp_path / "gone.laz")
     assert result.exit_code == 3
     assert "does not exist" in result.output
     assert not (tmp_path / "o").exists()
 
 
-def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, fake_drives, monkeypatch):
-    monkeypatch.setattr("bumpymap.lab.simulate.model.require_dart", lambda: None)
-    (tmp_path / "own.json").write_text(subject.calibration.to_json())
-    words = [
-        quarry,
-        "--calibration",
-        tmp_path / "own.json",
-        "--out",
-        tmp_path / "o",
-        "--set",
-        "total_patches=12",
-        "--jobs",
-        "1",
-    ]
+def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, tmp_path, fake_drives, cli, monkeypatch):
     drive = survey_trial.drive_job
 
     def interrupted(*job):
@@ -109,11 +96,11 @@ def test_a_run_that_is_broken_off_says_how_to_go_on(quarry, subject, tmp_path, f
 
     with monkeypatch.context() as during:
         during.setattr(survey_trial, "drive_job", interrupted)
-        result = cli(*words)
+        result = cli(quarry, "--set", "total_patches=12")
     assert result.exit_code == 130
     assert "same command again" in result.output
     assert [path.suffix for path in (tmp_path / "o").iterdir()] == [".jsonl"]
-    result = cli(*words)
+    result = cli(quarry, "--set", "total_patches=12")
     assert result.exit_code == 0, result.output
     assert len(fake_drives) == 12
     assert "12 patches, 24 drives, 0 failed" in result.output

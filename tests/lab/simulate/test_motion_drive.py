@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from known_grounds import PlaneGround, SineGround
 
-from bumpymap.lab.simulate.drive import Start
+from bumpymap.lab.simulate.drive import DriveSettings, Start
 from bumpymap.lab.simulate.motion_fit import drive_motion, weighted_acceleration
 from bumpymap.rating import felt_response, load_profile
 
 WARTHOG = load_profile("warthog")
 BASE, TRACK, HEIGHT_M = WARTHOG.wheelbase_m, WARTHOG.track_m, 0.01
+SHORT = DriveSettings(measure_s=5.0)
 
 
 @dataclass(frozen=True)
@@ -22,7 +23,7 @@ class FineWaves(SineGround):
     spacing: float = 0.02
 
 
-@pytest.mark.parametrize("frequency", [0.5, 1.0, 4.0, 9.0])
+@pytest.mark.parametrize("frequency", [0.5, 4.0, 9.0])
 def test_a_steady_sine_is_weighed_by_the_response(frequency):
     step = 0.002
     seconds = np.arange(0, 20, step)
@@ -34,10 +35,10 @@ def test_a_steady_sine_is_weighed_by_the_response(frequency):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("speed", "wavelength"), [(1.0, 0.92), (2.0, 0.92), (2.0, 3.0)])
+@pytest.mark.parametrize(("speed", "wavelength"), [(1.0, 0.92), (2.0, 3.0)])
 def test_waves_lift_as_the_closed_form_says(speed, wavelength):
     pytest.importorskip("dartpy")
-    made = drive_motion(WARTHOG, FineWaves(HEIGHT_M, wavelength), Start(0.0, 0.0, 0.0), speed)
+    made = drive_motion(WARTHOG, FineWaves(HEIGHT_M, wavelength), Start(0.0, 0.0, 0.0), speed, SHORT)
     lift = HEIGHT_M * math.cos(math.pi * BASE / wavelength) * felt_response(np.array([speed / wavelength]))[0]
     assert made.a_w == pytest.approx(abs(lift) / math.sqrt(2), rel=0.05)
 
@@ -47,7 +48,7 @@ def test_waves_at_an_angle_roll_and_pitch_as_the_closed_forms_say():
     pytest.importorskip("dartpy")
     turn, wavelength = math.radians(40.0), 3.0
     along, across = math.cos(turn) / wavelength, math.sin(turn) / wavelength
-    made = drive_motion(WARTHOG, FineWaves(HEIGHT_M, wavelength), Start(0.0, 0.0, turn), 2.0)
+    made = drive_motion(WARTHOG, FineWaves(HEIGHT_M, wavelength), Start(0.0, 0.0, turn), 2.0, SHORT)
     pitch = math.sin(math.pi * BASE * along) * math.cos(math.pi * TRACK * across) / BASE
     roll = math.cos(math.pi * BASE * along) * math.sin(math.pi * TRACK * across) / TRACK
     assert made.c_r == pytest.approx(8 * HEIGHT_M * along * pitch, rel=0.05)
@@ -57,8 +58,7 @@ def test_waves_at_an_angle_roll_and_pitch_as_the_closed_forms_say():
 @pytest.mark.slow
 def test_a_plane_is_hardly_felt_and_a_drive_repeats():
     pytest.importorskip("dartpy")
-    made = drive_motion(WARTHOG, PlaneGround((0.1, 0.0)), Start(0.0, 0.0, 0.5), 1.0)
-    assert made == drive_motion(WARTHOG, PlaneGround((0.1, 0.0)), Start(0.0, 0.0, 0.5), 1.0)
-    assert made.c_r < 0.001
-    assert made.c_roll < 0.001
+    made, again = (drive_motion(WARTHOG, PlaneGround((0.1, 0.0)), Start(0.0, 0.0, 0.5), 1.0, SHORT) for _ in range(2))
+    assert made == again
+    assert max(made.c_r, made.c_roll) < 0.001
     assert made.a_w < 0.01

@@ -15,36 +15,24 @@ SETTINGS = replace(calibrated_settings(WARTHOG), terrains=8, terrain_starts=4)
 WITH_SPEEDS = [name for name in shipped_calibrations() if Calibration.shipped(name).motion is not None]
 
 
-def invented(spread=0.0, seed=1):
-    """Drives whose logarithms are plain functions of C_r and speed, with errors of a given spread."""
-    rng = np.random.default_rng(seed)
-    jobs = len(motion_jobs(SETTINGS))
-    c_r = np.geomspace(0.01, 0.4, jobs)[:, None]
+@pytest.mark.slow
+@pytest.mark.parametrize(("spread", "tolerance"), [(0.0, 1e-3), (0.1, 0.1)])
+def test_it_finds_what_was_put_in_and_its_spread_and_leaves_failed_terrains_out(spread, tolerance):
+    # Logarithms are plain functions of C_r and speed, with errors of that spread.
+    c_r = np.geomspace(0.01, 0.4, len(motion_jobs(SETTINGS)))[:, None]
     s = np.log(SPEED_RATIOS)[None, :]
     logs = np.stack([np.log(c_r) - 0.1 * s, np.log(0.7 * c_r) + 0 * s, np.log(4 * c_r) + 1.3 * s], axis=-1)
-    errors = rng.normal(0.0, spread, logs.shape)
+    errors = np.random.default_rng(1).normal(0.0, spread, logs.shape)
     errors[:, SPEED_RATIOS.index(1.0), 0] = 0.0
-    return np.exp(logs + errors)
-
-
-@pytest.mark.slow
-def test_it_finds_what_was_put_in():
-    model = fit_means(SETTINGS, invented(), 2)
-    c_r = np.array([0.03, 0.1, 0.3])
-    told = np.exp(model.plain_log_factors(c_r, (0.5, 1.0, 1.5)))
-    assert told[:, :, 0] == pytest.approx(np.broadcast_to([0.5**-0.1, 1.0, 1.5**-0.1], (3, 3)), rel=1e-3)
-    assert told[:, :, 1] == pytest.approx(0.7, rel=1e-3)
-    assert told[:, :, 2] == pytest.approx(np.broadcast_to([4 * 0.5**1.3, 4.0, 4 * 1.5**1.3], (3, 3)), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_the_spread_is_that_of_the_errors_and_failed_terrains_are_left_out():
-    means = invented(spread=0.1)
+    means = np.exp(logs + errors)
     means[3, 2] = np.nan
     model = fit_means(SETTINGS, means, 2)
+    told = np.exp(model.plain_log_factors(np.array([0.03, 0.1, 0.3]), (0.5, 1.0, 1.5)))
+    for speed, ratio in enumerate((0.5, 1.0, 1.5)):
+        assert told[:, speed] == pytest.approx(np.tile([ratio**-0.1, 0.7, 4 * ratio**1.3], (3, 1)), rel=tolerance)
     assert model.origin["used"] == len(means) - 1
     for fit in (model.c_r, model.c_roll, model.a_w):
-        assert fit.plain_log_sd == pytest.approx(0.1, rel=0.3)
+        assert fit.plain_log_sd == pytest.approx(spread, rel=0.3, abs=1e-3)
 
 
 @pytest.mark.later

@@ -17,10 +17,10 @@ LEVEL = np.zeros((15, 15))
 SHORT = DriveSettings(settle_s=0.5, ramp_s=0.5, cruise_s=0.0, measure_s=1.0)
 
 
-def drive_patches(patches, starts, *, seed=1, drive=None, **how):
-    """Drive over patches of a survey, as an evaluation does."""
-    settings = EvaluateSettings(min_starts=starts, max_starts=starts, seed=seed, drive=drive or DriveSettings())
-    jobs = [PatchJob(key, starts, heights) for key, heights in patches.items()]
+def drive_patches(patches, drive=None, **how):
+    """Drive twice over each patch of a survey, as an evaluation does."""
+    settings = EvaluateSettings(min_starts=2, max_starts=2, seed=1, drive=drive or DriveSettings())
+    jobs = [PatchJob(key, 2, heights) for key, heights in patches.items()]
     return drive_jobs(partial(drive_job, WARTHOG, 3.0, settings), jobs, **how)
 
 
@@ -57,15 +57,10 @@ def test_patch_that_nothing_crosses_is_given_up_after_the_least(fake_drive):
 def test_driven_patches_are_taken_from_the_journal(fake_drive, tmp_path):
     patches = {(col, -1): LEVEL for col in range(4)}
     journal = Journal(tmp_path / "j", {"survey": "x"}, PatchDrives.read)
-    first = drive_patches(dict(list(patches.items())[:3]), 2, journal=journal)
+    first = drive_patches(dict(list(patches.items())[:3]), journal=journal)
     fake_drive["seeds"].clear()
     seen = []
-    again = drive_patches(
-        patches,
-        2,
-        journal=journal,
-        progress=lambda done, total: seen.append((done, total)),
-    )
+    again = drive_patches(patches, journal=journal, progress=lambda *numbers: seen.append(numbers))
     assert {key: again[key] for key in first} == first
     assert len(fake_drive["seeds"]) == 2
     assert seen == [(6, 8), (8, 8)]
@@ -76,6 +71,6 @@ def test_real_drives_are_the_same_in_a_pool():
     pytest.importorskip("dartpy")
     rough = np.random.default_rng(2).normal(0, 0.02, (15, 15))
     patches = {(0, 0): rough, (0, 1): rough.T.copy()}
-    alone, pooled = (drive_patches(patches, 2, drive=SHORT, workers=workers) for workers in (1, 2))
+    alone, pooled = (drive_patches(patches, SHORT, workers=workers) for workers in (1, 2))
     assert alone == pooled
     assert alone[0, 0].completed

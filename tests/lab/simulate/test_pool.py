@@ -65,15 +65,20 @@ def jobs(tmp_path, monkeypatch):
     return __import__("pool_jobs")
 
 
+def started(jobs, code, *words):
+    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", code, *words], env=env, stdout=pipe, stderr=pipe, text=True)
+
+
 def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
     before, seen = threading.active_count(), []
 
     def told(done, total):
         seen.append((done, total, threading.active_count()))
 
-    assert drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], told, workers=3) == {
-        key: 2 * key for key in range(7)
-    }
+    made = drive_jobs(jobs.twice, [jobs.Job(key) for key in range(7)], told, workers=3)
+    assert list(made.items()) == [(key, 2 * key) for key in range(7)]
     assert seen == [(done, 7, before) for done in range(8)]
 
 
@@ -86,17 +91,16 @@ def test_a_dead_worker_is_reported_with_what_to_do(jobs):
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
 def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
     def ended(at):
-        env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
-        command = [sys.executable, "-c", BEGIN, str(at)]
-        return subprocess.run(command, env=env, capture_output=True, text=True, timeout=120, check=False)
+        with started(jobs, BEGIN, str(at)) as process:
+            printed, errors = process.communicate(timeout=120)
+        return process.returncode, printed, errors
 
-    whole = ended(0)
-    assert whole.returncode == 0, whole.stderr
-    steps = int(whole.stdout)
+    code, steps, errors = ended(0)
+    assert code == 0, errors
     for instant in range(INSTANTS):
-        done = ended(1 + instant * steps // INSTANTS)
-        assert done.stderr == "", f"instant {instant}"
-        assert done.returncode in ({9} if instant < INSTANTS - 2 else {0, 9})
+        code, _, errors = ended(1 + instant * int(steps) // INSTANTS)
+        assert errors == "", f"instant {instant}"
+        assert code in ({9} if instant < INSTANTS - 2 else {0, 9})
 
 
 @pytest.mark.later
@@ -107,9 +111,7 @@ def test_workers_end_with_a_main_process_that_was_killed(jobs):
         "import pool_jobs\n"
         "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
     )
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
-    pipe = subprocess.PIPE
-    main = subprocess.Popen([sys.executable, "-c", code], env=env, stdout=pipe, stderr=pipe, text=True)
+    main = started(jobs, code)
     workers = {int(main.stdout.readline()) for _ in range(2)}
     assert main.pid not in workers
     for worker in workers:

@@ -21,36 +21,15 @@ def drives(*c_r):
     return PatchDrives(tuple("completed" if c is not None else "rolled" for c in c_r), c_r)
 
 
-def summarise(cells, command=""):
-    """Sum up cells, beside a library whose C_r rises from terrain to terrain."""
-    results = {("table", t, z, patch): d for (t, z), cell in cells.items() for patch, d in enumerate(cell)}
-    names = [("library", kind, index) for kind in KINDS for index in range(4)]
-    results |= {name: drives(0.01 * (1 + i), 0.01 * (1 + i)) for i, name in enumerate(names)}
-    return calibrate.summarise(SETTINGS, results, command)
-
-
 def terrain(c_r, completed=8, failed=0):
     return DrivenTerrain("kerb", 0, c_r, 0.01, completed, failed, 0)
 
 
-@pytest.fixture
-def cells():
-    """C_r grows by texture and z range; patches differ by the factors 0.8, 1 and 1.2."""
-    return {
-        (t, z): [
-            drives(0.02 * 2**t * (1 + 4 * z) * f * 0.9, 0.02 * 2**t * (1 + 4 * z) * f * 1.1) for f in (0.8, 1, 1.2)
-        ]
-        for t in range(4)
-        for z in range(2)
-    }
-
-
-def spread(groups):
-    return sum(((g - g.mean()) ** 2).sum() for g in groups)
-
-
 @given(st.lists(st.floats(0.001, 2.0), min_size=5, max_size=10, unique_by=lambda v: round(v, 4)))
 def test_natural_breaks_are_the_best_of_all_splits(values):
+    def spread(groups):
+        return sum(((g - g.mean()) ** 2).sum() for g in groups)
+
     x = np.sort(values)
     limits = natural_breaks(np.array(values), 4)
     found = spread(np.split(x, np.searchsorted(x, limits)))
@@ -58,9 +37,14 @@ def test_natural_breaks_are_the_best_of_all_splits(values):
     assert found == pytest.approx(best, rel=1e-9, abs=1e-12)
 
 
-def test_failed_drives_count_in_p_fail_and_not_in_c_r(cells):
+def test_failed_drives_count_in_p_fail_and_not_in_c_r():
+    # C_r grows by texture and z range; patches differ. In the last cell, three of six drives failed.
+    cells = {(t, z): [drives(0.02 * 2**t * (1 + 4 * z) * f) for f in (0.8, 1, 1.2)] for t in range(4) for z in (0, 1)}
     cells[3, 1] = [drives(0.5, None), drives(None, None), drives(1.5, 2.5)]
-    calibration = summarise(cells)
+    results = {("table", *place, patch): d for place, cell in cells.items() for patch, d in enumerate(cell)}
+    library = [("library", kind, index) for kind in KINDS for index in range(4)]
+    results |= {name: drives(0.01 * (1 + i)) for i, name in enumerate(library)}
+    calibration = calibrate.summarise(SETTINGS, results)
     assert calibration.p_fail[3][1] == pytest.approx(3 / 6)
     assert calibration.c_r[3][1] == pytest.approx((0.5 + 2.0) / 2)
     assert calibration.c_r_log_sd[3][1] == pytest.approx(math.log(4) / math.sqrt(2))
@@ -74,11 +58,8 @@ def test_terrains_that_cannot_be_crossed_do_not_move_the_limits():
     assert class_limits(crossed + kept) == pytest.approx((0.205, 0.455, 0.8175), abs=0.0006)
 
 
-def test_vehicle_that_fails_everywhere_is_said():
+def test_vehicle_that_fails_everywhere_and_limits_too_close_together_are_refused():
     with pytest.raises(BumpymapError, match="crosses 3 of 9 terrains"):
         class_limits([terrain(0.1 * i) for i in (1, 2, 3)] + [terrain(0.1, 1, 7)] * 6)
-
-
-def test_limits_too_close_together_are_refused():
     with pytest.raises(BumpymapError, match="too close together"):
         class_limits([terrain(1e-5 * i) for i in range(1, 20)])

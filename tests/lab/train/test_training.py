@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from bumpymap.core.errors import OutputError
 
@@ -15,7 +15,6 @@ torch = pytest.importorskip("torch", reason="torch comes with the extra 'learn'"
 onnx = pytest.importorskip("onnx", reason="onnx comes with the extra 'learn'")
 
 from bumpymap.cli import main  # noqa: E402
-from bumpymap.core.errors import UsageError  # noqa: E402
 from bumpymap.lab.settings import NetworkSettings, TrainSettings  # noqa: E402
 from bumpymap.lab.train import textures  # noqa: E402
 from bumpymap.lab.train.texture_data import unseen_patches  # noqa: E402
@@ -27,15 +26,8 @@ pytestmark = pytest.mark.slow
 SMALL = TrainSettings(epochs=2, patches_per_texture=16, batch=32)
 
 
-def _numbers(net):
-    return {name: value.numpy() for name, value in net.state_dict().items()}
-
-
-def _assert_same(one, two):
-    one, two = _numbers(one), _numbers(two)
-    assert one.keys() == two.keys()
-    for name, value in one.items():
-        assert_array_equal(value, two[name], err_msg=name)
+def bits(net):
+    return {name: value.numpy().tobytes() for name, value in net.state_dict().items()}
 
 
 @pytest.fixture(scope="module")
@@ -43,15 +35,9 @@ def small():
     return train(SMALL)
 
 
-@pytest.fixture
-def few_scored(monkeypatch):
-    monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 10)
-
-
 def test_a_short_training_learns():
     reports = []
-    settings = TrainSettings(epochs=4, patches_per_texture=250, batch=32)
-    net = train(settings, progress=reports.append)
+    net = train(TrainSettings(epochs=4, patches_per_texture=250, batch=32), progress=reports.append)
     assert [report.epoch for report in reports] == [1, 2, 3, 4]
     assert reports[-1].loss < 0.5 * reports[0].loss
     assert score(net, unseen_patches(1, 100, 15)).accuracy > 0.8
@@ -59,35 +45,26 @@ def test_a_short_training_learns():
 
 
 def test_the_seed_decides_every_bit(small):
-    _assert_same(train(SMALL), small)
-    other = _numbers(train(replace(SMALL, seed=2)))
-    assert (other["conv1.weight"] != _numbers(small)["conv1.weight"]).any()
+    assert bits(train(SMALL)) == bits(small)
+    assert bits(train(replace(SMALL, seed=2)))["conv1.weight"] != bits(small)["conv1.weight"]
 
 
 def test_a_broken_training_goes_on_to_the_same_bits(small, tmp_path):
     checkpoint = tmp_path / "net.checkpoint"
 
-    def pull_the_plug(report):
+    def interrupt(report):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(SMALL, checkpoint, pull_the_plug)
+        train(SMALL, checkpoint, interrupt)
     reports = []
-    resumed = train(SMALL, checkpoint, reports.append)
+    assert bits(train(SMALL, checkpoint, reports.append)) == bits(small)
     assert [report.epoch for report in reports] == [2]
-    _assert_same(resumed, small)
-
-
-def test_a_foreign_checkpoint_is_refused(tmp_path):
-    (tmp_path / "c").write_bytes(b"something else")
-    with pytest.raises(UsageError, match="cannot be read"):
-        train(SMALL, tmp_path / "c")
 
 
 @pytest.mark.parametrize("pixels", [pytest.param(9, marks=pytest.mark.later), 15])
 def test_onnx_says_what_torch_says(pixels):
-    settings = NetworkSettings(pixels=pixels)
-    net = train(replace(SMALL, epochs=1, network=settings))
+    net = train(replace(SMALL, epochs=1, network=NetworkSettings(pixels=pixels)))
     with torch.no_grad():
         net.norm2.running_mean.uniform_(-0.1, 0.1)
         net.norm4.weight.uniform_(0.5, 2.0)
@@ -98,24 +75,12 @@ def test_onnx_says_what_torch_says(pixels):
     assert_allclose(infer(model, patches), predict(net, torch.from_numpy(patches)[:, None]), atol=2e-5)
 
 
-@pytest.mark.usefixtures("few_scored")
-def test_command_writes_model_and_card(tmp_path):
+def test_command_writes_model_and_card(tmp_path, monkeypatch):
+    monkeypatch.setattr(textures, "UNSEEN_PER_TEXTURE", 10)
     out = tmp_path / "m.onnx"
-    argv = [
-        "train",
-        "textures",
-        "--out",
-        str(out),
-        "--set",
-        "epochs=1",
-        "--set",
-        "patches_per_texture=16",
-        "--set",
-        "tile_size=1.5",
-        "--set",
-        "seed=4",
-    ]
-    result = CliRunner().invoke(main, argv)
+    own = ("epochs=1", "patches_per_texture=16", "seed=4", "tile_size=1.5")
+    words = [word for setting in own for word in ("--set", setting)]
+    result = CliRunner().invoke(main, ["train", "textures", "--out", str(out), *words])
     assert result.exit_code == 0, result.output
     model = TextureModel.load(out)
     assert (model.tile_size, model.pixels) == (1.5, 15)
@@ -123,10 +88,8 @@ def test_command_writes_model_and_card(tmp_path):
     assert unseen.sum(axis=1).tolist() == [10] * 4
     accuracy = 100 * float(model.metadata["accuracy_unseen"])
     assert accuracy == pytest.approx(100 * np.trace(unseen) / 40)
-    assert f"{accuracy:.2f} %" in result.output
-    assert "altered copies" in result.output
     card = (tmp_path / "m.md").read_text()
-    assert f"{accuracy:.2f} %" in card
+    assert all(f"{accuracy:.2f} %" in text for text in (result.output, card))
     assert model.metadata["command"] in card
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.md", "m.onnx"]
 

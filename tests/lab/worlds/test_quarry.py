@@ -3,13 +3,12 @@
 from pathlib import Path
 
 import laspy
+import made_quarry
 import numpy as np
 import pytest
-from made_quarry import QuarrySite
 from ply_files import read_vertices
 
 SAMPLES = Path(__file__).resolve().parents[3] / "sample_data"
-SITE = QuarrySite(1)
 
 
 def tile_lattice(col, row, steps=40):
@@ -19,17 +18,17 @@ def tile_lattice(col, row, steps=40):
 
 def residual_deviation(col, row):
     east, north = (axis.ravel() for axis in tile_lattice(col, row))
-    z = SITE.height(east, north)
+    z = made_quarry.height(east, north)
     design = np.column_stack((east - col * 3.0, north - row * 3.0, np.ones(z.size)))
     return np.std(z - design @ np.linalg.lstsq(design, z, rcond=None)[0])
 
 
 def test_zones_hold_whole_tiles_and_are_as_rough_as_their_names():
     zones = ("pad", "road", "washboard", "ruts", "rubble", "bank", "step", "ramp", "floor", "meadow")
-    tiles = {zone: np.transpose(SITE.tiles_inside(zone)) for zone in zones}
+    tiles = {zone: np.transpose(made_quarry.tiles_inside(zone)) for zone in zones}
     for zone, places in tiles.items():
         assert len(places) >= (6 if zone == "pad" else 20), zone
-        assert all(np.all(SITE.zone_at(*tile_lattice(*place)) == zone) for place in places[::9])
+        assert all(np.all(made_quarry.zone_at(*tile_lattice(*place)) == zone) for place in places[::9])
     rough = {zone: np.median([residual_deviation(*place) for place in places[::4]]) for zone, places in tiles.items()}
     assert max(rough["ramp"], rough["pad"]) < 1e-9
     assert 0.0 < rough["road"] < rough["floor"] < rough["washboard"] < rough["ruts"] < rough["rubble"] < rough["bank"]
@@ -43,14 +42,14 @@ def test_heights_of_the_sample_files_are_the_reliefs_within_the_noise(read, name
     if name == "quarry.laz":
         ground &= np.asarray(points["withheld"]) == 0
     x, y, z = (np.asarray(points[axis], float)[ground] for axis in "xyz")
-    error = z - SITE.height(x, y)
+    error = z - made_quarry.height(x, y)
     stray = np.abs(error) > 10.0
     assert stray.sum() <= 4
     error = error[~stray]
     assert abs(error.mean()) < 5.0 * 0.008 / np.sqrt(error.size)
     assert error.std() == pytest.approx(0.008, rel=0.01)
     assert np.abs(error).max() < 6.0 * 0.008
-    assert not SITE.is_water(x, y).any()
+    assert not made_quarry.is_water(x, y).any()
 
 
 def test_the_page_of_the_samples_names_them_all():

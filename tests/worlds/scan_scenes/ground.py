@@ -98,8 +98,7 @@ class Road:
         for amplitude, number, phase in self.bends:
             side = side - amplitude * np.sin(number * along + phase)
             slope += amplitude * number * np.cos(number * along + phase)
-        away: Floats = side / np.hypot(1.0, slope)
-        return away
+        return side / np.hypot(1.0, slope)
 
     def reach(self, x: Floats, y: Floats) -> Floats:
         """Distance from the centreline divided by half the width."""
@@ -302,8 +301,7 @@ class SceneGround:
 
     def grass_height(self, x: Floats, y: Floats) -> Floats:
         """Return the height of grass at each position, m."""
-        tall: Floats = self.grass_m * np.clip(1.0 + 0.4 * self.grass_tufts.at(x, y), 0.15, 1.8)
-        return tall
+        return self.grass_m * np.clip(1.0 + 0.4 * self.grass_tufts.at(x, y), 0.15, 1.8)
 
 
 def ground_mesh(

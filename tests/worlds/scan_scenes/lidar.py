@@ -10,9 +10,10 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
+import open3d
 from numpy.typing import NDArray
 
-from bumpymap.core import Scan, UsageError
+from bumpymap.core import Scan
 from bumpymap.lab.worlds.terrains import log_uniform
 from scan_scenes.ground import ground_mesh
 from scan_scenes.scene import Scene, make_scene
@@ -77,8 +78,7 @@ class Sensor:
         band = np.clip(self.dense_deg, self.lowest_deg, self.highest_deg)
         edges = np.array([self.lowest_deg, *band, self.highest_deg])
         below = np.concatenate([[0.0], np.cumsum(np.diff(edges) * [1.0, self.dense, 1.0])])
-        spaced: NDArray[np.float64] = np.interp(np.linspace(0.0, below[-1], self.lines), below, edges)
-        return spaced
+        return np.interp(np.linspace(0.0, below[-1], self.lines), below, edges)
 
     def _loops(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return elevations and azimuths (n, 1) of a rosette; with a full view it winds around the vertical axis."""
@@ -94,8 +94,7 @@ class Sensor:
         roll, pitch = np.radians(self.tilt_deg)
         about_x = np.array([[1, 0, 0], [0, np.cos(roll), -np.sin(roll)], [0, np.sin(roll), np.cos(roll)]])
         about_y = np.array([[np.cos(pitch), 0, np.sin(pitch)], [0, 1, 0], [-np.sin(pitch), 0, np.cos(pitch)]])
-        turned: NDArray[np.float64] = about_y @ about_x
-        return turned
+        return about_y @ about_x
 
 
 SENSORS = {
@@ -158,6 +157,7 @@ def draw_sensor(rng: np.random.Generator) -> Sensor:
     )
 
 
+_tensor: Any = open3d.core.Tensor
 _MARGIN_M = 5.0
 """The ground extends this far beyond the maximum range."""
 _FOOTPRINT_M = 0.4
@@ -167,43 +167,6 @@ _CLEAR_M = 0.02
 _GET_WET = (Label.ASPHALT, Label.CONCRETE, Label.DIRT)
 _LEAST_COSINE = 0.05
 """Lower bound of the cosine of the angle of incidence, because real ground is never perfectly smooth."""
-
-
-def load_open3d(what: str) -> Any:
-    """Import open3d, which casts the rays. Even if it is installed, system libraries that it needs may be missing.
-
-    Parameters
-    ----------
-    what : str
-        What needs it, for the error message.
-
-    Raises
-    ------
-    UsageError
-        It cannot be loaded; the message says what to install.
-    """
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        if isinstance(error, ModuleNotFoundError) and error.name == "open3d":
-            raise UsageError(f"{what} needs open3d. Install it with: pip install open3d") from error
-        raise UsageError(
-            f"{what} needs open3d, which is installed but cannot be loaded: {error}. It needs system libraries. "
-            "On Debian and Ubuntu: sudo apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6"
-        ) from error
-    return open3d
-
-
-@dataclass(frozen=True, slots=True)
-class SimulatedScan:
-    """One frame of the sensor; a beam without return is at (0, 0, 0), as sensor drivers write it."""
-
-    points: NDArray[np.float32]
-    """(lines * columns, 3) sensor frame, m."""
-    intensity: NDArray[np.float32]
-    """(lines * columns,) apparent reflectivity, 0..1."""
-    label: NDArray[np.uint32]
-    """(lines * columns,) RELLIS-3D id; 0 without return, and for mirror images and stray returns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,10 +185,8 @@ class _Hits:
     """(n,) True on grass-covered ground."""
 
 
-def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
-    """Simulate one rotation of the sensor in a scene.
-
-    The robot leans with the ground below it.
+def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> Scan:
+    """Simulate one rotation of the sensor in a scene; the robot leans with the ground below it.
 
     Parameters
     ----------
@@ -238,14 +199,15 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
 
     Returns
     -------
-    SimulatedScan
-        One row per beam.
+    Scan
+        The returns, with the apparent reflectivity (0 to 1) as intensity and ids of RELLIS-3D as labels: 0 for mirror
+        images and stray returns.
     """
     rng = np.random.default_rng([*scene.seed, seed, 1])
     rays = sensor.directions()
     level = rays @ (posture(scene) @ sensor.to_level()).T
     eye = np.array([0.0, 0.0, float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m])
-    world = _World.of(scene, sensor, rng)
+    world = _World(scene, sensor, rng)
     hits = _in_grass(scene, world.cast(scene, eye, level), eye, level, rng)
     seen, away, intensity = _returns(hits, scene, sensor, rng)
     distance = np.where(seen, hits.distance, 0.0)
@@ -257,11 +219,9 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> SimulatedScan:
     distance = np.where(distance > 0, distance + sensor.noise_m * rng.standard_normal(len(rays)), 0.0)
     stray = np.flatnonzero(rng.uniform(size=len(rays)) < sensor.stray)
     distance[stray], label[stray] = rng.uniform(1.0, sensor.reach_m, len(stray)), 0
-    return SimulatedScan(
-        (distance[:, None] * rays).astype(np.float32),
-        np.where(distance > 0, intensity, 0.0).astype(np.float32),
-        label.astype(np.uint32),
-    )
+    points = (distance[:, None] * rays).astype(np.float32)
+    there = points.any(axis=1)
+    return Scan(points[there], intensity[there].astype(np.float32), label[there].astype(np.uint16))
 
 
 def posture(scene: Scene) -> Floats:
@@ -280,41 +240,27 @@ def _mirrored(world: "_World", hits: _Hits, eye: Floats, level: Floats, rows: ND
     facing = (normal * way).sum(axis=1, keepdims=True)
     on = way - 2 * facing * normal
     start = eye + hits.distance[rows, None] * way + _CLEAR_M * on
-    whole: Floats = hits.distance[rows] + world.first_hit(start, on)["t_hit"].numpy().astype(np.float64)
-    return whole
+    return hits.distance[rows] + world.first_hit(start, on)["t_hit"].numpy().astype(np.float64)
 
 
-@dataclass(frozen=True, slots=True)
 class _World:
     """The triangles of a scene, ready for casting."""
 
-    rays: Any
-    """The scene of open3d."""
-    tensor: Any
-    """Its type of arrays."""
-    labels: NDArray[np.uint32]
-    """Label of each body; 0 for the ground, whose labels depend on the place."""
-
-    @classmethod
-    def of(cls, scene: Scene, sensor: Sensor, rng: np.random.Generator) -> "_World":
-        """Mesh a scene."""
-        open3d = load_open3d("a simulated scan")
-        tensor: Any = open3d.core.Tensor
-        world = open3d.t.geometry.RaycastingScene(nthreads=1)
+    def __init__(self, scene: Scene, sensor: Sensor, rng: np.random.Generator) -> None:
+        self._rays: Any = open3d.t.geometry.RaycastingScene(nthreads=1)
         corners, triangles = ground_mesh(scene.ground, rng, sensor.end_m + _MARGIN_M)
-        labels = [int(Label.VOID)]
-        world.add_triangles(tensor(corners), tensor(triangles))
-        for kind in sorted({kind for kind, _ in scene.things}):
+        self._rays.add_triangles(_tensor(corners), _tensor(triangles))
+        kinds = sorted({kind for kind, _ in scene.things})
+        for kind in kinds:
             soup = np.concatenate([part for name, part in scene.things if name == kind]).reshape(-1, 3)
-            world.add_triangles(tensor(soup), tensor(np.arange(len(soup), dtype=np.uint32).reshape(-1, 3)))
-            labels.append(int(kind))
-        return cls(world, tensor, np.array(labels, np.uint32))
+            self._rays.add_triangles(_tensor(soup), _tensor(np.arange(len(soup), dtype=np.uint32).reshape(-1, 3)))
+        self._labels = np.array([Label.VOID, *kinds], np.uint32)
+        """Label of each body; VOID for the ground, whose labels depend on the place."""
 
     def first_hit(self, start: Floats, way: Floats) -> dict[str, Any]:
         """Return what open3d says of rays from ``start`` (n, 3) along unit vectors (n, 3)."""
         rays = np.concatenate([start, way], axis=1).astype(np.float32)
-        found: dict[str, Any] = self.rays.cast_rays(self.tensor(rays))
-        return found
+        return self._rays.cast_rays(_tensor(rays))
 
     def cast(self, scene: Scene, eye: Floats, level: Floats) -> _Hits:
         """Cast beams along unit vectors ``level`` (n, 3) from ``eye`` (3,)."""
@@ -323,7 +269,7 @@ class _World:
         which = found["geometry_ids"].numpy()
         hit = np.isfinite(distance)
         label = np.zeros(len(level), np.uint32)
-        label[hit] = self.labels[which[hit]]
+        label[hit] = self._labels[which[hit]]
         on_ground = hit & (which == 0)
         place = eye + np.where(hit, distance, 0.0)[:, None] * level
         label[on_ground] = scene.ground.sample(place[on_ground, 0], place[on_ground, 1]).label
@@ -344,7 +290,7 @@ def _in_grass(scene: Scene, hits: _Hits, eye: Floats, level: Floats, rng: np.ran
     stopped = path[rows] < inside
     distance[rows] -= np.where(stopped, inside - path[rows], 0.0)
     cosine[rows] = np.where(stopped, 0.5, cosine[rows])  # mean over random orientations of blades
-    return _Hits(distance, cosine, hits.normal, hits.label, hits.on_grass)
+    return replace(hits, distance=distance, cosine=cosine)
 
 
 def _returns(
@@ -372,9 +318,7 @@ def _returns(
 def scene_scan(seed: int, index: int) -> Scan:
     """Simulate the scan of one synthetic scene; every scene has another sensor."""
     sensor = draw_sensor(np.random.default_rng([seed, index, 2]))
-    seen = simulate_scan(make_scene(seed, index), sensor, index)
-    there = seen.points.any(axis=1)
-    return Scan(seen.points[there], seen.intensity[there], seen.label[there].astype(np.uint16), f"{index:06d}")
+    return replace(simulate_scan(make_scene(seed, index), sensor, index), name=f"{index:06d}")
 
 
 _START_M = 4.0
@@ -382,7 +326,7 @@ _TABLE = 128
 """Number of blocks in a row after which heights repeat."""
 
 
-def overhead_scan(scene: Scene, seed: int) -> SimulatedScan:
+def overhead_scan(scene: Scene, seed: int) -> Scan:
     """Sample the ground of a scene, without objects, evenly over distance and azimuth.
 
     As from a mast or a slope, without shadows. Seen from a low sensor, blocks hide one another, so its scans do not
@@ -397,8 +341,8 @@ def overhead_scan(scene: Scene, seed: int) -> SimulatedScan:
 
     Returns
     -------
-    SimulatedScan
-        Every row is a point; water has no label, because its lost returns are not simulated here.
+    Scan
+        Water has no label, because its lost returns are not simulated here.
     """
     rng = np.random.default_rng([*scene.seed, seed, 5])
     count = int(log_uniform(rng, 2e4, 1.2e5))
@@ -416,8 +360,5 @@ def overhead_scan(scene: Scene, seed: int) -> SimulatedScan:
     z += np.where(heap, rng.uniform(0.0, high, (_TABLE, _TABLE))[row, column], 0.0)
     z += rng.uniform(0.005, 0.03) * rng.standard_normal(count)
     here = scene.ground.sample(np.zeros(1), np.zeros(1)).z[0] + rng.uniform(0.6, 4.0)
-    return SimulatedScan(
-        np.column_stack([x, y, z - here]).astype(np.float32),
-        np.full(count, 0.3, np.float32),
-        np.where(heap, Label.RUBBLE, np.where(wet, Label.VOID, ground.label)).astype(np.uint32),
-    )
+    label = np.where(heap, Label.RUBBLE, np.where(wet, Label.VOID, ground.label)).astype(np.uint16)
+    return Scan(np.column_stack([x, y, z - here]).astype(np.float32), np.full(count, 0.3, np.float32), label)

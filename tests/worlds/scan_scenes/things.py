@@ -19,8 +19,7 @@ Floats = NDArray[np.float64]
 def smoothstep(t: Floats) -> Floats:
     """Rise from 0 to 1 for t from 0 to 1, with level ends."""
     t = np.clip(t, 0.0, 1.0)
-    risen: Floats = t * t * (3.0 - 2.0 * t)
-    return risen
+    return t * t * (3.0 - 2.0 * t)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +44,7 @@ class Field:
         i_next, j_next = (i + 1) & last, (j + 1) & last
         low = self.values[j, i] * (1 - right) + self.values[j, i_next] * right
         high = self.values[j_next, i] * (1 - right) + self.values[j_next, i_next] * right
-        found: Floats = low * (1 - up) + high * up
-        return found
+        return low * (1 - up) + high * up
 
 
 def make_field(rng: np.random.Generator, size: int, step_m: float, hurst: float, waves_m: tuple[float, float]) -> Field:
@@ -134,8 +132,7 @@ def _icosahedron() -> Floats:
         for c in index[b + 1 :]
         if near[a, b] and near[b, c] and near[a, c]
     ]
-    shape: Floats = corners[np.array(faces)]
-    return shape
+    return corners[np.array(faces)]
 
 
 _BALL = _icosahedron()
@@ -267,8 +264,7 @@ def _line(rng: np.random.Generator, middle: Floats, length_m: float, step_m: flo
     bearing = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.03, count - 1))
     steps = step_m * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
     places: Floats = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
-    moved: Floats = places - places[count // 2] + middle
-    return moved
+    return places - places[count // 2] + middle
 
 
 def fence(rng: np.random.Generator, middle: Floats, height: Height) -> Triangles:

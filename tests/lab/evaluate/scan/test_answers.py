@@ -1,6 +1,5 @@
 """Answers and tables of classes, against counts by hand and a search over all limits."""
 
-from dataclasses import replace
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -24,8 +23,8 @@ TABLE = ClassedSectorTable(
     class_id={"filter": np.array([0, 0, 1, 2, 2, 2, 255], np.uint8)},
     truth=np.array([0, 1, 1, 2, -1, 0, 2], np.int16),
     traversable=np.array([True] * 6 + [False]),
-    stripes=np.full(7, 5.0),
-    variance=np.full(7, 0.1),
+    stripes=np.array([5.0, 4.0, 3.0, 1.0, 1.0, 2.5, np.nan]),
+    variance=np.array([1.0, 3.0, 5.0, 6.0, 7.0, 20.0, 500.0]),
     residual=np.full(7, 0.25),
     deviation=np.array([1.0, 2.0, 2.0, 5.0, 6.0, 1.0, 0.0]),
 )
@@ -62,15 +61,8 @@ def test_no_limits_are_better_than_the_best(seed):
     assert even(limits) == pytest.approx(best, abs=0.03)
 
 
-SPREAD = replace(
-    TABLE,
-    stripes=np.array([5.0, 4.0, 3.0, 1.0, 1.0, 2.5, np.nan]),
-    variance=np.array([1.0, 3.0, 5.0, 6.0, 7.0, 20.0, 500.0]),
-)
-
-
 def test_rows_hold_medians_and_means_of_each_class():
-    smooth, middle, rough = class_rows(SPREAD, "filter")
+    smooth, middle, rough = class_rows(TABLE, "filter")
     assert (smooth["sectors"], middle["sectors"], rough["sectors"]) == (2, 1, 3)
     assert smooth["share"] == pytest.approx(1 / 3)
     assert (rough["variance"], rough["stripes"], middle["residual"]) == ((7.0, 11.0), (1.0, 1.5), (0.25, 0.25))

@@ -20,12 +20,6 @@ def _scan(away, label):
     return Scan(points, label=np.array(label, np.uint16), name="one")
 
 
-def _stack(scan, **known):
-    empty = polar_sectors(Scan(np.zeros((0, 3), np.float32)))
-    count = len(scan.points)
-    return replace(empty, **({"point_ground": np.zeros(count, np.bool_)} | known))
-
-
 def test_ground_is_counted_between_4_and_80_m_where_points_have_a_label():
     scan = _scan([5, 6, 7, 8, 9, 10, 3, 81], [ROAD, ROAD, ROAD, FENCE, NONE, OTHER, ROAD, ROAD])
     found = np.array([True, True, False, True, True, True, True, True])
@@ -46,8 +40,8 @@ def test_nothing_found_has_no_precision_and_a_frame_without_ground_no_part_in_th
     assert np.isnan(mean_ground([bare])["f1"])
 
 
-def _classed():
-    """Four sectors: smooth, smooth with an obstacle, rough, without ground; a fence point in each and in none."""
+def test_points_of_obstacles_are_looked_for_in_free_sectors():
+    # Four sectors: smooth, smooth with an obstacle, rough, without ground; a fence point in each and in none.
     scan = _scan([5, 5, 5, 5, 5, 5, 3, 5], [FENCE] * 7 + [ROAD])
     rng = np.random.default_rng(1)
     around = np.column_stack([rng.uniform(-12, 12, (20_000, 2)), np.zeros(20_000)]).astype(np.float32)
@@ -58,16 +52,13 @@ def _classed():
         if isinstance(getattr(full, name), np.ndarray) and not name.startswith("point_")
     }
     rows["obstacle"] = np.array([False, True, False, False])
-    stack = _stack(
-        scan,
+    stack = replace(
+        polar_sectors(Scan(np.zeros((0, 3), np.float32))),
         **rows,
+        point_ground=np.zeros(8, np.bool_),
         point_sector=np.array([0, 0, 1, 2, 3, -1, 0, 0], np.int32),
         point_height=np.array([0.5, 3.0, 0.5, 0.5, np.nan, np.nan, 0.5, 0.0], np.float32),
     )
-    return scan, ClassedSectors(stack, np.array([0, 1, 2, 255], np.uint8), None, "learned")
-
-
-def test_points_of_obstacles_are_looked_for_in_free_sectors():
-    scan, classed = _classed()
+    classed = ClassedSectors(stack, np.array([0, 1, 2, 255], np.uint8), None, "learned")
     score = obstacle_score(scan, classed, KITTI)
     assert score == {"points": 6, "in_free": 2, "in_free_low": 1, "in_free_class": 3}

@@ -29,24 +29,32 @@ def drive(tmp_path):
     return folder
 
 
-def test_a_report_holds_both_methods(drive, tmp_path):
-    out = tmp_path / "out"
-    run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out)], catch_exceptions=False)
-    assert run.exit_code == 0, run.output
-    record = json.loads((out / "report.json").read_text())
-    assert record["facts"]["scans"] == 2
-    assert record["facts"]["labelled"] == 0
-    assert record["accuracy"] == {}
+@pytest.fixture
+def evaluate(drive, tmp_path):
+    """The command on the drive: what it printed, its record and its page."""
+
+    def run(*words):
+        out = tmp_path / "out"
+        made = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out), *words])
+        assert made.exit_code == 0, made.output
+        text = (out / "report.md").read_text()
+        assert "nan" not in text
+        return made.output, json.loads((out / "report.json").read_text()), text
+
+    return run
+
+
+def test_a_report_holds_both_methods_and_is_not_replaced(drive, evaluate, tmp_path):
+    _, record, text = evaluate()
+    assert (record["facts"]["scans"], record["facts"]["labelled"], record["accuracy"]) == (2, 0, {})
     sectors = [sum(row["sectors"] for row in record["classes"][method]) for method in ("filter", "learned")]
     assert sectors == [record["facts"]["sectors"]] * 2
     smooth, *_, rough = record["classes"]["filter"]
     assert smooth["variance"][0] < rough["variance"][0]
     assert smooth["stripes"][0] > rough["stripes"][0]
-    text = (out / "report.md").read_text()
     assert "Compared with labels" not in text
     assert "## Ground" not in text
-    assert "nan" not in text
-    again = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out)])
+    again = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(tmp_path / "out")])
     assert again.exit_code != 0
     assert "--overwrite" in again.output
 
@@ -58,27 +66,18 @@ def label_drive(folder, ids):
         np.where(left, *ids).astype("<u4").tofile(frame.with_suffix(".label"))
 
 
-def test_labels_set_both_methods_beside_constant_answers(drive, tmp_path):
+def test_labels_set_both_methods_beside_constant_answers(drive, evaluate):
     label_drive(drive, (14, 9))  # a fence all over the left side, road on the right
-    out = tmp_path / "out"
-    words = ["evaluate", "scans", str(drive), "--labels", "kitti", "--out", str(out)]
-    run = CliRunner().invoke(main, words, catch_exceptions=False)
-    assert run.exit_code == 0, run.output
-    record = json.loads((out / "report.json").read_text())
+    printed, record, text = evaluate("--labels", "kitti")
     names = ["filter", "learned", "always 0", "always 1", "always 2", "deviation of z"]
     assert list(record["accuracy"]) == list(record["accuracy_all"]) == names
     assert record["facts"]["labels"] == "kitti"
     constant = record["accuracy"]["always 2"]
-    assert constant["recall"] == [0.0, None, 1.0]
-    assert constant["even"] == 0.5
+    assert (constant["recall"], constant["even"]) == ([0.0, None, 1.0], 0.5)
     assert [row["frame"] for row in record["ground"]] == ["000000", "000001", "mean"]
     assert all(0 < row["precision"] < 1 and row["recall"] > 0.95 for row in record["ground"])
     assert set(record["obstacles"]) == {"filter", "learned"}
-    text = (out / "report.md").read_text()
-    for name in names:
-        assert f"| {name} |" in text
-        assert name in run.output
-    assert "nan" not in text
+    assert all(f"| {name} |" in text and name in printed for name in names)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
+from rellis_frames import write_frame
 
 from bumpymap.core.errors import BadInputError, OutputError, UsageError
 
@@ -36,22 +37,6 @@ def _sectors(seed, each=60):
     return Sectors(patches, measures, class_id, np.array([3, 19, 4], "i2")[class_id], class_id.astype("i2"))
 
 
-def _numbers(net):
-    return {name: value.numpy() for name, value in net.state_dict().items()}
-
-
-def _assert_same(one, two):
-    one, two = _numbers(one), _numbers(two)
-    assert one.keys() == two.keys()
-    for name, value in one.items():
-        assert_array_equal(value, two[name], err_msg=name)
-
-
-@pytest.fixture(scope="module")
-def small():
-    return train(SMALL, _sectors(1))
-
-
 def test_a_short_training_learns():
     reports = []
     net = train(ScanTrainSettings(epochs=4, sectors_per_class=300, batch=32), _sectors(1, 200), None, reports.append)
@@ -59,9 +44,7 @@ def test_a_short_training_learns():
     assert reports[-1].loss < 0.6 * reports[0].loss
     scores = evaluate(net, _sectors(2), 7)
     assert scores.every.accuracy > 0.9
-    assert scores.every.count == 180
-    assert scores.scans == 7
-    assert set(scores.labels) == {3, 4, 19}
+    assert (scores.every.count, scores.scans, set(scores.labels)) == (180, 7, {3, 4, 19})
     assert sum(map(sum, scores.labels.values())) == 180
     assert net.parameter_count() < 100_000
 
@@ -77,7 +60,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path):
         train(SMALL, _sectors(1), tmp_path / "c")
 
 
-def test_onnx_says_what_torch_says(small):
+def test_onnx_says_what_torch_says():
     net = train(replace(SMALL, epochs=1), _sectors(1))
     with torch.no_grad():
         for module in net.modules():
@@ -103,12 +86,8 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
         away, turn = np.sqrt(rng.uniform(16.0, 400.0, 9_000)), rng.uniform(0, 2 * np.pi, 9_000)
         third = (turn // (2 * np.pi / 3)).astype(int)
         z = -1.0 + np.array([0.003, 0.06, 0.4])[third] * rng.standard_normal(9_000)
-        rows = np.column_stack([away * np.cos(turn), away * np.sin(turn), z, np.ones(9_000)]).astype("<f4")
-        labels = np.array([10, 19, 4], "<u4")[third]
-        for name, values in (("kitti_bin/{}.bin", rows), ("semantickitti_label_id/{}.label", labels)):
-            path = folder / "00000" / f"os1_cloud_node_{name}".format(f"{number:06d}")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            values.tofile(path)
+        points = np.column_stack([away * np.cos(turn), away * np.sin(turn), z])
+        write_frame(folder / "00000", number, points, np.array([10, 19, 4])[third])
     told = []
     out = tmp_path / "m.onnx"
     made = make_scan_model(SMALL, out, folder, None, lambda *numbers: told.append(numbers))

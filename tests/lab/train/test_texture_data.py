@@ -1,18 +1,22 @@
-"""Augmentation: each against an independent answer, all together as properties."""
+"""Patches to learn from: alterations against independent answers, and that nothing leaks between training and test."""
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy import ndimage
 
 from bumpymap.core.shared_kernels import fill_holes as fill_holes_of_features
 from bumpymap.lab.train.texture_data import (
+    NONE,
     blur,
+    epoch_samples,
     fill_holes,
     punch_holes,
     rotate,
+    training_patches,
+    unseen_patches,
 )
-from bumpymap.rating.textures import make_textures
+from bumpymap.rating import make_textures
 
 
 @pytest.fixture
@@ -40,3 +44,20 @@ def test_holes_are_filled_as_the_features_fill_them(patches):
     for patch in expected:
         assert fill_holes_of_features(patch, 15, np.empty(patch.size, np.int32), np.empty(patch.size)) == 0
     assert_allclose(fill_holes(holed), expected, rtol=1e-12)
+
+
+def test_epochs_shuffle_and_alter_anew_but_repeatably():
+    training = training_patches(1, 40, 15)
+    first, again, second = epoch_samples(training, 1, 0), epoch_samples(training, 1, 0), epoch_samples(training, 1, 1)
+    assert_array_equal(first.patches, again.patches)
+    assert_array_equal(first.labels, again.labels)
+    assert (np.diff(first.labels) < 0).any()
+    assert_array_equal(np.sort(first.labels), np.concatenate([training.labels, [3] * 8]))
+    assert np.abs(first.patches - second.patches).mean() > 0.05
+
+
+def test_unseen_patches_share_none_with_training():
+    training, unseen = training_patches(1, 60, 15), unseen_patches(1, 60, 15, NONE)
+    flat = np.concatenate([training.patches, unseen.patches]).reshape(480, -1)
+    assert len(np.unique(flat, axis=0)) == 480
+    assert np.abs(training.patches - unseen.patches).max(axis=(1, 2)).min() > 0.05
