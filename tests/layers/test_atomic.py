@@ -69,7 +69,7 @@ WRITERS = {
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="file size limits are a POSIX thing")
-@pytest.mark.parametrize("missing", ["all but 1 kB", "half", "100 bytes", "1 byte"])
+@pytest.mark.parametrize("missing", ["half", "1 byte"])
 @pytest.mark.parametrize("small", [True, False])
 @pytest.mark.parametrize("product", WRITERS)
 def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypatch, product, missing, small):
@@ -81,7 +81,7 @@ def test_full_disk_is_an_error_and_leaves_nothing(tmp_path, make_field, monkeypa
     whole = path.stat().st_size
     for file in tmp_path.iterdir():
         file.unlink()
-    size = {"all but 1 kB": 1000, "half": whole // 2, "100 bytes": whole - 100, "1 byte": whole - 1}[missing]
+    size = whole // 2 if missing == "half" else whole - 1
     with pytest.raises(OutputError, match="cannot write"), largest_file(size):
         WRITERS[product](cost_map, path)
     assert names(tmp_path) == []

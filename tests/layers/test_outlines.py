@@ -18,7 +18,6 @@ from bumpytiles import Grid, TileWindow
 US_FOOT = 1200 / 3937
 SITES = {
     # name: (georeference, west tile, south tile)
-    "mexico": (Georeference(CRS.from_epsg(32614)), 110_000, 680_000),
     "feet": (Georeference(CRS.from_epsg(2271), US_FOOT, US_FOOT), 130_000, 60_000),
     "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
     "no_crs": (Georeference(None), -7, -5),
@@ -30,7 +29,7 @@ RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
 BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(keys=KEYS.filter(np.any))
 @example(keys=CHECKERS)
 @example(keys=DIAGONALS)
@@ -47,7 +46,7 @@ def test_outlines_of_areas_are_a_coverage_with_no_vertex_too_many(keys):
     assert {(int(x), int(y)) for x, y in shapely.get_coordinates(outlines)} == marked
 
 
-def map_of_keys(make_map, keys, site="mexico", stretch=1, shift=(0, 0), **options):
+def map_of_keys(make_map, keys, site="far_north", stretch=1, shift=(0, 0), **options):
     """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
     georeference, west, south = SITES[site] if isinstance(site, str) else site
     wide = np.repeat(keys, stretch, axis=1)
@@ -75,7 +74,7 @@ def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site,
         check_coverage(outlines, holes_of_tiles(made.patches.col, made.patches.row))
 
 
-@pytest.mark.parametrize("size", [1, 2, 3, 5])
+@pytest.mark.parametrize("size", [1, 3])
 @settings(max_examples=20, deadline=None)
 @given(keys=KEYS.filter(np.any))
 @example(keys=np.ones((7, 8), np.uint8))
@@ -99,7 +98,7 @@ def at_antimeridian(crs, latitude):
     return georeference, round(x / 3), round(y / 3)
 
 
-@pytest.mark.parametrize("place", [(32701, -17.0), (32760, -17.0), (32760, -77.0), (ALONG_ANTIMERIDIAN, -17.0)])
+@pytest.mark.parametrize("place", [(32701, -17.0), (32760, -77.0), (ALONG_ANTIMERIDIAN, -17.0)])
 @settings(max_examples=30, deadline=None)
 @given(keys=KEYS.filter(np.any), stretch=st.sampled_from([1, 3, 45]), shift=st.tuples(*[st.integers(-9, 5)] * 2))
 @example(keys=CHECKERS, stretch=1, shift=(-4, 0))
