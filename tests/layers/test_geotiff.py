@@ -23,7 +23,6 @@ from bumpymap.core.types import (
     ObjectStack,
     Reason,
 )
-from bumpymap.layers import _cog
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
@@ -50,6 +49,11 @@ def centres(cost_map):
     """CRS coordinates of the tile centres, computed apart from the package."""
     size = cost_map.patches.grid.tile_size / cost_map.georeference.metres_per_unit
     return (cost_map.patches.col + 0.5) * size, (cost_map.patches.row + 0.5) * size
+
+
+def at_tiles(file, cost_map):
+    """Values of the first band at the tile centres."""
+    return np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -91,8 +95,7 @@ def test_classes_and_reasons(rasters, cost_map):
     for name in ("class", "reason"):
         with rasterio.open(rasters[name]) as file:
             assert (file.descriptions, file.dtypes, file.nodata) == ((name,), ("uint8",), NO_CLASS)
-            sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
-            found[name] = sampled, file.read(1), file.colormap(1)
+            found[name] = at_tiles(file, cost_map), file.read(1), file.colormap(1)
             assert [kind.name for kind in file.colorinterp] == ["palette"]
     np.testing.assert_array_equal(found["class"][0], cost_map.class_id)
     np.testing.assert_array_equal(found["reason"][0], cost_map.patches.reason)
@@ -111,9 +114,7 @@ def test_cost_is_there_where_a_tile_is_passable_and_nowhere_else(rasters, cost_m
     with rasterio.open(rasters["cost"]) as file:
         assert (file.descriptions, file.dtypes) == (("cost",), ("float32",))
         assert np.isnan(file.nodata)
-        tags = file.tags()
-        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))[:, 0]
-        everything = file.read(1)
+        tags, sampled, everything = file.tags(), at_tiles(file, cost_map), file.read(1)
     ride, fail, drive, steep = (float(tags[name]) for name in WEIGHTS)
     p_fail = cost_map.p_fail.astype(float)
     with np.errstate(divide="ignore"):
@@ -210,49 +211,44 @@ def test_heightmap_is_the_heights_side_by_side(rasters, cost_map):
     assert np.isnan(pixels[~seen]).all()
 
 
+def four_below(path):
+    """The first overview, and the four pixels below each of its pixels; sides are even."""
+    with rasterio.open(path) as file, rasterio.open(path, overview_level=0) as overview:
+        assert file.overviews(1) == [2, 4]
+        full, small = file.read(1), overview.read(1)
+    lines, columns = small.shape
+    return small, full.reshape(lines, 2, columns, 2).swapaxes(1, 2).reshape(lines, columns, 4)
+
+
 def test_overviews_average_and_most_frequent(tmp_path, make_field):
     cost_map = make_field(300, 200, grid=Grid(3.0, 2), holes=0.0)
-    for name, write in WRITERS.items():
-        write(cost_map, tmp_path / f"{name}.tif")
+    for name in ("roughness", "class"):
+        WRITERS[name](cost_map, tmp_path / f"{name}.tif")
         assert cog_validate(tmp_path / f"{name}.tif", strict=True)[:2] == (True, [])
-    with rasterio.open(tmp_path / "roughness.tif") as file:
-        assert file.overviews(1) == [2, 4]
-        full = file.read(1)
-    with rasterio.open(tmp_path / "roughness.tif", overview_level=0) as file:
-        blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
-        with np.errstate(invalid="ignore"):
-            expected = np.nansum(blocks, axis=2) / np.isfinite(blocks).sum(axis=2)
-        np.testing.assert_allclose(file.read(1), expected, rtol=1e-5)
-    with rasterio.open(tmp_path / "class.tif") as file:
-        assert file.overviews(1) == [2, 4]
-        full = file.read(1)
-    with rasterio.open(tmp_path / "class.tif", overview_level=0) as file:
-        small = file.read(1)
-        assert [kind.name for kind in file.colorinterp] == ["palette"]
-    blocks = full.reshape(100, 2, 150, 2).swapaxes(1, 2).reshape(100, 150, 4)
-    counts = np.stack([(blocks == value).sum(axis=2) for value in (*range(4), NO_CLASS)])
-    decided = (counts == counts.max(axis=0)).sum(axis=0) == 1
+    small, below = four_below(tmp_path / "roughness.tif")
+    with np.errstate(invalid="ignore"):
+        expected = np.nansum(below, axis=2) / np.isfinite(below).sum(axis=2)
+    np.testing.assert_allclose(small, expected, rtol=1e-5)
+    small, below = four_below(tmp_path / "class.tif")
+    codes = np.array([*range(4), NO_CLASS])
+    counts = (below[..., None] == codes).sum(axis=2)
+    decided = (counts == counts.max(axis=2, keepdims=True)).sum(axis=2) == 1
     assert decided.mean() > 0.5
-    np.testing.assert_array_equal(small[decided], np.array([*range(4), NO_CLASS])[counts.argmax(axis=0)[decided]])
+    np.testing.assert_array_equal(small[decided], codes[counts.argmax(axis=2)[decided]])
 
 
-@pytest.mark.parametrize("scratch", [0, 1 << 30], ids=["on disk", "in memory"])
-def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field, monkeypatch, scratch):
+def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
     # One tile in four has a class. GDAL's own overviews leave nodata out of the count: all of them would have one.
-    monkeypatch.setattr(_cog, "SMALL", scratch)
-    cost_map = make_field(700, 700, grid=Grid(3.0, 1), holes=0.0)
-    col, row = cost_map.patches.col, cost_map.patches.row
-    known = (col % 2 == 0) & (row % 2 == 0)
+    cost_map = make_field(700, 60, grid=Grid(3.0, 1), holes=0.0)
+    known = (cost_map.patches.col % 2 == 0) & (cost_map.patches.row % 2 == 0)
     class_id = np.where(known, 0, NO_CLASS).astype(np.uint8)
     reason = np.where(known, Reason.OK, Reason.TOO_FEW_POINTS).astype(np.uint8)
     cost_map = replace(cost_map, class_id=class_id, patches=replace(cost_map.patches, reason=reason))
     WRITERS["class"](cost_map, tmp_path / "class.tif")
-    assert cog_validate(tmp_path / "class.tif", strict=True)[:2] == (True, [])
     with rasterio.open(tmp_path / "class.tif") as file:
-        assert file.nodata == NO_CLASS
         assert (file.read(1) == 0).sum() == known.sum()
         levels = len(file.overviews(1))
-        assert levels == 3
+    assert levels == 3
     for level in range(levels):
         with rasterio.open(tmp_path / "class.tif", overview_level=level) as file:
             assert (file.read(1) == NO_CLASS).all()
@@ -260,15 +256,13 @@ def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field, monkey
 
 def test_feet_survey_keeps_its_crs_and_place(tmp_path, make_field):
     cost_map = make_field(20, 10, west=130_000, south=60_000, georeference=FEET)
-    for name, write in WRITERS.items():
-        write(cost_map, tmp_path / f"{name}.tif")
-        assert cog_validate(tmp_path / f"{name}.tif", strict=True)[0]
+    for name in ("roughness", "heightmap"):
+        WRITERS[name](cost_map, tmp_path / f"{name}.tif")
     with rasterio.open(tmp_path / "roughness.tif") as file:
         assert file.crs.to_epsg() == 2271
         assert file.res == pytest.approx((3.0 / US_FOOT, 3.0 / US_FOOT), rel=1e-12)
         assert file.bounds.left == pytest.approx(cost_map.patches.col.min() * 3.0 / US_FOOT, rel=1e-12)
-        sampled = np.array(list(file.sample(np.column_stack(centres(cost_map)))))
-    np.testing.assert_array_equal(sampled[:, 0], cost_map.c_r)
+        np.testing.assert_array_equal(at_tiles(file, cost_map), cost_map.c_r)
     with rasterio.open(tmp_path / "heightmap.tif") as file:
         assert file.res == pytest.approx((0.2 / US_FOOT, 0.2 / US_FOOT), rel=1e-12)
         assert file.units == ("m",)
@@ -294,7 +288,7 @@ def test_vertical_crs_stays_where_it_is_true(tmp_path, make_field, code, unit_z,
 ODD = CRS("+proj=ob_tran +o_proj=tmerc +o_lat_p=30 +o_lon_p=0 +lon_0=5 +type=crs")
 
 
-@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("name", ["class", "heightmap"])
 def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(tmp_path, make_field, name):
     path = tmp_path / f"{name}.tif"
     WRITERS[name](make_field(8, 6, georeference=Georeference(ODD)), path)
@@ -306,12 +300,12 @@ def test_a_crs_without_geotiff_keys_is_in_the_side_file_beside_names_and_counts(
 
 @pytest.mark.slow
 def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
-    cost_map = make_field(300, 200, grid=Grid(3.0, 5))
-    for name, write in WRITERS.items():
+    cost_map = make_field(200, 150, grid=Grid(3.0, 5))
+    for name in ("roughness", "class", "heightmap", "relief"):
         seen = set()
-        for threads in ("1", "2", "5"):
+        for threads in ("1", "5"):
             monkeypatch.setattr("bumpymap.layers._cog.gdal_threads", lambda threads=threads: threads)
-            write(cost_map, tmp_path / f"{name}.tif")
+            WRITERS[name](cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
 
