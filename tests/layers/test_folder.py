@@ -13,10 +13,10 @@ from cost_maps import part_of
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import check_folder, software_versions, write_products
+from bumpymap.layers import MAX_TILES, check_extent, check_folder, software_versions, write_products
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
-from bumpytiles import Grid
+from bumpytiles import Grid, TileWindow
 
 SIDES = tuple(f"{name}.aux.xml" for name in NAMED_RASTERS)
 RUN = {"calibration": {"id": "c0ffee", "vehicle": "warthog"}, "model": "m1", "seconds": {"read": 1.5}}
@@ -136,6 +136,15 @@ def test_no_crs_is_refused_before_any_file(tmp_path, make_field):
         write(cost_map, tmp_path, manifest={})
     assert list(tmp_path.iterdir()) == []
     assert len(write(cost_map, tmp_path, local=True)[0]) == len(PRODUCT_NAMES) + len(VIEW_NAMES)
+
+
+def test_an_extent_is_limited_in_tiles_and_in_pixels():
+    side = int(MAX_TILES**0.5)
+    check_extent(Grid(3.0, 15), TileWindow(0, 0, side, side))
+    with pytest.raises(BadInputError, match="tiles"):
+        check_extent(Grid(3.0, 1), TileWindow(0, 0, side + 1, side))
+    with pytest.raises(BadInputError, match="pixels"):
+        check_extent(Grid(3.0, 60), TileWindow(0, 0, side // 3, side // 3))
 
 
 def test_ending_while_writing_leaves_nothing(tmp_path, cost_map):
