@@ -20,7 +20,7 @@ from bumpytiles import Grid
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """``again`` is as ``may`` was, but 0.4 m higher; in ``june`` there is a rut of 10 cm, three times as rough a ride."""
+    """``again`` is as ``may`` was, but 0.4 m higher; ``june`` has a rut of 10 cm, three times as rough a ride."""
     folder = tmp_path_factory.mktemp("change")
     for name, made in {"may": survey(1), "again": survey(2, rise=0.4), "june": survey(3, rut=0.1, c_r=3.0)}.items():
         write_folder(folder / name, made)
