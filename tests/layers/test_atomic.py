@@ -127,7 +127,7 @@ def test_a_move_that_fails_brings_the_old_files_back(tmp_path, monkeypatch, erro
             replace(source, target)
 
         monkeypatch.setattr("os.replace", move)
-        caught = pytest.raises((OutputError, KeyboardInterrupt), match="^$|Nothing was replaced")
+        caught = pytest.raises((OutputError, KeyboardInterrupt), match=r"^$|Nothing was replaced")
         with caught if number < moves else nullcontext(), write_together(tmp_path, "run.json") as staged:
             write_all(staged, NEW)
         assert content(tmp_path) == (OLD if number < moves else {"notes.txt": "mine", **NEW})
