@@ -26,7 +26,7 @@ from bumpymap.core import (
     unit_name,
     vertical_of,
 )
-from bumpymap.layers import MAX_TILES, fits_one_map, suggested_sheets
+from bumpymap.layers import check_extent
 from bumpymap.readers import PointSummary, PointSummaryBuilder, SurveyInfo
 from bumpymap.survey import (
     Budget,
@@ -118,9 +118,8 @@ class Report:
             threads = count_text(self.budget.threads, "thread")
             yield Styled(f"a run with --memory {self.memory} on {threads}", "bold")
             yield Table(_run_rows(forecast, self.grid))
-            if (side := self._sheets(self.files)) is not None:
-                text = f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {side:g} writes it in several"
-                yield Styled(f"{text} folders", "yellow", "  sheets: ")
+            if why := self._too_large():
+                yield Styled(as_options(why), "yellow", "  too large: ")
 
     def record(self) -> dict[str, Any]:
         """Return everything about the files and a run over them, for ``--json``."""
@@ -128,7 +127,7 @@ class Report:
         return {
             "files": [self._record(file) for file in self.files],
             "together": " ".join(self._why_not_together()),
-            "sheets_km": self._sheets(self.files),
+            "too_large": as_options(self._too_large()),
             "run": forecast
             and {
                 "memory_option_bytes": self.budget.memory,
@@ -202,20 +201,22 @@ class Report:
     def _command(self, surveys: Sequence[Path | str], files: Sequence[FileReport]) -> str:
         """Return the command that maps files; ``--crs`` only for surveys that have none."""
         place = next((file.info.georeference for file in files if file.info), None)
-        side = self._sheets(files)
-        sheets = [] if side is None else ["--sheets", f"{side:g}"]
-        words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), *sheets, "--out", "DIR"]
+        words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), "--out", "DIR"]
         return shlex.join(words)
 
-    def _sheets(self, files: Sequence[FileReport]) -> float | None:
-        """Return the side of sheets for files, km; None if one map can hold them, or no bounds are known."""
-        known, size = [file.bounds for file in files if file.bounds is not None], self.grid.tile_size
+    def _too_large(self) -> str:
+        """Return why one map cannot hold the files; empty if it can, or no bounds are known."""
+        known, size = [file.bounds for file in self.files if file.bounds is not None], self.grid.tile_size
         if not known:
-            return None
+            return ""
         west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
         east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
         window = TileWindow(west, south, east - west + 1, north - south + 1)
-        return None if fits_one_map(self.grid, window) else suggested_sheets(self.grid)
+        try:
+            check_extent(self.grid, window)
+        except BadInputError as error:
+            return str(error)
+        return ""
 
     def _why_not_together(self) -> list[str]:
         """Return why the files cannot be mapped in one run, in lines; empty if they can."""
@@ -273,7 +274,6 @@ class Report:
             "density_per_m2": file.density,
             "has_classes": file.has_ground or info.has_classes,
             "classes": {str(code): count for code, count in file.classes.items()},
-            "sheets_km": self._sheets([file]),
             "notes": list(info.notes),
             "needs": self._needs(file),
         }

@@ -41,6 +41,7 @@ __all__ = [
     "FILE",
     "JOBS",
     "LOCATION",
+    "NO_SHEETS",
     "PATH",
     "RESUME",
     "Run",
@@ -283,15 +284,21 @@ def job(
 def gone_option(name: str, instead: str) -> GroupedOption:
     """Return an option that there was, which only says what to do ``instead``."""
 
-    def refuse(_ctx: click.Context, _option: click.Parameter, value: bool) -> None:
-        if value:
+    def refuse(_ctx: click.Context, _option: click.Parameter, value: str | None) -> None:
+        if value is not None:
             raise UsageError(f"{name} is gone: {instead}")
 
     dest = "gone" + name.replace("-", "_")
-    return GroupedOption([name, dest], is_flag=True, hidden=True, expose_value=False, callback=refuse)
+    # with a flag_value, a value may follow or not
+    return GroupedOption([name, dest], is_flag=False, flag_value="", hidden=True, expose_value=False, callback=refuse)
 
 
 RESUME = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
+NO_SHEETS = gone_option(
+    "--sheets",
+    "all files and folders of one command make one map in one folder; map parts of a larger site separately: they lie "
+    "on one grid, and gdalbuildvrt joins their rasters",
+)
 _HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
 _CONFIG = (
     GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from bumpymap.cli._text import ALREADY_DONE, Table, as_options
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
-from bumpymap.layers import SHEET_FOLDER, MapSummary
+from bumpymap.layers import MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 from bumpymap.views import degrees_line
 
@@ -34,11 +34,7 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
         were = "was" if len(result.skipped) == 1 else "were"
         yield f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons"
     names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
-    if result.sheets:
-        sheets = f"{count_text(result.sheets, 'sheet')} in {config.out / SHEET_FOLDER}"
-        yield f"Layers of {sheets}; over all of them, in {config.out}: {names}"
-    else:
-        yield f"Layers in {config.out}: {names}"
+    yield f"Layers in {config.out}: {names}"
 
 
 def _passable_line(summary: MapSummary) -> str:
@@ -80,7 +76,6 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
     """Return the result of a run as an object of JSON."""
     return {
         "out": str(config.out),
-        "sheets": result.sheets,
         "files": [path.name for path in result.files],
         "points": result.points,
         "tiles": result.summary.tiles,

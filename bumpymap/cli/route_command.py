@@ -135,7 +135,7 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     settings_options(CostSettings, table="cost"),
     [gone_option("--compare", "plan once on the layers of each vehicle")],
 )
-@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@click.argument("layers", type=PATH, metavar="LAYERS", required=False)
 def command(run: Run) -> None:
     """Find the cheapest way over the ground that `bumpymap map` wrote to LAYERS.
 

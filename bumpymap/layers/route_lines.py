@@ -75,13 +75,13 @@ class MapSource(Protocol):
     """A map whose windows can be read."""
 
     @property
-    def folders(self) -> tuple[Path, ...]:
-        """The folders with its layers; none if it was made up."""
+    def folder(self) -> Path:
+        """The folder with its layers."""
         ...
 
     @property
-    def manifests(self) -> tuple[dict[str, Any], ...]:
-        """The content of run.json in each folder."""
+    def manifest(self) -> dict[str, Any]:
+        """The content of run.json."""
         ...
 
     def read(self, window: TileWindow, bands: Sequence[str] = ...) -> TileField:

@@ -25,7 +25,7 @@ __all__ = ["LITTLE_SEEN", "MapSummary", "summarise"]
 LITTLE_SEEN = "too little seen"
 """Reason why a tile with a class is not passable: too little of it was seen to tell whether there is a way."""
 
-STRIP = 65_536
+_STRIP = 65_536
 _OBJECT_STRIP = 4_096
 """Most tiles to read at a time with their heights."""
 _OBJECTS = ("judged", "layered", "tall")
@@ -141,7 +141,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     classes = np.zeros(groups, dtype=np.int64)
     barred = np.zeros(len(Barred), dtype=np.int64)
     points = failing = 0
-    for strip in table.tiles.strips(STRIP):
+    for strip in table.tiles.strips(_STRIP):
         found = table.tiles.read(("class_id", "barred", "reason", "count", "p_fail", *_STEPS), strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)

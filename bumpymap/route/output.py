@@ -164,7 +164,7 @@ def write_reach_files(
     `write_routes`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
-    vehicle = next((entry.get("vehicle") for entry in source.manifests), None)
+    vehicle = source.manifest.get("vehicle")
     name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
     about = {"vehicle": name} if isinstance(name, str) else {}
     writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
@@ -196,15 +196,10 @@ def _write_folder(
 
 
 def _describe_layers(source: MapSource) -> dict[str, Any]:
-    """Return the layers that routes were planned on: their folders, the checksum of each run.json, the calibration."""
-    folders = [
-        {"path": str(folder), "run_sha256": describe_file(folder / MANIFEST_NAME)["sha256"]}
-        for folder in source.folders
-    ]
-    first = next(iter(source.manifests), {})
-    return {"layers": folders} | {
-        name: first[name] for name in ("vehicle", "calibration", "cost", "crs") if name in first
-    }
+    """Return the layers that routes were planned on: their folder, the checksum of run.json, the calibration."""
+    layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
+    kept = "vehicle", "calibration", "cost", "crs"
+    return {"layers": [layers], **{name: source.manifest[name] for name in kept if name in source.manifest}}
 
 
 def _describe(route: Route, place: RouteCoordinates) -> dict[str, Any]:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference, memory_bytes
-from bumpymap.layers import SheetLayout, check_extent, suggested_sheets
+from bumpymap.layers import check_extent
 from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, open_survey
 from bumpytiles import Grid, TileWindow
 
@@ -43,8 +43,6 @@ class SurveyInputs:
     """True: a bad input is skipped instead of ending the run."""
     skipped: dict[str, str]
     """Path -> error message; grows while points are read."""
-    sheets: SheetLayout | None = None
-    """The sheets that the layers will be written in."""
 
     @classmethod
     def open(cls, config: MapConfig, *, crs_must_agree: bool = True) -> "SurveyInputs":
@@ -61,10 +59,8 @@ class SurveyInputs:
         BadInputError
             An input cannot be read and may not be skipped, none can be read, or they have no common CRS.
         UsageError
-            Sheets of this size cannot be made, or an input states another CRS than it must.
+            An input states another CRS than it must.
         """
-        grid = Grid(config.tile_size, config.pixels)
-        sheets = None if config.sheets is None else SheetLayout.of(grid, config.sheets)
         readers: list[SurveyReader] = []
         skipped: dict[str, str] = {}
         for path in find_surveys(config.surveys):
@@ -76,7 +72,7 @@ class SurveyInputs:
             raise BadInputError("none of the inputs could be read:", *skipped.values())
         georeference = common_georeference([reader.info for reader in readers])
         _check_crs(georeference, readers[0].info.path, local=config.local)
-        return cls(readers, georeference, config.skip_bad, skipped, sheets)
+        return cls(readers, georeference, config.skip_bad, skipped)
 
     @property
     def paths(self) -> list[Path | str]:
@@ -94,12 +90,9 @@ class SurveyInputs:
                 self.skipped[str(reader.info.path)] = why
 
     def check_window(self, grid: Grid, window: TileWindow) -> None:
-        """Raise BadInputError, naming the files, if their tiles span more than a raster, or all sheets, may."""
+        """Raise BadInputError, naming the files, if their tiles span more than a raster may."""
         try:
-            if self.sheets is None:
-                check_extent(grid, window, f"Write a large site in sheets with `sheets={suggested_sheets(grid):g}`. ")
-            else:
-                self.sheets.check_whole(window)
+            check_extent(grid, window)
         except BadInputError as error:
             paths = [str(reader.info.path) for reader in self.readers if str(reader.info.path) not in self.skipped]
             shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]

@@ -41,7 +41,7 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     check_check_out(out, overwrite=False)
     assert not out.exists()
     (tmp_path / "run.json").write_text("{}")
-    ground = replace(ground, folders=(tmp_path,))
+    ground = replace(ground, folder=tmp_path)
     files = write_check(made_up_check(), out, ground=ground, manifest=SETTINGS)
     assert names(out) == ALL == sorted(path.name for path in files)
     record = json.loads((out / CHECK_MANIFEST_NAME).read_text())

@@ -128,3 +128,21 @@ def test_several_files_are_told_together(info, tmp_path):
     said = info(tmp_path, "--crs", "EPSG:32614").output
     assert "together: about 0% of the tiles will be unknown" in said
     assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
+
+
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+def test_a_site_larger_than_one_map_is_told_before_and_refused_by_map(info, tmp_path, quick):
+    south, north = tmp_path / "site" / "south.las", tmp_path / "site" / "north.las"
+    write(south, dense(), "EPSG:32614")
+    write(north, dense() + np.array([0.0, 400_000.0, 0.0]), "EPSG:32614")
+    report = " ".join(info(tmp_path / "site", *quick).output.split())
+    assert "too large: the survey spans 0.0 km x 400.0 km" in report
+    assert "separate runs, whose rasters lie on one grid, or give larger tiles with --tile-size" in report
+    found = json.loads(info(tmp_path / "site", *quick, "--json").stdout)
+    assert found["too_large"].startswith("the survey spans")
+    assert json.loads(info(south, *quick, "--json").stdout)["too_large"] == ""
+    made = CliRunner().invoke(main, ["map", str(tmp_path / "site"), "--out", str(tmp_path / "out")])
+    assert made.exit_code == 3
+    said = " ".join(made.output.split())
+    assert "the survey spans 0.0 km x 400.0 km" in said
+    assert f"The files read are: {north}, {south}" in said

@@ -13,7 +13,8 @@ from cost_maps import part_of
 from bumpymap.core import SilentProgress
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.types import CostTable, Georeference
-from bumpymap.layers import MAX_TILES, check_extent, check_folder, software_versions, write_products
+from bumpymap.layers import check_extent, check_folder, software_versions, write_products
+from bumpymap.layers.placement import MAX_TILES
 from bumpymap.layers.products import NAMED_RASTERS, PRODUCT_NAMES, VIEW_NAMES
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow

@@ -229,7 +229,7 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
     """
     barred, c_r = _sample(source, view)
     passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & _fits(source, view)
-    scale = RideScale.of(next(iter(source.manifests), {}))
+    scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
     colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
