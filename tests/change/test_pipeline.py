@@ -194,7 +194,8 @@ def test_the_page_describes_every_file_band_kind_property_and_default(rut):
     ("options", "changes", "word"),
     [
         ({}, {"vehicle": VEHICLE | {"name": "car"}}, "vehicle is"),
-        ({}, {"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is"),
+        ({}, {"vehicle": VEHICLE | {"speed_mps": 2.0}}, "speed"),
+        ({}, {"calibration": {"id": "beef", "vehicle": "warthog"}}, "calibration is c0ffee and beef"),
         ({}, {"settings": {"rating": "table", "compat": "none"}}, "rating is"),
         ({}, {"ground_only": True}, "ground points only is"),
         ({"grid": Grid(3.0, 10)}, {}, "pixels along a tile is 15 and 10"),
@@ -205,7 +206,7 @@ def test_unlike_surveys_are_refused(may, tmp_path, options, changes, word):
     other = write_folder(tmp_path / "other", survey(6, tiles=np.indices((ROWS, COLS))[0] < 2, **options), **changes)
     with pytest.raises(BadInputError, match="cannot be compared") as caught:
         compare(may, other, out=tmp_path / "out")
-    assert word in str(caught.value)
+    assert all(told in str(caught.value) for told in (word, str(may), str(other)))
     assert not (tmp_path / "out").exists()
 
 

@@ -40,8 +40,6 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     out = tmp_path / "new" / "checked"
     check_check_out(out, overwrite=False)
     assert not out.exists()
-    (tmp_path / "run.json").write_text("{}")
-    ground = replace(ground, folder=tmp_path)
     files = write_check(made_up_check(), out, ground=ground, manifest=SETTINGS)
     assert names(out) == ALL == sorted(path.name for path in files)
     record = json.loads((out / CHECK_MANIFEST_NAME).read_text())
@@ -49,7 +47,8 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     assert record["settings"] == SETTINGS["settings"]
     assert record["calibration"] == {"id": "c0ffee"}
     assert record["crs"]["code"] == "EPSG:32614"
-    assert record["layers"] == [{"path": str(tmp_path), "run_sha256": hashlib.sha256(b"{}").hexdigest()}]
+    checksum = hashlib.sha256((ground.folder / "run.json").read_bytes()).hexdigest()
+    assert record["layers"] == [{"path": str(ground.folder), "run_sha256": checksum}]
     listed = [entry["path"] for entry in record["files"]]
     assert listed == ["check.html", "check.geojson"]
     for entry in record["files"]:

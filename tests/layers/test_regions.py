@@ -1,3 +1,5 @@
+"""Regions of a map: what they cover, their numbers, and borders whose vertices both sides share."""
+
 from dataclasses import replace
 
 import numpy as np
@@ -6,15 +8,109 @@ import rasterio.features
 import shapely
 from cost_maps import part_of
 from coverages import check_coverage, holes_of_tiles
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from hypothesis.extra.numpy import arrays
+from pyproj import CRS, Transformer
 from region_files import regions_of
 from scipy import ndimage
 
-from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Reason
+from bumpymap.core.types import CLASS_NAMES, NO_CLASS, REASON_TEXT, CostTable, Georeference, Reason
 from bumpymap.layers import label
 from bumpymap.layers._cog import raster_lock
+from bumpymap.layers.placement import Placement
 from bumpymap.layers.regions import dissolve
+from bumpymap.layers.vector import GeoJsonCoordinates
+from bumpytiles import Grid
+
+KEYS = arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 8)), elements=st.integers(0, 3)).filter(np.any)
+CHECKERS = np.add.outer(np.arange(6), np.arange(7)).astype(np.uint8) % 2 + 1
+DIAGONALS = np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2], [0, 2, 0]], np.uint8)
+RING_BY_CORNERS = np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]], np.uint8)
+BESIDE_A_LONG_SIDE = np.array([[1, 1, 1, 1], [2, 2, 3, 3], [0, 2, 3, 0]], np.uint8)
+ALONG_ANTIMERIDIAN = "+proj=tmerc +lon_0=180 +k=0.9996 +datum=WGS84 +units=m"
+"""Sides of tiles lie on the antimeridian."""
+
+
+def at_antimeridian(crs, latitude):
+    """Georeference and a tile at 180 degrees."""
+    georeference = Georeference(CRS.from_user_input(crs))
+    x, y = Transformer.from_crs(4326, georeference.crs, always_xy=True).transform(180.0, latitude)
+    return georeference, round(x / 3), round(y / 3)
+
+
+SITES = {
+    # name: (georeference, west tile, south tile)
+    "feet": (Georeference(CRS.from_epsg(2271), 1200 / 3937, 1200 / 3937), 130_000, 60_000),
+    "far_north": (Georeference(CRS.from_epsg(32633)), 160_000, 2_920_000),
+    "no_crs": (Georeference(None), -7, -5),
+    "antimeridian": at_antimeridian(32701, -17.0),
+    "far_south at the antimeridian": at_antimeridian(32760, -77.0),
+    "along the antimeridian": at_antimeridian(ALONG_ANTIMERIDIAN, -17.0),
+}
+
+
+def map_of_keys(make_map, keys, site, stretch=1, shift=(0, 0)):
+    """Map with a class for each key, every tile stretched to ``stretch`` tiles side by side."""
+    georeference, west, south = SITES[site]
+    wide = np.repeat(keys, stretch, axis=1)
+    line, col = np.nonzero(wide)
+    place = (col + west + shift[0], south + shift[1] - line)
+    options = {"georeference": georeference, "easy": True, "grid": Grid(3.0, 1)}
+    return make_map(*place, wide[line, col] - 1, np.zeros(len(col)), **options)
+
+
+def vertices_by_hand(keys):
+    """Corners of tiles, (y, x), but for those where one straight border passes, or none."""
+    padded = np.pad(keys, 1)
+    a, b, c, d = padded[:-1, :-1], padded[:-1, 1:], padded[1:, :-1], padded[1:, 1:]
+    return {*zip(*np.nonzero(~(((a == b) & (c == d)) | ((a == c) & (b == d)))), strict=True)}
+
+
+@settings(max_examples=60)
+@given(keys=KEYS)
+@example(keys=CHECKERS)
+@example(keys=DIAGONALS)
+@example(keys=RING_BY_CORNERS)
+@example(keys=BESIDE_A_LONG_SIDE)
+def test_outlines_have_the_vertices_that_both_sides_need_and_no_others(make_map, keys):
+    made = map_of_keys(make_map, keys, "no_crs")
+    outlines = regions_of(made).outlines
+    _, west, north = SITES["no_crs"]
+    vertices = {(north + 1 - int(y), int(x) - west) for x, y in shapely.get_coordinates(outlines)}
+    assert vertices == vertices_by_hand(keys)
+
+
+@pytest.mark.parametrize("site", SITES)
+@settings(max_examples=20)
+@given(
+    keys=KEYS,
+    cut=st.sampled_from([(1, 1), (1, 3), (1, 512), (20, 512), (45, 512)]),
+    shift=st.tuples(*[st.integers(-9, 9)] * 2),
+)
+@example(keys=CHECKERS, cut=(1, 512), shift=(-4, 0))
+@example(keys=BESIDE_A_LONG_SIDE, cut=(45, 512), shift=(-80, 0))
+@example(keys=np.ones((7, 8), np.uint8), cut=(1, 2), shift=(0, 0))
+def test_both_vectors_are_a_coverage_with_the_holes_of_the_tiles(make_map, site, keys, cut, shift):
+    stretch, size = cut
+    made = map_of_keys(make_map, keys, site, stretch, shift)
+    table, holes = CostTable.of(made), holes_of_tiles(made.patches.col, made.patches.row)
+    place = GeoJsonCoordinates.of(Placement.of(table), local=True)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("bumpymap.layers.regions.REGION_WINDOW", size)
+        outlines = np.concatenate([regions.outlines for regions in dissolve(table)])
+    check_coverage(shapely.transform(outlines, place.placement.to_crs), holes)
+    degrees = place.polygons(outlines)
+    assert shapely.is_valid(degrees).all()
+    parts = shapely.get_parts(degrees)
+    assert set(shapely.get_type_id(parts)) == {shapely.GeometryType.POLYGON}
+    if site == "no_crs":
+        check_coverage(parts, holes)
+        return
+    west, _, east, _ = shapely.bounds(parts).T
+    assert (east - west < 1.0).all()
+    sides = [parts[west >= 0], parts[west < 0]] if "antimeridian" in site else [parts]
+    for side in sides:
+        check_coverage(side, holes if len(side) == len(parts) else None)
 
 
 def areas_by_hand(cost_map):
@@ -35,7 +131,7 @@ def areas_by_hand(cost_map):
             yield tuple(key.tolist()), shapely.union_all(shapely.box(*corner, corner[0] + 1, corner[1] + 1))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     cells=st.lists(st.sampled_from([None, 0, 1, NO_CLASS]), min_size=1, max_size=36).filter(
         lambda cells: any(cell is not None for cell in cells)
@@ -104,7 +200,7 @@ def test_a_large_map_is_cut_into_windows_from_its_north_west_corner(make_field, 
     check_coverage(own, holes_of_tiles(patches.col, patches.row))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(keys=arrays(np.uint8, st.tuples(st.integers(1, 7), st.integers(1, 7)), elements=st.integers(0, 2)))
 def test_areas_are_those_of_scipy_in_reading_order(keys):
     labels, first, last = label(keys)
