@@ -37,7 +37,7 @@ _LOCAL_DATUM_M = 1e6
 """The same for a map without a CRS, whose frame may begin anywhere."""
 
 
-@job("export", settings_options(ExportSettings, required=("to",)), owners=(ExportSettings,), quiet="Print no summary.")
+@job("export", settings_options(ExportSettings, required=("to",)), owners=(ExportSettings,))
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.", group="Output")
 @grouped_option(

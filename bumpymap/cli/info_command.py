@@ -19,19 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _BAD_INPUT = 3
-_OF_MAP = ("crs", "force_crs", "z_unit", "trust_points", "ground_classes", "tile_size", "pixels", "memory", "threads")
+_TYPED = ("tile_size", "ground", "crs")
+_MOVED = ("ground_classes", "force_crs", "z_unit", "trust_points", "pixels", "memory", "threads")
 
 
-@job("info", settings_options(MapConfig, *_OF_MAP), owners=(MapConfig,), clashes=OF_CRS, quiet="Print no progress.")
+@job("info", settings_options(MapConfig, *_TYPED, *_MOVED, moved=_MOVED), owners=(MapConfig,), clashes=OF_CRS)
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@grouped_option(
-    "--ground",
-    type=click.Choice(["auto", "all", "class"]),
-    metavar="KIND",
-    help="Points to use: auto, all or class [auto].",
-    group="Ground",
-)
-@click.option("--quick", is_flag=True, help="Read only the headers, no points.")
+@grouped_option("--quick", group="Run", is_flag=True, help="Read only the headers, no points.")
 def command(run: Run, quick: bool) -> None:
     """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
 

@@ -94,6 +94,8 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
                 f"{route.name} turns by {route.figures.tight_turns_deg:,.0f} degrees in all close to what stops the "
                 "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
             )
+    if (straight := result.routes[0].straight) and straight.words:
+        yield straight.words
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 
 

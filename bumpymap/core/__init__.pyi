@@ -140,8 +140,10 @@ from .route_types import (
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
     RouteVehicle as RouteVehicle,
+    StraightLine as StraightLine,
     TileField as TileField,
     TracedLine as TracedLine,
+    Turn as Turn,
 )
 from .run_folder import (
     Holder as Holder,

@@ -68,6 +68,7 @@ def route_properties(route: Route) -> dict[str, Any]:
         **figures,
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
+        "why": route.straight.words if route.straight else "",
     }
 
 

@@ -36,6 +36,7 @@ from bumpymap.route.planner import Planner
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
+from bumpymap.route.why import look_straight_ahead
 
 if TYPE_CHECKING:
     import xarray
@@ -317,7 +318,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
         )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
-    site = ground.site
+    site, straight = ground.site, look_straight_ahead(ground, points, ways[0][0].figures)
     routes = [
         PlannedRoute(
             name=name,
@@ -329,6 +330,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             figures=way.figures,
             vehicle=site.vehicle,
             risk_m=risk,
+            straight=straight,
         )
         for name, (way, risk) in zip(names, ways, strict=True)
     ]
@@ -373,6 +375,7 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
     files = write_reach_files(
         found,
         ground.site,
+        stops.points[0],
         out,
         levels=config.isochrones or config.isocosts,
         by="minutes" if config.isochrones else "cost",

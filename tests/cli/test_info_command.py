@@ -71,7 +71,7 @@ def test_what_is_missing_is_said(info, tmp_path):
 
 def test_a_given_crs_and_unit(info, tmp_path):
     path = write(tmp_path / "a.las", dense())
-    result = info(path, "--crs", "EPSG:2992", "--z-unit", "m", "--json")
+    result = info(path, "--crs", "EPSG:2992", "--set", "z_unit=m", "--json")
     (record,) = json.loads(result.stdout)["files"]
     assert record["epsg"] == 2992
     assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
@@ -118,7 +118,7 @@ def test_one_bad_file_among_good_ones(info, tmp_path):
 
 def test_the_command_has_the_options_that_were_given(info, tmp_path):
     path = write(tmp_path / "a b.las", dense())
-    said = info(path, "--crs", "EPSG:32614", "--z-unit", "m", "--ground", "all", "--quick").output
+    said = info(path, "--crs", "EPSG:32614", "--set", "z_unit=m", "--ground", "all", "--quick").output
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
 
 

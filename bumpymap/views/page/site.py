@@ -192,7 +192,9 @@ WAY_FIGURES = (
     ("descent_m", "descent", 1, " m"),
 )
 """Figures of a way on a page: property of its line, label, decimals, unit."""
-_WAY_SHAPE = {"name?": Nullable(str)} | {f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES}
+_WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str)} | {
+    f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES
+}
 
 
 def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
