@@ -8,12 +8,16 @@ import made_drives
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from route_maps import bare_map
 
 from bumpymap.check import check_drives
 from bumpymap.check.places import places_on_map
 from bumpymap.cli import main
 from bumpymap.core import BadInputError, PlaceTrack
 from bumpymap.layers.check_record import read_check
+from bumpytiles import TileWindow
+
+SITE = bare_map(TileWindow(0, 0, 100, 100), crs=None)
 
 
 def csv_of(path: Path) -> str:
@@ -28,20 +32,8 @@ def csv_of(path: Path) -> str:
     return f"{path / 'imu.csv'},{path / 'gnss.csv'}"
 
 
-def test_drives_are_measured_without_a_map(tmp_path):
-    result = check_drives(None, csv_of(tmp_path))
-    assert result.ground is None
-    assert result.agreement is None
-    drive = result.drives[0]
-    assert drive.way_m == pytest.approx(drive.used_m + sum(drive.left_out_m.values()))
-    assert drive.speed_mps == pytest.approx(1.0, rel=0.05)
-    assert np.isfinite(result.stretches.measured).all()
-    assert np.isnan(result.stretches.c_r).all()
-    assert (result.stretches.class_id == 255).all()
-
-
-def test_drives_that_cannot_be_used_are_left_out_and_named(tmp_path):
-    """One whose file is none, and one that is refused when it is measured."""
+def test_drives_are_measured_without_a_map_and_those_that_cannot_be_used_are_named(tmp_path):
+    """One of them is no file of a drive, and one is refused when it is measured."""
     good, bad, parked = csv_of(tmp_path), str(tmp_path / "bad.csv"), str(tmp_path / "parked.csv")
     (tmp_path / "bad.csv").write_text("hello")
     made_drives.write_table(tmp_path / "parked.csv", placed("projected", still=True), (0.0, 0.0))
@@ -49,7 +41,14 @@ def test_drives_that_cannot_be_used_are_left_out_and_named(tmp_path):
     done = CliRunner().invoke(main, words)
     assert done.exit_code == 4
     result, _ = read_check(tmp_path / "out")
-    assert [drive.name for drive in result.drives] == ["imu,gnss"]
+    (drive,) = result.drives
+    assert drive.name == "imu,gnss"
+    assert drive.way_m == pytest.approx(drive.used_m + sum(drive.left_out_m.values()))
+    assert drive.speed_mps == pytest.approx(1.0, rel=0.05)
+    assert (result.ground, result.agreement) == (None, None)
+    assert np.isfinite(result.stretches.measured).all()
+    assert np.isnan(result.stretches.c_r).all()
+    assert (result.stretches.class_id == 255).all()
     page = html.unescape((tmp_path / "out" / "check.html").read_text())
     for drive, told in ((bad, "no table"), (parked, "never drives")):
         assert told in result.skipped[drive]
@@ -74,22 +73,6 @@ def test_with_no_usable_drive_there_is_no_check(tmp_path):
     assert "there is no folder" in done.output
 
 
-class Site:
-    """A map as far as positions need it: 100 x 100 tiles, perhaps without a CRS."""
-
-    def __init__(self, *, has_crs: bool):
-        from bumpymap.core import Georeference
-        from bumpytiles import Grid, TileWindow
-
-        self.has_crs, self.grid, self.window = has_crs, Grid(3.0, 15), TileWindow(0, 0, 100, 100)
-        self.georeference = Georeference(None)
-
-    def to_grid(self, x, y):
-        return x, y
-
-    to_crs = to_grid
-
-
 def placed(kind: str, shift: float = 0.0, *, still: bool = False):
     log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, speed=0.0 if still else 1.0))
     track = log.places
@@ -97,7 +80,7 @@ def placed(kind: str, shift: float = 0.0, *, still: bool = False):
 
 
 def test_positions_of_the_map_s_crs_are_taken():
-    places = places_on_map(placed("projected"), Site(has_crs=False))
+    places = places_on_map(placed("projected"), SITE)
     assert places.place.real.min() > 40
 
 
@@ -112,4 +95,4 @@ def test_positions_of_the_map_s_crs_are_taken():
 )
 def test_positions_that_cannot_be_placed_are_refused(log, told):
     with pytest.raises(BadInputError, match=told):
-        places_on_map(log(), Site(has_crs=False))
+        places_on_map(log(), SITE)

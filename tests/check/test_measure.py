@@ -37,7 +37,7 @@ def good():
         bias=0.01,
         place_white=0.015,
         place_wander=0.01,
-        seconds=180.0,
+        seconds=150.0,
     )
     log, pitch_rate, way = made_drives.log_of(made)
     return made, log, pitch_rate, way, *measured(log)
@@ -46,7 +46,7 @@ def good():
 def test_c_r_of_each_stretch_is_that_of_the_drive(good):
     _, log, pitch_rate, way, _, cut = good
     true = true_c_r(log, cut, pitch_rate, way)
-    assert len(true) >= 10
+    assert len(true) >= 6
     assert np.median(np.abs(cut.measured / true - 1.0)) < 0.03
     assert (np.abs(cut.measured - true) < 3.0 * cut.measured_sd).mean() > 0.9
 
@@ -70,7 +70,7 @@ def test_noise_of_positions_does_not_lengthen_the_way():
 
 
 def test_a_sensor_upside_down_reads_the_same(good):
-    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=120.0)
+    made = replace(good[0], mount_deg=(180.0, 0.0, 0.0), seconds=90.0)
     log, pitch_rate, way = made_drives.log_of(made)
     found, cut = measured(log)
     assert abs(found.mount_deg[0]) == pytest.approx(180.0, abs=1.0)
@@ -89,7 +89,7 @@ def test_without_positions_the_way_is_that_of_the_wheels(good):
 
 
 def test_the_same_drive_gives_the_same_bits():
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=60.0, noise=0.01, place_white=0.015))
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(seconds=40.0, noise=0.01, place_white=0.015))
     (found, cut), (again, cut_again) = measured(log), measured(log)
     assert np.array_equal(found.pitch_rate, again.pitch_rate)
     assert np.array_equal(cut.measured, cut_again.measured)
@@ -136,7 +136,7 @@ def test_a_log_that_cannot_be_measured_is_refused(good, damage, told):
 
 
 def test_a_parked_vehicle_is_refused():
-    log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=60.0))
+    log, _, _ = made_drives.log_of(made_drives.MadeDrive(speed=0.0, noise=0.01, place_white=0.02, seconds=30.0))
     with pytest.raises(BadInputError, match="never drives"):
         measured(log)
 
@@ -156,7 +156,7 @@ def test_positions_of_metres_tell_no_offset_or_state_its_error():
 
 def test_the_way_of_a_long_drive_is_found_as_well(good, monkeypatch):
     _, log, pitch_rate, way, found, cut = good
-    monkeypatch.setattr("bumpymap.check.track._TRIED_KNOTS", 360)
+    monkeypatch.setattr("bumpymap.check.track._TRIED_KNOTS", 240)
     again, cut_again = measured(log)
     assert again.track.offset_s == pytest.approx(found.clock_offset_s, abs=0.02)
     assert np.abs(again.speed).sum() / again.hertz == pytest.approx(way[-1], rel=0.01)

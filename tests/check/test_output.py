@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -36,23 +36,6 @@ def names(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
-def same(one, other):
-    """Whether two records are equal; NaN equals NaN, arrays by type and value."""
-    if isinstance(one, np.ndarray):
-        return one.dtype == other.dtype and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
-    if isinstance(one, float):
-        return one == other or (np.isnan(one) and np.isnan(other))
-    if hasattr(one, "__dataclass_fields__"):
-        return type(one) is type(other) and all(
-            same(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)
-        )
-    if isinstance(one, dict):
-        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
-    if isinstance(one, tuple):
-        return len(one) == len(other) and all(map(same, one, other))
-    return one == other
-
-
 def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     out = tmp_path / "new" / "checked"
     check_check_out(out, overwrite=False)
@@ -64,7 +47,8 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
     assert record["settings"] == SETTINGS["settings"]
     assert record["calibration"] == {"id": "c0ffee"}
     assert record["crs"]["code"] == "EPSG:32614"
-    assert "bumpymap" in record["versions"]
+    checksum = hashlib.sha256((ground.folder / "run.json").read_bytes()).hexdigest()
+    assert record["layers"] == [{"path": str(ground.folder), "run_sha256": checksum}]
     listed = [entry["path"] for entry in record["files"]]
     assert listed == ["check.html", "check.geojson"]
     for entry in record["files"]:
@@ -72,14 +56,6 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
         assert (entry["bytes"], entry["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
     for again in write_check(made_up_check(), tmp_path / "again", ground=ground, manifest=SETTINGS):
         assert again.read_bytes() == (out / again.name).read_bytes()
-
-
-def test_the_layers_are_named_with_their_checksum(ground, tmp_path):
-    (tmp_path / "run.json").write_text("{}")
-    source = replace(ground, folder=tmp_path)
-    write_check(made_up_check(), tmp_path / "out", ground=source)
-    (entry,) = json.loads((tmp_path / "out" / "check.json").read_text())["layers"]
-    assert entry == {"path": str(tmp_path), "run_sha256": hashlib.sha256(b"{}").hexdigest()}
 
 
 @pytest.mark.parametrize("has_map", [True, False])
@@ -127,7 +103,7 @@ def test_what_was_written_is_read_again(ground, tmp_path, options):
     write_check(result, tmp_path, ground=ground if result.ground else None, manifest=SETTINGS)
     for place in (tmp_path, tmp_path / "check.json"):
         found, record = read_check(place)
-        assert same(found, result)
+        np.testing.assert_equal(asdict(found), asdict(result))
         assert record["settings"] == SETTINGS["settings"]
 
 
@@ -146,7 +122,7 @@ def test_numbers_that_are_not_known_come_back(data):
     stretches = replace(result.stretches, measured=np.array([data.draw(number) for _ in range(6)]))
     changed = replace(result, drives=(drive,), stretches=stretches)
     text = json.dumps(check_entries(changed), allow_nan=False)
-    assert same(result_of(json.loads(text)), changed)
+    np.testing.assert_equal(asdict(result_of(json.loads(text))), asdict(changed))
 
 
 @pytest.mark.parametrize(
@@ -157,12 +133,9 @@ def test_numbers_that_are_not_known_come_back(data):
         lambda record: record["stretches"]["c_r"].pop(),
         lambda record: record["stretches"]["drive"].__setitem__(0, 9),
         lambda record: record["stretches"]["class_id"].__setitem__(0, 17),
-        lambda record: record["drives"][0].pop("mount_deg"),
-        lambda record: record.update(agreement=[]),
         lambda record: record["map"].update(class_limits=[0.1]),
         lambda record: record["stretches"]["drive"].__setitem__(0, 10**30),
         lambda record: record["stretches"]["measured"].__setitem__(0, float("1e308")),
-        lambda record: record["agreement"].update(stretches=1e999),
         lambda record: record.update(warnings="off"),
     ],
 )
@@ -171,12 +144,12 @@ def test_a_damaged_record_is_refused(ground, tmp_path, damage):
     path = tmp_path / "check.json"
     record = json.loads(path.read_text())
     damage(record)
-    path.write_text(json.dumps(record).replace("Infinity", "1e999"))
+    path.write_text(json.dumps(record))
     with pytest.raises(BadInputError, match=r"check\.json.*Give the folder that `bumpymap check` wrote"):
         read_check(tmp_path)
 
 
-@pytest.mark.parametrize("content", [None, "", "[]", '{"format": "bumpymap-check"}', "[" * 100_000, "\udcff"])
+@pytest.mark.parametrize("content", [None, "[]", "[" * 100_000, "\udcff"])
 def test_a_file_that_is_no_check(tmp_path, content):
     if content is not None:
         (tmp_path / "check.json").write_bytes(content.encode("utf-8", "surrogateescape"))

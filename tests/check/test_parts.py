@@ -1,39 +1,19 @@
-"""The parts of a check alone: floor, agreement, turns of the sensor, filters, tiles beside the way."""
+"""The parts of a check alone: floor, agreement, filters, metres of positions."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from check_records import LIMITS, STRETCH_M, stretches_at
+from pyproj import Geod
 from scipy.stats import spearmanr
 
 from bumpymap.check import CheckConfig
-from bumpymap.check.pipeline import agreement_of, spearman
+from bumpymap.check.pipeline import agreement_of
 from bumpymap.check.places import local_metres
-from bumpymap.check.signals import levelling, low_pass, turned
+from bumpymap.check.signals import low_pass
 from bumpymap.check.stretches import less_floor
-from bumpymap.core import DrivenStretches, UsageError
-
-
-def stretches(measured, c_r, spread=0.2, sd=0.0):
-    measured, c_r = np.asarray(measured, float), np.asarray(c_r, float)
-    nothing = np.zeros(len(measured))
-    limits = (0.1, 0.2, 0.4)
-    return DrivenStretches(
-        drive=nothing.astype(np.int64),
-        start_s=nothing,
-        end_s=nothing + 1,
-        easting=nothing,
-        northing=nothing,
-        way_m=nothing + 10,
-        speed_mps=nothing + 1,
-        measured=measured,
-        measured_sd=nothing + sd,
-        c_r=c_r,
-        c_r_low=c_r * (1 - spread),
-        c_r_high=c_r * (1 + spread),
-        place_sd=nothing,
-        class_id=np.digitize(c_r, limits).astype(np.uint8),
-        measured_class=np.digitize(measured, limits).astype(np.uint8),
-    )
+from bumpymap.core import UsageError
 
 
 def test_independent_noise_is_taken_off_in_power():
@@ -44,45 +24,21 @@ def test_independent_noise_is_taken_off_in_power():
     assert less_floor(np.array([0.01]), np.array([0.02])) == 0.0
 
 
-def test_spearman_is_that_of_scipy_ties_included():
-    rng = np.random.default_rng(2)
-    first = rng.integers(0, 6, 40).astype(float)
-    second = first + rng.normal(0, 2, 40)
-    assert spearman(first, second) == pytest.approx(spearmanr(first, second).statistic)
-    assert np.isnan(spearman(first[:4], second[:4]))
-    assert np.isnan(spearman(np.ones(9), second[:9]))
-
-
-def test_agreement_by_hand():
-    found = agreement_of(stretches([0.10, 0.20, 0.30, 0.40, 0.50, 0.0], [0.11, 0.30, 0.30, 0.42, np.nan, 0.2]))
-    assert found.stretches == 4
-    assert found.way_m == 40.0
-    assert found.median_ratio == pytest.approx(np.median([1.1, 1.5, 1.0, 1.05]))
-    assert found.median_error == pytest.approx(np.median([0.1, 0.5, 0.0, 0.05]))
-    assert found.inside == 0.75
-    assert found.same_class == 1.0
-
-
-def test_an_unsure_reading_widens_the_interval():
-    far = stretches([0.2], [0.3])
-    assert agreement_of(far).inside == 0.0
-    assert agreement_of(stretches([0.2], [0.3], sd=0.08)).inside == 1.0
-
-
-@pytest.mark.parametrize("direction", [[0, 0, 1], [0, 0, -1], [1, 0, 0], [0.3, -0.4, 0.8]])
-def test_levelling_turns_a_direction_upwards(direction):
-    unit = np.array(direction, float) / np.linalg.norm(direction)
-    assert levelling(np.array(direction, float)).apply(unit) == pytest.approx([0, 0, 1], abs=1e-12)
-
-
-def test_rates_add_up_to_the_attitude():
-    rng = np.random.default_rng(3)
-    rate = rng.normal(0, 1.0, (500, 3))
-    middle = 0.5 * (rate[1:] + rate[:-1])
-    expected = Rotation.identity()
-    for step in middle / 100.0:
-        expected = expected * Rotation.from_rotvec(step)
-    assert (turned(rate, 100.0)[-1].inv() * expected).magnitude() < 1e-9
+def test_agreement_by_hand_and_by_scipy_ties_included():
+    measured = np.array([0.10, 0.20, 0.30, 0.40, 0.40, 0.50, 0.0])
+    c_r = np.array([0.11, 0.30, 0.30, 0.42, 0.20, np.nan, 0.2])
+    driven = stretches_at(np.zeros((7, 2)), c_r, 1.0, sd=0.0)
+    classes = np.digitize(measured, LIMITS).astype(np.uint8)
+    driven = replace(driven, measured=measured, measured_sd=np.zeros(7), place_sd=np.zeros(7), measured_class=classes)
+    found = agreement_of(driven)
+    assert (found.stretches, found.way_m) == (5, 5 * STRETCH_M)
+    assert found.spearman == pytest.approx(spearmanr(c_r[:5], measured[:5]).statistic)
+    assert found.median_ratio == pytest.approx(np.median([1.1, 1.5, 1.0, 1.05, 0.5]))
+    assert found.median_error == pytest.approx(np.median([0.1, 0.5, 0.0, 0.05, 0.5]))
+    assert (found.inside, found.same_class) == (3 / 5, 3 / 5)
+    four = agreement_of(driven, np.arange(7) < 4)
+    assert four.stretches == 4
+    assert np.isnan(four.spearman)
 
 
 def test_the_low_pass_keeps_slow_and_halves_the_limit():
@@ -104,13 +60,10 @@ def test_the_low_pass_does_not_reach_over_a_gap():
 
 
 def test_local_metres_are_those_of_the_ellipsoid():
-    from pyproj import Geod
-
     lon, lat = np.array([-99.0, -99.0, -98.99]), np.array([19.0, 19.01, 19.0])
     east, north = local_metres(lon, lat)
-    for number in (1, 2):
-        _, _, metres = Geod(ellps="WGS84").inv(lon[0], lat[0], lon[number], lat[number])
-        assert np.hypot(east[number] - east[0], north[number] - north[0]) == pytest.approx(metres, rel=1e-4)
+    _, _, metres = Geod(ellps="WGS84").inv(lon[[0, 0]], lat[[0, 0]], lon[1:], lat[1:])
+    assert np.hypot(east[1:] - east[0], north[1:] - north[0]) == pytest.approx(metres, rel=1e-4)
 
 
 @pytest.mark.parametrize(("drives", "told"), [((), "no drive"), (("a.csv", "b.csv", "a.csv"), "twice")])

@@ -99,6 +99,19 @@ def test_passage_in_fewer_pixels(folder):
     assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
 
 
+def test_coarse_relief_holds_means(folder):
+    found = open_map(folder)
+    whole = found.window
+    blocks = found.heights(whole).reshape(whole.rows, 4, whole.cols, 4)
+    known = np.isfinite(blocks).sum(axis=(1, 3))
+    means = np.nansum(blocks, axis=(1, 3)) / np.where(known, known, np.nan)
+    coarse = found.relief(whole, (whole.rows, whole.cols))
+    full = known == 16  # an overview of an overview weighs pixels beside holes differently
+    np.testing.assert_allclose(coarse[full], means[full], atol=1e-3)
+    np.testing.assert_array_equal(np.isnan(coarse), known == 0)
+    assert np.abs(coarse - means)[known > 0].max() < 0.5
+
+
 def open_below(folder):
     """Names of the files below a folder that this process has open."""
     opened = []

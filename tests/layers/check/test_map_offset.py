@@ -57,12 +57,11 @@ def test_errors_add_in_power():
     assert offset_of(1.5, **widths).beyond == pytest.approx(0.05 / np.sqrt(0.0041))
 
 
-@pytest.mark.parametrize("options", [{}, {"bias": 1.4}, {"noise": 0.5, "unknown": [3, 7]}])
-def test_the_share_that_errors_explain_is_that_of_the_agreement(options):
-    stretches = made_up_check(200, **options).stretches
+def test_the_share_that_errors_explain_is_that_of_the_agreement():
+    stretches = made_up_check(200, noise=0.5, unknown=[3, 7]).stretches
     offset = MapOffset.of(stretches)
     explained = ~offset.is_off[np.isfinite(offset.ratio)]
-    assert explained.mean() == agreement_of(stretches).inside
+    assert 0.0 < explained.mean() == agreement_of(stretches).inside < 1.0
 
 
 @pytest.mark.parametrize("changes", [{"c_r": np.array([np.nan])}, {"measured": np.zeros(1)}])

@@ -16,7 +16,7 @@ def names(folder):
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
-@pytest.mark.parametrize("name", ["scan.json", "sectors.parquet", "gathered.laz", "frames/a.png", "map/run.json"])
+@pytest.mark.parametrize("name", ["sectors.parquet", "frames/a.png", "map/run.json"])
 def test_products_of_an_earlier_run_need_a_word(tmp_path, name):
     fill(tmp_path, name)
     with pytest.raises(OutputError, match=r"already holds .*`overwrite=True`"):
@@ -26,15 +26,12 @@ def test_products_of_an_earlier_run_need_a_word(tmp_path, name):
     assert names(tmp_path) == sorted({name, "scan.json"})
 
 
-def test_files_of_somebody_else_would_go_with_the_frames_and_are_refused(tmp_path):
-    fill(tmp_path, "scan.json", "frames/a.png", "frames/notes.txt")
-    with pytest.raises(OutputError, match=r"notes\.txt was not written by a complete scan run"):
-        check_scan_folder(tmp_path, overwrite=True)
-
-
-def test_a_folder_of_frames_that_no_run_wrote_is_not_replaced(tmp_path):
-    fill(tmp_path, "frames/0.ply")
+def test_files_that_would_go_with_the_frames_and_that_no_run_wrote_are_refused(tmp_path):
+    fill(tmp_path, "frames/a.png")
     with pytest.raises(OutputError, match="frames was not written by a complete scan run"):
+        check_scan_folder(tmp_path, overwrite=True)
+    fill(tmp_path, "scan.json", "frames/notes.txt")
+    with pytest.raises(OutputError, match=r"notes\.txt was not written by a complete scan run"):
         check_scan_folder(tmp_path, overwrite=True)
 
 
@@ -47,7 +44,7 @@ def test_the_scans_that_are_read_are_not_replaced(tmp_path, ended):
     check_scan_folder(tmp_path / "out", [tmp_path / "link" / "frames" / "0.ply"], overwrite=True)
 
 
-@pytest.mark.parametrize("name", ["frames", "map", "scan.json/a", "sectors.parquet/a"])
+@pytest.mark.parametrize("name", ["frames", "scan.json/a"])
 def test_a_file_for_a_folder_and_a_folder_for_a_file_are_refused(tmp_path, name):
     fill(tmp_path, name)
     with pytest.raises(OutputError, match="not what a scan run writes"):

@@ -20,11 +20,9 @@ from bumpymap.scan import classify_filter, polar_sectors
 def test_the_cloud_has_every_point_its_class_and_what_the_sensor_said(scan, classed, tmp_path):
     write_cloud(scan, classed, tmp_path / "a.ply")
     vertex = read_vertices(tmp_path / "a.ply")
-    for number, axis in enumerate("xyz"):
-        np.testing.assert_array_equal(vertex[axis], scan.points[:, number])
-    np.testing.assert_array_equal(vertex["class"], point_classes(scan, classed))
-    np.testing.assert_array_equal(vertex["intensity"], scan.intensity)
-    np.testing.assert_array_equal(vertex["label"], scan.label)
+    np.testing.assert_array_equal(np.stack([vertex[axis] for axis in "xyz"], axis=1), scan.points)
+    for name, values in (("class", point_classes(scan, classed)), ("intensity", scan.intensity), ("label", scan.label)):
+        np.testing.assert_array_equal(vertex[name], values)
 
 
 def test_points_say_whether_they_are_ground_how_high_and_in_the_colour_of_that(scan, classed, tmp_path):
@@ -67,52 +65,33 @@ def test_every_point_lies_in_the_polygon_of_its_sector_and_polygons_do_not_overl
     np.testing.assert_allclose([shape.area for shape in shapes], exact, rtol=0.004)
 
 
-def with_obstacles(classed):
-    """Sectors of which every third holds an obstacle, and some have something overhead."""
+def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path):
     place = np.arange(len(classed.class_id))
-    obstacle = place % 3 == 0
     stack = replace(
         classed.sectors,
-        obstacle=obstacle,
-        obstacle_height=np.where(obstacle, 0.3 + place / 100, np.nan).astype(np.float32),
+        obstacle=place % 3 == 0,
+        obstacle_height=np.where(place % 3 == 0, 0.3 + place / 100, np.nan).astype(np.float32),
         clearance=np.where(place % 4 == 0, 1.5 + place / 30, np.nan).astype(np.float32),
         ground_count=(classed.sectors.count // 2).astype(np.int32),
     )
-    return replace(classed, sectors=stack)
-
-
-def test_the_polygons_say_what_is_known_of_their_sectors(scan, classed, tmp_path):
-    classed = with_obstacles(classed)
-    write_polygons("site", classed, tmp_path / "a.json")
+    write_polygons("site", replace(classed, sectors=stack), tmp_path / "a.json")
     record = json.loads((tmp_path / "a.json").read_text(encoding="utf-8"))
     assert record["frame"] == "site"
     assert "no longitude and latitude" in record["coordinates_in"]
-    stack = classed.sectors
     assert record["azimuth_start_rad"] == stack.azimuth_start_rad
+    points = np.bincount(stack.point_sector[stack.point_sector >= 0], minlength=len(place))
     for number, feature in enumerate(record["features"]):
-        said = feature["properties"]
-        class_id = int(classed.class_id[number])
-        assert (said["zone"], said["ring"], said["sector"]) == (
-            stack.zone[number],
-            stack.ring[number],
-            stack.sector[number],
-        )
-        assert said["class"] == (None if class_id == 255 else class_id)
-        assert said["class_name"] == (SCAN_CLASS_NAMES[class_id] if class_id < 3 else "not traversable")
-        assert said["points"] == int((stack.point_sector == number).sum())
-        assert (said["ground_points"], said["obstacle"]) == (stack.ground_count[number], stack.obstacle[number])
-        assert said["label"] == stack.label[number]
-        for name, value in (
-            ("variance", stack.variance),
-            ("residual", stack.residual),
-            ("coverage", stack.coverage),
-            ("stripes", classed.stripes),
-            ("obstacle_height", stack.obstacle_height),
-            ("clearance", stack.clearance),
-        ):
-            assert (np.nan if said[name] is None else said[name]) == pytest.approx(
-                float(value[number]), rel=1e-6, nan_ok=True
-            )
+        said, class_id = feature["properties"], int(classed.class_id[number])
+        expected = {name: getattr(stack, name)[number] for name in ("zone", "ring", "sector", "obstacle", "label")}
+        expected |= {"points": points[number], "ground_points": stack.ground_count[number]}
+        expected |= {"class": None, "class_name": "not traversable"}
+        if class_id != 255:
+            expected |= {"class": class_id, "class_name": SCAN_CLASS_NAMES[class_id]}
+        assert {name: said[name] for name in expected} == expected
+        known = {name: getattr(stack, name) for name in ("variance", "residual", "coverage", "obstacle_height")}
+        for name, values in (known | {"stripes": classed.stripes, "clearance": stack.clearance}).items():
+            value = np.nan if said[name] is None else said[name]
+            assert value == pytest.approx(float(values[number]), rel=1e-6, nan_ok=True)
         np.testing.assert_allclose(said["normal"], stack.normal[number], rtol=1e-6, atol=1e-12)
 
 

@@ -19,25 +19,11 @@ def test_rows_are_the_sectors_of_all_frames_in_order(classed, nothing, tmp_path)
     stack, count = classed.sectors, len(classed.class_id)
     assert found.column_names == [name for name, *_ in COLUMNS]
     assert found["frame"].to_pylist() == ["one"] * count + ["two"] * count
-    for name, values in (
-        ("zone", stack.zone),
-        ("ring", stack.ring),
-        ("sector", stack.sector),
-        ("points", stack.count),
-        ("normal_x", stack.normal[:, 0]),
-        ("normal_y", stack.normal[:, 1]),
-        ("normal_z", stack.normal[:, 2]),
-        ("traversable", stack.traversable),
-        ("ground_points", stack.ground_count),
-        ("obstacle", stack.obstacle),
-        ("obstacle_height", stack.obstacle_height),
-        ("clearance", stack.clearance),
-        ("stripes", classed.stripes),
-        ("variance", stack.variance),
-        ("residual", stack.residual),
-        ("coverage", stack.coverage),
-        ("label", stack.label),
-    ):
+    same = ("zone", "ring", "sector", "traversable", "obstacle", "obstacle_height", "clearance")
+    expected = {name: getattr(stack, name) for name in (*same, "variance", "residual", "coverage", "label")}
+    expected |= {f"normal_{axis}": stack.normal[:, number] for number, axis in enumerate("xyz")}
+    expected |= {"points": stack.count, "ground_points": stack.ground_count, "stripes": classed.stripes}
+    for name, values in expected.items():
         np.testing.assert_array_equal(found[name].to_numpy(), np.concatenate([values, values]), err_msg=name)
     class_id = [None if value == 255 else value for value in classed.class_id.tolist()]
     assert found["class"].to_pylist() == class_id + class_id

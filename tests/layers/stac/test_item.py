@@ -59,14 +59,9 @@ def assets_with(item, key):
     return {name: asset for name, asset in item["assets"].items() if key in asset}
 
 
-def test_an_item_is_valid(item):
+def test_an_item_is_valid_and_every_file_an_asset_with_its_size_and_checksum(item, folder):
     assert faults(item) == []
-    assert {name.split("/")[3] for name in item["stac_extensions"]} == {
-        *("projection", "file", "processing"),
-    }
-
-
-def test_every_file_is_an_asset_with_its_size_and_checksum(item, folder):
+    assert {name.split("/")[3] for name in item["stac_extensions"]} == {"projection", "file", "processing"}
     present = {path.name for path in folder.iterdir()} - {"item.json"}
     assert set(item["assets"]) == present
     with_checksum = assets_with(item, "file:checksum")
@@ -95,14 +90,12 @@ def test_rasters_are_described_as_they_are(item, folder):
 def test_the_footprint_is_the_raster_in_longitude_and_latitude(item, folder):
     outline = shapely.geometry.shape(item["geometry"])
     with rasterio.open(folder / "class.tif") as raster:
+        edge = shapely.segmentize(shapely.box(*raster.bounds).exterior, 1.0)
         to_degrees = Transformer.from_crs(raster.crs, 4326, always_xy=True)
-        left, bottom, right, top = raster.bounds
-    around = np.linspace(0, 1, 50)
-    x = np.concatenate([left + (right - left) * around, np.full(50, left)])
-    y = np.concatenate([np.full(50, bottom), bottom + (top - bottom) * around])
-    edge = shapely.linestrings(np.column_stack(to_degrees.transform(x[:50], y[:50])))
-    assert shapely.hausdorff_distance(edge, shapely.intersection(outline.exterior, edge.buffer(1e-7))) < 1e-6
+    found = np.column_stack(to_degrees.transform(*shapely.get_coordinates(edge).T))
+    assert shapely.distance(shapely.points(found), outline.exterior).max() < 1e-6
     assert item["bbox"] == pytest.approx(outline.bounds, abs=1e-9)
+    assert item["bbox"] == pytest.approx([*found.min(axis=0), *found.max(axis=0)], abs=1e-6)
     assert item["properties"]["proj:code"] == "EPSG:32614"
     assert "proj:wkt2" not in item["properties"]
 
@@ -123,7 +116,7 @@ def test_name_dates_vehicle_and_software(item):
     assert item["assets"]["relief.tif"]["gsd"] == 1.0
 
 
-@pytest.mark.parametrize("dates", [None, [], ["", ""], ["unknown"], ["2024-13-01", "2024-01-01"], [None, None]])
+@pytest.mark.parametrize("dates", [None, ["", ""], ["2024-13-01", "2024-01-01"]])
 def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dates):
     item = described(folder, tmp_path / "a", survey=SURVEY | {"dates": dates})
     properties = item["properties"]
