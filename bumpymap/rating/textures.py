@@ -47,7 +47,6 @@ __all__ = [
     "make_short_waves",
     "make_textures",
     "normalise",
-    "perlin",
     "remove_plane",
 ]
 
@@ -163,7 +162,7 @@ def remove_plane(patches: NDArray[np.floating]) -> _Floats:
     return residual
 
 
-def perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
+def _perlin(count: int, rng: "np.random.Generator", pixels: int, cell: _Floats, margin: int = 0) -> _Floats:
     """Generate gradient noise after Perlin (2002), with one lattice per patch.
 
     With lattice corners ``i, j`` around the point ``(u, v)``, unit gradients ``g`` at the corners and the fade
@@ -241,7 +240,7 @@ def _octaves(
     amplitude, power = np.ones(count), np.zeros(count)
     total: _Floats = np.zeros((count, pixels + 2 * margin, pixels + 2 * margin))
     for octave in range(octaves):
-        total += amplitude[:, None, None] * perlin(count, rng, pixels, cell / 2**octave, margin)
+        total += amplitude[:, None, None] * _perlin(count, rng, pixels, cell / 2**octave, margin)
         power += amplitude**2
         amplitude = amplitude * persistence
     return total / np.sqrt(power)[:, None, None]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.rating.calibration import Calibration, DrivenTerrain, shipped_calibrations
+from bumpymap.rating.calibration import Calibration, shipped_calibrations
 
 
 @pytest.fixture
@@ -28,12 +28,6 @@ def test_the_id_changes_with_any_number(record):
     assert len(ids) == 6
 
 
-def test_a_file_without_the_ride_key_is_damaged(record):
-    del record["ride"]
-    with pytest.raises(BadInputError, match="damaged calibration: KeyError"):
-        Calibration.from_json(json.dumps(record), "c.json")
-
-
 def test_a_file_without_steps_keeps_its_id(record):
     """Files of earlier versions have no such key."""
     del record["steps"]
@@ -42,11 +36,6 @@ def test_a_file_without_steps_keeps_its_id(record):
     assert "steps" not in json.loads(bare.to_json())
     assert bare.id != record["id"]
     assert Calibration.from_json(bare.to_json(), "c.json").id == bare.id
-
-
-def test_a_driven_terrain_counts_its_drives():
-    terrain = DrivenTerrain("kerb", 2, 0.1, 0.01, completed=5, stuck=2, rolled=1)
-    assert (terrain.failed, terrain.drives, terrain.p_fail) == (3, 8, 3 / 8)
 
 
 @pytest.mark.parametrize("name", shipped_calibrations())
@@ -82,15 +71,13 @@ def test_the_warthogs_table_is_sound():
         ({"format": "other"}, "is not a bumpymap calibration"),
         ({"version": 99}, "version 99"),
         ({"version": 1}, "version 1; this bumpymap reads version 2. Make one with: bumpymap calibrate --vehicle"),
+        ({"ride": ...}, "damaged calibration: KeyError"),
         ({"ride": [1.0]}, "damaged"),
         ({"ride": {"c_r": [float("inf")]}}, "damaged"),
         ({"motion": {"map_speed_mps": 0.0}}, "damaged"),
-        ({"motion": {"map_speed_mps": "fast"}}, "damaged"),
         ({"motion": 2.0}, "damaged"),
         ({"vehicle": {}}, "damaged"),
-        ({"vehicle": "x"}, "damaged"),
         ({"z_range": []}, "damaged"),
-        ({"class_limits": []}, "damaged"),
         ({"class_limits": [0.1, 0.2]}, "damaged"),
         ({"class_c_r": [0.1, 0.2, 0.3, None]}, "damaged"),
         ({"c_r": [["a"] * 14] * 4}, "damaged"),
@@ -103,7 +90,7 @@ def test_the_warthogs_table_is_sound():
 )
 def test_damage_is_named_before_anything_is_rated(record, damage, message):
     with pytest.raises(BadInputError, match=message):
-        Calibration.from_json(json.dumps(record | damage), "c.json")
+        Calibration.from_json(json.dumps({k: v for k, v in (record | damage).items() if v is not ...}), "c.json")
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\x9a\x00\xff", b"[]", b"3"])

@@ -24,11 +24,6 @@ def change(path, old, new):
     path.write_text(text.replace(old, new))
 
 
-def test_a_name_means_the_calibration_that_ships():
-    for name in ("car", "small_rover", "warthog"):
-        assert find_calibration(name) == Calibration.shipped(name)
-
-
 def test_equal_preferences_leave_the_id_alone(mine):
     assert find_calibration(mine) == Calibration.shipped("car")
     change(mine, "fail_weight = 300.0\n", "")

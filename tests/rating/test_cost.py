@@ -2,7 +2,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from scipy import stats
 from scipy.special import ndtr
 
 from bumpymap.core.errors import UsageError
@@ -69,39 +68,6 @@ def test_below_the_ladder_c_r_is_proportional_and_above_it_is_kept():
     cost = rate(stack([0.0, 0.01, 2.5, 5.0]), one_hot(3, 4), calibration(), HERE)
     np.testing.assert_allclose(cost.c_r, [0.0, 0.008, 2.0, 2.0], rtol=1e-5, atol=1e-8)
     assert cost.class_id.tolist() == [0, 0, 3, 3]
-
-
-def test_textures_are_weighed_by_their_probability():
-    cost = rate(stack([0.1]), textures([0.5, 0.0, 0.0, 0.5]), calibration(), HERE)
-    assert cost.c_r[0] == pytest.approx(0.5 * 0.001 + 0.5 * 0.08, rel=1e-6)
-
-
-def test_classes_follow_the_limits():
-    relief = np.array([0.02, 0.03, 0.12, 0.13, 0.37, 0.38])
-    cost = rate(stack(relief), one_hot(3, 6), calibration(p_fail=((0.0,) * 4,) * 4), HERE)
-    assert cost.class_id.tolist() == [0, 1, 1, 2, 2, 3]
-
-
-def test_the_interval_is_the_eighty_percent_interval_of_the_mixture():
-    chance = [0.2, 0.2, 0.2, 0.4]
-    cost = rate(stack([0.3]), textures(chance), calibration(), HERE)
-    rng = np.random.default_rng(0)
-    which = rng.choice(4, 400_000, p=chance)
-    mean = np.array([SCALE[t] * 0.3 for t in TEXTURES])[which]
-    draws = mean * np.exp(0.2 * rng.normal(size=len(which)) - 0.02)
-    low, high = np.quantile(draws, [0.1, 0.9])
-    assert cost.c_r_low[0] == pytest.approx(low, rel=0.02)
-    assert cost.c_r_high[0] == pytest.approx(high, rel=0.02)
-    assert cost.c_r[0] == pytest.approx(draws.mean(), rel=0.01)
-    inside = np.mean((draws >= 0.1) & (draws < 0.3))
-    assert cost.class_id[0] == 2
-    assert cost.confidence[0] == pytest.approx(inside, abs=0.01)
-
-
-def test_the_interval_of_one_texture_is_the_log_normals_own():
-    cost = rate(stack([0.1]), one_hot(2, 1), calibration(), HERE)
-    expected = stats.lognorm(s=0.2, scale=0.04 * np.exp(-0.02)).ppf([0.1, 0.9])
-    np.testing.assert_allclose([cost.c_r_low[0], cost.c_r_high[0]], expected, rtol=1e-5)
 
 
 def test_a_spread_that_is_unknown_throughout_still_gives_an_interval():

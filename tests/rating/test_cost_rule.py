@@ -1,4 +1,4 @@
-"""What is passable, and at what cost: closed forms, every rating, and a least-cost tool over real layers."""
+"""What is passable, and at what cost: closed forms, and every rating on real layers."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +8,6 @@ import pytest
 import rasterio
 from click.testing import CliRunner
 from hypothesis import given, strategies as st
-from skimage.graph import MCP_Geometric
 
 from bumpymap.cli import main
 from bumpymap.core.errors import BadInputError
@@ -80,15 +79,10 @@ def test_a_calibration_whose_cost_makes_no_sense_is_refused(change):
         replace(calibration, vehicle=calibration.vehicle | change)
 
 
-def test_a_calibration_may_weigh_failures_otherwise():
-    calibration = Calibration.shipped("warthog")
-    assert replace(calibration, vehicle=calibration.vehicle | {"fail_weight": 50}).cost_rule.fail_weight == 50.0
-
-
 @pytest.mark.parametrize(
     "options", [[], ["--set", "rating=table"], ["--set", "compat=paper"]], ids=["ride", "table", "paper"]
 )
-def test_no_least_cost_path_of_the_sample_leads_over_ground_that_fails(tmp_path, options):
+def test_ground_of_the_sample_that_fails_has_no_cost(tmp_path, options):
     done = CliRunner().invoke(main, ["map", str(QUARRY), "--out", str(tmp_path), *options])
     assert done.exit_code == 0, done.output
     with rasterio.open(tmp_path / "cost.tif") as file:
@@ -104,11 +98,3 @@ def test_no_least_cost_path_of_the_sample_leads_over_ground_that_fails(tmp_path,
     assert not (never & passable).any()
     np.testing.assert_array_equal(np.isfinite(cost), passable)
     assert (cost[passable] >= 1).all()
-    open_ground = np.argwhere(np.isfinite(cost))
-    search = MCP_Geometric(np.where(np.isfinite(cost), cost, -1))
-    start = open_ground[0]
-    reach, _ = search.find_costs([start])
-    reached = [tuple(tile) for tile in open_ground[::37] if np.isfinite(reach[tuple(tile)])]
-    assert len(reached) > 10
-    for tile in reached:
-        assert not never[tuple(np.transpose(search.traceback(tile)))].any()

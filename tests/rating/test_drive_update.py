@@ -30,6 +30,7 @@ def test_500_metres_bring_the_median_ratio_to_within_5_percent():
 def test_the_new_calibration_is_the_old_one_moved_by_the_posterior():
     stretches = driven_stretches(CALIBRATION, 60, tilt=0.1)
     new, update = update_from_drives(CALIBRATION, stretches)
+    assert update_from_drives(CALIBRATION, stretches)[0].to_json() == new.to_json()
     shift, tilt = update.posterior.mean
     middle = np.log(CALIBRATION.class_limits[1])
     wanted = [middle + shift + (1 + tilt) * (np.log(c_r) - middle) for c_r in CALIBRATION.steps["tile"]["c_r"]]
@@ -39,11 +40,6 @@ def test_the_new_calibration_is_the_old_one_moved_by_the_posterior():
     assert record["calibration_id"] == CALIBRATION.id
     assert record["way_m"] == 600.0
     assert record["posterior"]["mean"] == pytest.approx([shift, tilt])
-
-
-def test_the_same_drives_give_the_same_file():
-    first, second = (update_from_drives(CALIBRATION, driven_stretches(CALIBRATION))[0].to_json() for _ in range(2))
-    assert first == second
 
 
 def test_short_drives_are_refused_with_what_counts_and_what_is_asked():

@@ -51,32 +51,12 @@ def test_a_gap_in_a_wall_must_be_wider_than_the_vehicle(gap, barred):
     assert only(judged(tile)) == barred
 
 
-def test_a_trunk_in_the_middle_can_be_passed_and_a_wall_across_can_not_be_crossed():
-    tile = free()
-    tile[7, 7] = OBSTACLE
-    assert only(judged(tile)) == Barred.NO
-    tile[:] = OBSTACLE
-    tile[5:8] = FREE  # room for less than the vehicle
-    assert only(judged(tile)) == Barred.OBSTACLE
-
-
 def test_obstacles_and_missing_tiles_around_count():
     # A wall in the neighbouring tiles, all around: the middle keeps 0.6 m from it, and reaches no side.
     for ring, reason in ((OBSTACLE, Barred.OBSTACLE), (UNSEEN, Barred.UNKNOWN)):
         assert only(judged(free(), ring=ring)) == reason
         inner = judged(free(3), ring=ring) == Barred.NO
         assert inner.tolist() == [[True] * 3] * 3
-
-
-def test_unseen_ground_is_not_driven_on():
-    tile = np.full_like(free(), UNSEEN)
-    tile[6:9, :] = FREE
-    assert only(judged(tile)) == Barred.UNKNOWN
-    tile[0, 0] = OBSTACLE
-    assert only(judged(tile)) == Barred.OBSTACLE
-    tile = free()
-    tile[2:4, 5:7] = UNSEEN
-    assert only(judged(tile)) == Barred.NO
 
 
 @pytest.mark.parametrize(("away", "reason"), [(2, Barred.OBSTACLE), (3, Barred.UNKNOWN)])

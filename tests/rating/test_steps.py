@@ -13,14 +13,14 @@ def highest(steps):
     return np.fmax(steps.inner, steps.edge_step)
 
 
-@pytest.mark.parametrize("height", [0.05, 0.3, 2.0])
+@pytest.mark.parametrize("height", [0.05, 0.3, -0.4, 2.0])
 def test_a_wall_at_any_place_and_angle_is_measured_in_full(height):
     for place in PLACES:
         wall = Wall(height, *place)
         tiles = crossed(wall, 4)
         assert tiles.any()
         found = highest(find_steps(mosaic(wall, 4), PIXELS))
-        np.testing.assert_allclose(found[tiles], height, rtol=0.05)
+        np.testing.assert_allclose(found[tiles], abs(height), rtol=0.05)
 
 
 @pytest.mark.parametrize("shift", [-0.1, -0.04, 0.0, 0.04, 0.1])
@@ -56,24 +56,9 @@ def test_what_stands_on_the_ground_makes_no_step_and_hides_none_beside_it():
     assert (left.inner[:, 1] > 0.3).all()
 
 
-def test_a_step_down_is_as_high_as_a_step_up():
-    wall = Wall(0.4, 6.03, 5.2, 20)
-    up, down = (find_steps(sign * mosaic(wall, 4), PIXELS) for sign in (1, -1))
-    np.testing.assert_array_equal(up.border, down.border)
-    np.testing.assert_array_equal(up.inner, down.inner)
-
-
 def test_a_wall_on_a_slope_is_measured_in_full():
     steps = find_steps(mosaic(Wall(0.3, 6.05, 6, 12, (0.3, -0.2)), 4), PIXELS)
     np.testing.assert_allclose(steps.border[:, 0, EAST], 0.3, rtol=0.05)
-
-
-def test_the_foot_of_a_bank_is_hardly_a_step():
-    """Where it lies between two pixels is unknown: half a pixel of a bank of 27 degrees is 5 cm."""
-    axis = np.arange(4 * PIXELS) * TILE_SIZE / PIXELS
-    bank = np.maximum(axis - 6.04, 0) * 0.5
-    found = highest(find_steps(np.tile(bank, (4 * PIXELS, 1)), PIXELS)).max()
-    assert found < 0.05
 
 
 @pytest.mark.parametrize("noise", [0.005, 0.03])

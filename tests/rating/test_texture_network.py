@@ -1,10 +1,7 @@
 """Textures of tiles: the shipped network, and what must hold for any network."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from itertools import pairwise
 from pathlib import Path
 
@@ -83,21 +80,14 @@ def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_po
         assert np.quantile(flat, 0.97) < 0.5
 
 
-@pytest.mark.parametrize("sizes", [[1] * 30, [255, 1, 256, 88], [257, 343], [100, 500], [600]])
-def test_the_way_a_stack_is_split_changes_no_bit(model, sizes):
+@pytest.mark.parametrize("sizes", [[1] * 30, [255, 1, 256, 88], [257, 343]])
+def test_neither_the_order_nor_the_way_a_stack_is_split_changes_a_bit(model, sizes):
     relief = _textures(150)[np.random.default_rng(0).permutation(600)][: sum(sizes)]
     whole = classify(_stack(relief), model).probability
+    assert_array_equal(classify(_stack(relief[::-1]), model).probability, whole[::-1])
     borders = np.cumsum([0, *sizes])
     parts = [classify(_stack(relief[a:b]), model).probability for a, b in pairwise(borders)]
     assert_array_equal(np.concatenate(parts), whole)
-
-
-def test_order_changes_no_bit(model):
-    relief = _textures(75)
-    order = np.random.default_rng(5).permutation(len(relief))
-    assert_array_equal(
-        classify(_stack(relief[order]), model).probability, classify(_stack(relief), model).probability[order]
-    )
 
 
 def test_unknown_tiles_stay_unknown_and_disturb_nobody(model):
@@ -185,11 +175,6 @@ def test_files_that_are_no_model_are_refused(model, tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(BadInputError, match=r"bad\.onnx"):
         TextureModel.load(path)
-
-
-def test_onnxruntime_is_loaded_only_when_used():
-    program = "import sys, bumpymap.rating.textures; assert not {'onnxruntime', 'torch', 'onnx'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", program], check=True, env=dict(os.environ))
 
 
 def test_documentation_states_the_measured_accuracies(model):

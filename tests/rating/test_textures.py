@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from bumpymap.core.errors import UsageError
 from bumpymap.core.types import TEXTURES
-from bumpymap.rating.textures import make_short_waves, make_textures, normalise, perlin, remove_plane
+from bumpymap.rating.textures import make_short_waves, make_textures, normalise, remove_plane
 
 
 @pytest.mark.parametrize("texture", TEXTURES)
@@ -78,36 +78,6 @@ def test_waves_have_one_direction():
     assert np.quantile(coherence("noise_sin"), 0.05) > 0.5
     assert np.quantile(coherence("low_noise"), 0.75) < 0.45
     assert np.quantile(coherence("high_noise"), 0.95) < 0.3
-
-
-def test_perlin_agrees_with_a_plain_twin():
-    rng, pixels, cell = np.random.default_rng(4), 6, np.array([0.3])
-    noise = perlin(1, np.random.default_rng(4), pixels, cell)[0]
-    turn = rng.uniform(0, 2 * np.pi, (1, 1, 1)).item()
-    reach = np.sqrt(0.5)
-    offset = rng.uniform(0, 1, (2, 1, 1, 1)).ravel() + reach / cell[0]
-    nodes = int(np.ceil(2 * reach / cell[0])) + 3
-    angle = rng.uniform(0, 2 * np.pi, (1, nodes * nodes)).reshape(nodes, nodes)
-
-    def fade(t):
-        return 6 * t**5 - 15 * t**4 + 10 * t**3
-
-    def value(south, east):
-        x, y = (east + 0.5) / pixels - 0.5, (south + 0.5) / pixels - 0.5
-        u = (np.cos(turn) * x - np.sin(turn) * y) / cell[0] + offset[0]
-        v = (np.sin(turn) * x + np.cos(turn) * y) / cell[0] + offset[1]
-        i, j = int(np.floor(u)), int(np.floor(v))
-        total = 0.0
-        for a in (0, 1):
-            for b in (0, 1):
-                weight = (fade(u - i) if a else 1 - fade(u - i)) * (fade(v - j) if b else 1 - fade(v - j))
-                g = angle[i + a, j + b]
-                total += weight * (np.cos(g) * (u - i - a) + np.sin(g) * (v - j - b))
-        return total
-
-    twin = np.array([[value(r, c) for c in range(pixels)] for r in range(pixels)])
-    ratio = noise / twin
-    assert_allclose(ratio, ratio[0, 0], rtol=1e-6)
 
 
 def test_remove_plane_is_least_squares():

@@ -44,12 +44,6 @@ def test_waves_pitch_and_roll_and_lift_as_the_closed_forms_say(fine, wavelength)
     assert moved.heave[0, 0] == pytest.approx(np.sqrt((lift**2 / 2).mean()), rel=0.05)
 
 
-def test_a_wave_twice_as_high_is_felt_twice(fine):
-    once, twice = (move_over(factor * waves(2.0), fine) for factor in (0.2, 0.4))
-    assert twice.heave == pytest.approx(2 * once.heave, rel=0.01)
-    assert twice.roll_change == pytest.approx(2 * once.roll_change, rel=0.01)
-
-
 def test_level_ground_moves_nothing_and_its_height_does_not_matter(fine):
     level = np.full((1, PIXELS, PIXELS), 0.3, np.float32)
     moved = move_over(level, fine)

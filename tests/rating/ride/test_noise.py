@@ -98,20 +98,6 @@ def test_a_patch_gets_the_same_bits_alone_and_among_others(count):
             np.testing.assert_array_equal(getattr(alone, name), getattr(together, name)[i : i + 1])
 
 
-@pytest.mark.parametrize("most", [3, 1000])
-def test_the_noise_of_a_point_is_a_weighted_median(most):
-    """With few different values, many are equal."""
-    rng = np.random.default_rng(most)
-    count = rng.integers(0, 9, (15, 15)).astype(np.int32)
-    variance = (rng.integers(1, most, (15, 15)) / (1000.0 * most)).astype(np.float32)
-    weight = (count[count > 1] - 1).astype(float)
-    values = variance[count > 1].astype(float) * (weight + 1) / weight
-    order = np.argsort(values)
-    median = values[order][np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())]
-    bias = (1 - 2 * weight.sum() / (9 * (weight**2).sum())) ** 3
-    assert point_noise(count, variance, *np.empty((2, 225))) == pytest.approx(median / bias, rel=1e-12)
-
-
 def test_a_variance_that_is_no_number_ends_the_search():
     count, variance = np.full((15, 15), 4, np.int32), np.full((15, 15), np.nan, np.float32)
     point_noise(count, variance, *np.empty((2, 225)))

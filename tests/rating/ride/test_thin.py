@@ -55,12 +55,6 @@ def test_noise_is_told_from_rough_ground(unseen, noise):
     assert found.low < found.middle < found.high
 
 
-def test_noise_without_pairs_is_a_guess_with_its_error():
-    found = pool_noise(np.array([np.nan, 0.1]), np.array([0.0, 3.0]), np.array([0.1, 0.1]))
-    assert found.low == 0
-    assert found.high > found.middle > 0
-
-
 @pytest.mark.parametrize(("density", "noise", "least"), [(12.0, 0.0, 0.975), (4.0, 0.0, 0.95), (4.0, 0.02, 0.93)])
 def test_ranks_and_intervals_of_unseen_ground(unseen, density, noise, least):
     terrains, truth = unseen
@@ -214,14 +208,6 @@ def test_no_neighbour_makes_a_tile_safer():
     rose = found.log_c_r > level[1:-1, 1:-1]
     assert (found.p_fail[rose] > 0.1).all()
     assert (found.p_fail[~rose] == 0.1).all()
-
-
-def test_tile_without_neighbours_keeps_its_own_prediction():
-    level = np.full((18, 18), np.nan)
-    level[9, 9] = -1.5
-    found = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
-    assert found.log_c_r[8, 8] == -1.5
-    assert np.isnan(found.log_c_r).sum() == 255
 
 
 def test_record_is_read_back_and_a_damaged_one_refused():

@@ -54,13 +54,6 @@ def test_ground_that_was_driven_again_counts_once(laps):
     assert evidence.new_m.sum() == pytest.approx(400.0, rel=0.03)
 
 
-def test_parts_left_out_are_drives_or_pieces_of_the_way():
-    one, _ = collect_evidence(driven_stretches(CALIBRATION, 50), 1.0, 0.0)
-    assert np.array_equal(one.fold, np.arange(50) // 5)
-    many, _ = collect_evidence(driven_stretches(CALIBRATION, 50, drives=5), 1.0, 0.0)
-    assert np.array_equal(many.fold, many.drive)
-
-
 def test_squares_hold_the_stretches_of_30_metres():
     evidence, _ = collect_evidence(driven_stretches(CALIBRATION, 50), 1.0, 0.0)
     assert np.bincount(evidence.square).max() == 3

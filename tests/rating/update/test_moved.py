@@ -82,17 +82,6 @@ def test_thin_tiles_steps_and_the_table_move_too(name):
     assert new.class_limits == old.class_limits
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_a_move_by_nothing_changes_nothing_but_the_record(name):
-    old = Calibration.shipped(name)
-    _, new = moved_by(old, shift=0.0, tilt=0.0, sd=(0.0, 0.0))
-    assert new.class_c_r == pytest.approx(old.class_c_r, rel=1e-8)
-    for key in ("c_r", "spread", "noise_low", "noise_high"):
-        assert np.allclose(new.ride[key], old.ride[key], rtol=1e-8)
-    assert new.thin["own_spread"] == pytest.approx(old.thin["own_spread"])
-    assert new.settings == old.settings | {"moved_to_drives": {"way_m": 512.0}}
-
-
 def test_classes_hold_the_terrains_that_moved_into_them():
     old = Calibration.shipped("warthog")
     _, new = moved_by(old, shift=0.4)

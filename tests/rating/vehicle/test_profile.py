@@ -1,4 +1,3 @@
-import dataclasses
 import json
 import re
 from pathlib import Path
@@ -21,17 +20,12 @@ def warthog():
     return load_profile("warthog").to_dict()
 
 
-def test_four_profiles_ship_and_carry_their_own_names():
-    assert shipped_profiles() == ["car", "husky", "small_rover", "warthog"]
-    for name in shipped_profiles():
-        assert load_profile(name).name == name
-
-
-def test_masses_add_up_to_what_the_descriptions_say():
-    assert load_profile("warthog").mass_kg == 260
-    assert load_profile("small_rover").mass_kg == 20
-    assert load_profile("car").mass_kg == 1900
-    assert load_profile("husky").mass_kg == pytest.approx(56.5, abs=0.1)
+@pytest.mark.parametrize(("name", "mass"), [("warthog", 260), ("small_rover", 20), ("car", 1900), ("husky", 56.5)])
+def test_a_shipped_profile_has_the_mass_of_its_vehicle(name, mass):
+    assert name in shipped_profiles()
+    profile = load_profile(name)
+    assert profile.name == name
+    assert profile.mass_kg == pytest.approx(mass, abs=0.1)
 
 
 def test_dictionary_is_its_own_json_and_builds_the_same_profile(warthog):
@@ -39,46 +33,29 @@ def test_dictionary_is_its_own_json_and_builds_the_same_profile(warthog):
     assert Vehicle.from_dict(warthog, "x") == load_profile("warthog")
 
 
-def test_ride_weight_and_slope_limit_are_on_top_where_map_reads_them(warthog):
-    assert warthog["ride_weight"] > 0
-    assert 0 < warthog["slope_limit_deg"] <= 60
-
-
-def test_profile_is_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        load_profile("warthog").speed_mps = 3
-
-
 def test_file_with_a_path_is_read(tmp_path):
     source = Path(__file__).parents[3] / "bumpymap" / "rating" / "data" / "vehicles" / "car.toml"
     path = tmp_path / "mine.toml"
-    path.write_text(source.read_text().replace("speed_mps = 3.0", "speed_mps = 2"))
-    assert load_profile(path).speed_mps == 2.0
-    assert isinstance(load_profile(str(path)).speed_mps, float)
+    path.write_text("\ufeff" + source.read_text().replace("speed_mps = 3.0", "speed_mps = 2"), encoding="utf-8")
+    assert load_profile(path).speed_mps == load_profile(str(path)).speed_mps == 2.0
 
 
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
         ("wheelbase_m", 920, ["wheelbase_m is 920; it must be between 0.1 and 20 metres; 920 mm would be 0.92"]),
-        ("wheelbase_m", "long", ["wheelbase_m is 'long'; it must be between"]),
         ("wheelbase_m", "?", ["wheelbase_m is not filled in: between 0.1 and 20 metres"]),
-        ("wheelbase_m", float("nan"), ["wheelbase_m is nan; it must be between"]),
         ("wheelbase_m", 10**400, ["wheelbase_m is 1000", "metres"]),
         ("wheelbase_m", 0.6, ["touch", "twice the radius"]),
         ("track_m", 0.2, ["track_m 0.2", "wheel width"]),
-        ("speed_mps", 0, ["speed_mps is 0; it must be between 0.05 and 15 metres per second"]),
         ("speed_mps", 36, ["speed_mps is 36; it must be between", "36 km/h would be 10"]),
-        ("name", " ", ["name is ' '", "not empty"]),
         ("description", "a\x1b[31m\n", [r"description is 'a\x1b[31m\n'", "one line"]),
         ("chassis", 3, ["chassis is 3", "table, [chassis], with mass_kg, inertia_kgm2, com_height_m"]),
-        ("chassis.mass_kg", 0, ["chassis.mass_kg is 0; it must be between 0.2 and 1,000,000 kilograms"]),
         ("chassis.mass_kg", 100_000, ["100,160 kg", "between", "masses in kilograms"]),
         ("chassis.com_height_m", -0.31, ["com_height_m", "below the ground"]),
         ("chassis.inertia_kgm2", [1.0, 1.0], ["three numbers, [roll, pitch, yaw]"]),
         ("chassis.inertia_kgm2", [6.0, 6.0, 12.1], ["sum of the two others"]),
         ("chassis.inertia_kgm2", [542.0, 1333.0, 1608.0], ["chassis.inertia_kgm2 is [542.0, 1333.0, 1608.0]", "box"]),
-        ("rocker.inertia_kgm2", [5.4e-6, 5.42e-5, 5.21e-5], ["rocker.inertia_kgm2", "each moment lies between"]),
         ("rocker.limit_rad", 8, ["rocker.limit_rad is 8; it must be between 0 and 1.2 radians; 8 deg would be 0.14"]),
         ("belly.width_m", 0.9, ["belly.width_m is 0.9", "0.87 apart", "fit between"]),
         ("belly.length_m", 13, ["belly.length_m is 13", "4 times"]),
@@ -96,24 +73,10 @@ def test_value_that_cannot_be_is_refused_with_what_came_and_what_is_allowed(wart
         assert word in str(caught.value)
 
 
-def test_borders_of_ranges_are_allowed(warthog):
-    warthog["ride_weight"] = 0
-    warthog["rocker"].update(stiffness_nm_per_rad=0, damping_nms_per_rad=0, limit_rad=0)
-    assert Vehicle.from_dict(warthog, "x").rocker.limit_rad == 0
-
-
 def test_body_above_the_wheels_may_be_wider_than_the_way_between_them(warthog):
     warthog["belly"].update(width_m=1.4, clearance_m=0.6)
     del warthog["body"]
     assert Vehicle.from_dict(warthog, "x").belly.width_m == 1.4
-
-
-def test_unknown_key_is_refused_and_the_known_ones_named(warthog):
-    warthog["wheel"]["radius"] = 0.3
-    with pytest.raises(
-        BadInputError, match=r"\[wheel\]: unknown setting radius; there are: mass_kg, radius_m, width_m"
-    ):
-        Vehicle.from_dict(warthog, "my.toml")
 
 
 def test_missing_keys_are_refused_and_a_table_is_said_to_be_one(warthog):
@@ -126,12 +89,20 @@ def test_missing_keys_are_refused_and_a_table_is_said_to_be_one(warthog):
 
 def test_all_faults_are_said_at_once(warthog):
     warthog |= {"wheelbase_m": 920, "slope_limit_deg": 0.52, "colour": "red"}
+    warthog["wheel"]["radius"] = 0.3
     del warthog["wheel"]["radius_m"]
     with pytest.raises(BadInputError) as caught:
         Vehicle.from_dict(warthog, "my.toml")
     first, *faults = caught.value.args
-    assert first.startswith("my.toml: 4 errors")
-    assert [fault.split()[0] for fault in faults] == ["unknown", "wheelbase_m", "slope_limit_deg", "missing"]
+    assert first.startswith("my.toml: 5 errors")
+    assert [fault.split()[0] for fault in faults] == [
+        "unknown",
+        "wheelbase_m",
+        "slope_limit_deg",
+        "[wheel]:",
+        "missing",
+    ]
+    assert "[wheel]: unknown setting radius; there are: mass_kg, radius_m, width_m" in faults[3]
 
 
 HAUL_TRUCK = {
@@ -178,21 +149,11 @@ def test_unknown_name_lists_the_shipped_profiles():
         load_profile("tank")
 
 
-def test_a_mark_of_byte_order_is_skipped(tmp_path):
-    source = Path(__file__).parents[3] / "bumpymap" / "rating" / "data" / "vehicles" / "car.toml"
-    path = tmp_path / "mine.toml"
-    path.write_bytes(b"\xef\xbb\xbf" + source.read_bytes())
-    assert load_profile(path) == load_profile("car")
-
-
 def test_what_is_not_toml_is_refused(tmp_path):
     path = tmp_path / "mine.toml"
-    for content in (b"name = ", b"\xff\xfe\x00"):
-        path.write_bytes(content)
-        with pytest.raises(BadInputError, match="cannot read the vehicle profile"):
-            load_profile(path)
-    with pytest.raises(BadInputError, match="it is not a file"):
-        load_profile(tmp_path)
+    path.write_text("name = ")
+    with pytest.raises(BadInputError, match="cannot read the vehicle profile"):
+        load_profile(path)
 
 
 SHORT = {
@@ -247,9 +208,7 @@ def test_what_a_short_profile_gives_stays_and_what_follows_from_it_follows():
     [
         ({"mass_kg": "?"}, ["mass_kg is not filled in: between 0.3"]),
         ({"suspension": "air"}, ["suspension is 'air'; it must be one of rocker, sprung, rigid"]),
-        ({"wheelbase_m": None}, ["wheelbase_m is None"]),
         ({"wheel": {"radius_m": 0.3}}, ["missing wheel.width_m: between"]),
-        ({"wheel": 3}, ["wheel is 3"]),
         (
             {"wheel": {"radius_m": 0.3, "width_m": 0.25, "mass_kg": 70}},
             ["mass_kg is 260, and rockers and wheels alone weigh that much"],
