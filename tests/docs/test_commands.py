@@ -1,25 +1,174 @@
-"""Every command of README.md and the pages runs, or its rule says why it does not; see ``commands.py`` beside this."""
+"""Every command of README.md and the pages runs, or its rule says why it does not.
 
-import importlib.util
+Each page has a folder of its own with the files that its commands name.
+"""
+
 import re
+import shlex
 import shutil
-import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
+import laspy
+import numpy as np
+import pyproj
 import pytest
+from bags import cloud, lidar_rows, odometry, write_bag
 from click.testing import CliRunner
+from made_drives import MadeDrive, log_of, write_table
+from pypcd4 import Encoding, PointCloud
+from scipy.spatial.transform import Rotation
 
 from bumpymap.cli import main
 
 pytestmark = pytest.mark.slow
 
-_spec = importlib.util.spec_from_file_location("docs_commands", Path(__file__).with_name("commands.py"))
-commands = sys.modules["docs_commands"] = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(commands)
+ROOT = Path(__file__).resolve().parents[2]
+FILES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs" / "pages").glob("*.md")))
+PROGRAMS = (
+    "bumpymap", "chmod", "dask", "gdal_translate", "gdaldem", "grass", "make", "openssl", "pip", "python", "sudo",
+)  # fmt: skip
+SHELL = {"", "bash", "console", "sh", "shell"}
+CRS = "EPSG:32614"
 
-SHOWN = [(page.name, command) for page in commands.PAGES for command in commands.shown(page)]
-PAGES = sorted({page for page, command in SHOWN if commands.rule_of(command) is None})
+
+RULES = {
+    r"^(\S*python -m )?pip install": "downloads; the extras that it names are held to pyproject.toml",
+    r"^make ": ".ci/run and .ci/fresh-machine run it; the target is held to the Makefile",
+    r"^sudo apt-get ": "changes the system; .ci/run installs the same packages",
+    r"^dask |scheduler=|^export DASK_": "takes a cluster: tests/survey/engine/test_cluster.py has one",
+    r"^(openssl|chmod) ": "makes keys: tests/survey/engine/test_cluster_security.py runs them",
+    r"^gdal": "takes GDAL's own tools",
+    r"^grass ": "takes GRASS",
+    r"^(xdg-open|qgis) ": "opens a window",
+    r"^python docs/licences/": "writes a page anew; a test of its own holds it",
+    r"^python tests/tools/faults\.py": "runs tests for every fault, for an hour",
+    r"^bumpymap settings |--config map\.toml": "writes a file that is to be edited",
+    r"^python tests/fuzz/": "an hour",
+    r"^python docs/models/": "takes open3d, and simulates scenes for hours",
+    r"^python docs/pictures/": "draws over a picture of the pages; takes minutes",
+    r"^bumpymap vehicle new ": "writes the profile that later commands want filled in",
+    r"^bumpymap calibrate ": "hours of drives",
+    r"^\S*python \.ci/refresh_constraints\.py": "asks the package index for every file",
+    r"^python docs/drives/": "takes a data set; tests/docs/test_drives.py runs it where that is",
+    r"--refit ": "takes hundreds of metres of drives: tests/cli/test_check_refit.py makes them",
+    r"--calibration small\.json": "takes a calibration for such tiles: hours of drives",
+    r"^python tests/benchmarks/": "measures for minutes or hours, some beside other programs; tests run parts",
+    r"^python docs/models/|model=rellis\.onnx": "takes open3d and hours, or a data set",
+    r"^bumpymap (evaluate|train) ": "hours of drives or learning; tests/lab runs short ones",
+}
+"""What does not simply run in the suite, as patterns of commands, and why."""
+
+
+def shown(page: Path) -> Iterator[str]:
+    """Give the commands of a page in their order: of its blocks, and those in its sentences that name a file."""
+    text = page.read_text(encoding="utf-8")
+    found: list[tuple[int, str]] = []
+    for block in re.finditer(r"(?ms)^( *)```(\S*)[^\n]*\n(.*?)^\1```", text):
+        program = block[3].strip().removeprefix("$ ").partition(" ")[0]
+        if block[2] in SHELL and (block[2] or program in PROGRAMS):  # a block of no language may be a formula
+            found += [(block.start(), line) for line in _lines(block[3])]
+    begin = "|".join(PROGRAMS)
+    found += [(line.start(), line[1]) for line in re.finditer(rf"(?m)^    ((?:{begin}) .*)$", text)]
+    found += [(word.start(), word[1]) for word in re.finditer(r"`((?:\S*python \S+/|make |sudo\s)[^`]+)`", text)]
+    for _, line in sorted(found, key=lambda one: one[0]):
+        plain = line if "<<" in line else shlex.join(shlex.split(" ".join(line.split()), comments=True))
+        yield plain.replace(".venv/bin/bumpymap", "bumpymap")
+
+
+def _lines(block: str) -> list[str]:
+    """Give the commands of a block: continued lines and what follows ``<<'END'`` belong to one."""
+    block = re.sub(r"\\\n\s*", " ", block)
+    block = re.sub(r"(?ms)^[^\n]*<<'?(\w+)'?\n.*?^\1$", lambda whole: whole[0].replace("\n", "\0"), block)
+    prompted = any(line.strip().startswith("$ ") for line in block.splitlines())
+    lines = [line.strip() for line in block.splitlines()]
+    lines = [line.removeprefix("$ ") for line in lines if not prompted or line.startswith("$ ")]
+    return [line.replace("\0", "\n") for line in lines if line and not line.startswith("#")]
+
+
+def rule_of(command: str) -> str | None:
+    """Give the pattern of `RULES` that a command matches first; None: it runs as it stands."""
+    return next((rule for rule in RULES if re.search(rule, command)), None)
+
+
+def filled(command: str) -> list[str]:
+    """Put files that are there in the place of words in capitals."""
+    words = {"SURVEY": "site.laz", "DIR": "dir", "EPSG:CODE": CRS, "FOLDER": "folder", "YOUR_SURVEY.laz": "site.laz"}
+    return [words.get(word, word) for word in shlex.split(command)]
+
+
+def furnish(folder: Path) -> None:
+    """Put the files there that commands name: small surveys, frames of a drive, a vehicle of one's own."""
+    data = ROOT / "bumpymap" / "rating" / "data"
+    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
+    x, y = np.asarray(survey.x), np.asarray(survey.y)
+    (folder / "flights").mkdir()
+    main(
+        ["map", str(ROOT / "sample_data" / "quarry.laz"), "--out", str(folder / "demo_out" / "layers"), "--quiet"],
+        standalone_mode=False,
+    )
+    (folder / "sample_data").mkdir()
+    for name in ("quarry.laz", "quarry_drive_imu.csv", "quarry_drive_gnss.csv"):
+        shutil.copy(ROOT / "sample_data" / name, folder / "sample_data")
+    for name, east in (
+        ("site.laz", 0.0),
+        ("survey.laz", 0.0),
+        ("may.laz", 0.0),
+        ("june.laz", 0.0),
+        ("flights/1.laz", 0.0),
+        ("flights/2.laz", 12.0),
+    ):
+        part = laspy.LasData(laspy.LasHeader(version="1.4", point_format=6))
+        near = (abs(x - np.median(x) - east) < 6) & (abs(y - np.median(y)) < 9)
+        part.header.offsets, part.header.scales = survey.header.offsets, survey.header.scales
+        part.x, part.y, part.z = x[near], y[near], np.asarray(survey.z)[near]
+        part.classification = survey.classification[near]
+        part.header.add_crs(pyproj.CRS.from_user_input(CRS))
+        part.write(folder / name)
+    _drive(folder)
+    shutil.copy(data / "vehicles" / "small_rover.toml", folder / "my_vehicle.toml")
+    shutil.copy(folder / "my_vehicle.toml", folder / "my_robot.toml")
+    shutil.copy(next((ROOT / "bumpymap" / "scan" / "data" / "models").glob("scan*.onnx")), folder / "own.onnx")
+    shutil.copy(folder / "own.onnx", folder / "scan.onnx")
+    for name in ("my_vehicle.json", "my_robot.json"):
+        shutil.copy(data / "calibrations" / "small_rover.json", folder / name)
+
+
+def _drive(folder: Path) -> None:
+    """Write frames of a robot that goes ahead, over ground that is smooth on one side, and their poses."""
+    (folder / "drive").mkdir()
+    rng = np.random.default_rng(1)
+    lines = []
+    for frame in range(3):
+        place = rng.uniform(-18, 18, (60_000, 2))
+        z = -1.5 + rng.normal(0, 0.01, len(place)) + np.where(place[:, 1] > 0, 0.3 * rng.uniform(-1, 1, len(place)), 0)
+        np.column_stack([place, z, np.zeros(len(place))]).astype("<f4").tofile(folder / "drive" / f"{frame:06d}.bin")
+        lines.append(f"1 0 0 {frame} 0 1 0 0 0 0 1 0")
+    (folder / "poses.txt").write_text("\n".join(lines) + "\n")
+    points = np.fromfile(folder / "drive" / "000000.bin", "<f4").reshape(-1, 4)[:, :3]
+    PointCloud.from_xyz_points(points).save(str(folder / "frame.pcd"), Encoding.BINARY)
+    _bag(folder)
+    log, _, _ = log_of(MadeDrive(seconds=115.0, turning=0.5, noise=1e-3, place_white=0.02, mount_deg=(1.0, -2.0, 1.0)))
+    write_table(folder / "drive.csv", log, (512_352.0, 5_403_239.0))
+
+
+def _bag(folder: Path) -> None:
+    """Write the frames and poses of the drive to a bag."""
+    messages = []
+    for number, file in enumerate(sorted((folder / "drive").iterdir())):
+        points = np.fromfile(file, "<f4").reshape(-1, 4)[:, :3]
+        pose = Rotation.identity(), (float(number), 0.0, 0.0)
+        time_ns = 1_700_000_000_000_000_000 + number * 500_000_000
+        messages.append(("/odom", time_ns, odometry(time_ns, pose, child="lidar")))
+        messages.append(("/points", time_ns, cloud(lidar_rows(points), time_ns)))
+    bag = write_bag(folder / "bag", messages)
+    (bag / "bag.mcap").rename(folder / "drive.mcap")
+    shutil.rmtree(bag)
+
+
+SHOWN = [(page.name, command) for page in FILES for command in shown(page)]
+PAGES = sorted({page for page, command in SHOWN if rule_of(command) is None})
 
 
 def test_commands_are_found():
@@ -31,7 +180,7 @@ def test_commands_are_found():
 @pytest.fixture(scope="module")
 def furnished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("furnished")
-    commands.furnish(folder)
+    furnish(folder)
     return folder
 
 
@@ -40,9 +189,9 @@ def test_the_commands_of_a_page_run_one_after_the_other(page, furnished, tmp_pat
     folder = shutil.copytree(furnished, tmp_path / "page")
     monkeypatch.chdir(folder)
     for where, command in SHOWN:
-        if where != page or commands.rule_of(command) is not None:
+        if where != page or rule_of(command) is not None:
             continue
-        program, *words = commands.filled(command)
+        program, *words = filled(command)
         assert program == "bumpymap", f"no rule says what to do with: {command}"
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, f"{command}\n{done.output}"
@@ -58,13 +207,13 @@ def test_no_command_of_a_page_is_in_the_way_of_a_later_one(page):
     assert len(outs) == len(set(outs)), f"two commands write to the same --out: {outs}"
 
 
-@pytest.mark.parametrize("rule", commands.RULES, ids=lambda rule: rule.pattern)
+@pytest.mark.parametrize("rule", RULES)
 def test_every_rule_is_of_use(rule):
-    assert [command for _, command in SHOWN if commands.rule_of(command) is rule]
+    assert [command for _, command in SHOWN if rule_of(command) == rule]
 
 
 def test_what_does_not_run_names_extras_targets_and_scripts_that_are_there():
-    root = commands.ROOT
+    root = ROOT
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     targets = re.findall(r"(?m)^([a-z-]+):", (root / "Makefile").read_text(encoding="utf-8"))
     for page, command in SHOWN:

@@ -8,11 +8,12 @@ VOID = {"meta", "img", "input", "br"}
 
 
 class Outline(html.parser.HTMLParser):
-    """Tables, ids and elements of a page; fails where elements do not nest."""
+    """Tables, ids, elements and text of a page; fails where elements do not nest."""
 
     def __init__(self, text):
         super().__init__()
         self.open, self.ids, self.tables, self.attributes = [], [], {}, defaultdict(list)
+        self.elements, self.text = defaultdict(list), ""
         self.cells = self.caption = None
         self.feed(text)
         self.close()
@@ -20,6 +21,7 @@ class Outline(html.parser.HTMLParser):
 
     def handle_starttag(self, tag, attrs):
         attrs = dict(attrs)
+        self.elements[tag].append(attrs)
         self.ids += [attrs["id"]] if "id" in attrs else []
         for key, value in attrs.items():
             self.attributes[key].append(value)
@@ -45,6 +47,7 @@ class Outline(html.parser.HTMLParser):
             self.cells = None
 
     def handle_data(self, data):
+        self.text += data
         if self.open and self.open[-1] == "caption":
             self.caption += data
         elif self.cells and self.cells[-1] and self.open[-1] in {"td", "th"}:

@@ -4,9 +4,8 @@ github.com/ANYbotics/grid_map: grid_map_core/src/GridMapMath.cpp (getPositionFro
 +x, +y), grid_map_ros GridMapMsgHelpers.hpp (layout: dimension 0 is column_index, data column by column).
 """
 
-import builtins
-import hashlib
 import shutil
+import sys
 import warnings
 
 import numpy as np
@@ -58,8 +57,9 @@ def sampled(folder, name, band, x, y, datum):
         return np.array([value[0] for value in file.sample(places, indexes=index)])
 
 
-@pytest.mark.parametrize("around", [None, (110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0)])
-@pytest.mark.parametrize("resolution", ["tile", "pixel"])
+@pytest.mark.parametrize(
+    ("resolution", "around"), [("tile", None), ("pixel", (110_010.0 * 3 + 1.0, 680_008.0 * 3 + 2.0))]
+)
 def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, tmp_path, around, resolution):
     crop = {} if around is None else {"around": around, "radius": 5.0}
     out = tmp_path / "out"
@@ -82,27 +82,16 @@ def test_every_cell_has_the_value_of_the_layers_bit_for_bit(route_map, folder, t
     x, y, value = (part[pick] for part in cells(message, "obstacle"))
     if resolution == "tile":
         np.testing.assert_array_equal(value, sampled(folder, "roughness.tif", "obstacle", x, y, record["datum"]))
-        if around is None:
-            window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
-            heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
-            with warnings.catch_warnings(action="ignore"):  # tiles without a height
-                mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
-            np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
+        window, elevation = route_map.window, message.data[message.layers.index("elevation")].data
+        heights = route_map.heights(window).reshape(window.rows, 15, window.cols, 15).astype(float)
+        with warnings.catch_warnings(action="ignore"):  # tiles without a height
+            mean = np.nanmean(heights, axis=(1, 3))[:, ::-1]
+        np.testing.assert_allclose(elevation, mean.ravel(), rtol=1e-6)
         return
     state = sampled(folder, "obstacle.tif", None, x, y, record["datum"])
     np.testing.assert_array_equal(np.nan_to_num(value, nan=3.0), np.minimum(state, 3))
     x, y, value = (part[pick] for part in cells(message, "elevation"))
     np.testing.assert_array_equal(value, sampled(folder, "heightmap.tif", None, x, y, record["datum"]))
-
-
-def test_the_same_map_has_the_same_bytes(route_map, tmp_path):
-    found = []
-    for name in ("a", "b"):
-        export_map(route_map, tmp_path / name, ExportSettings(to="gridmap"))
-        files = sorted((tmp_path / name).iterdir())
-        assert [file.name for file in files] == ["datum.json", "gridmap.mcap", "metadata.yaml"]
-        found.append([hashlib.sha256(file.read_bytes()).hexdigest() for file in files])
-    assert found[0] == found[1]
 
 
 def test_classes_that_were_cut_off(easy_folder, tmp_path):
@@ -119,14 +108,7 @@ def test_classes_that_were_cut_off(easy_folder, tmp_path):
 
 
 def test_without_rosbags_the_message_says_what_to_install(route_map, tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name.startswith("rosbags"):
-            raise ImportError("no module rosbags")
-        return real(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", without)
+    monkeypatch.setitem(sys.modules, "rosbags.rosbag2", None)
     with pytest.raises(UsageError, match=r"bumpymap\[ros\]"):
         export_map(route_map, tmp_path / "out", ExportSettings(to="gridmap"))
     assert not (tmp_path / "out").exists()

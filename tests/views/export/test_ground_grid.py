@@ -25,7 +25,7 @@ def centres(grid):
     return np.meshgrid(axis, axis)  # x grows along a row, y from row to row
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**31), st.sampled_from(GRIDS), st.floats(0.2, 1.0), st.floats(1.0, 40.0))
 def test_points_and_cells_agree(seed, polar, resolution, reach):
     """The kernels that sort points into sectors are the oracle: here the points are the centres of the cells."""
@@ -106,9 +106,7 @@ def test_a_message_is_filled_by_its_attributes(classed):
 @pytest.mark.parametrize(
     ("resolution", "reach", "said"),
     [
-        (0.0, 5.0, "resolution_m is 0.0; it must be a finite number greater than 0 m"),
-        (np.nan, 5.0, "resolution_m is nan"),
-        (1.0, np.inf, "reach_m is inf; it must be a finite number"),
+        (np.nan, 5.0, "resolution_m is nan; it must be a finite number greater than 0 m"),
         (2.0, 1.0, "at most 4,000,000"),
         (0.01, 50.0, "at most 4,000,000"),
     ],

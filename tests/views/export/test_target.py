@@ -36,6 +36,13 @@ def test_an_earlier_export_is_replaced_only_if_asked(easy_map, route_map, tmp_pa
     assert [path.name for path in done.files][-1] == "datum.json"
 
 
+@pytest.mark.parametrize("to", ["nav2", "gridmap", "graph", "cost"])
+def test_the_same_map_has_the_same_bytes(easy_map, tmp_path, to):
+    for name in ("a", "b"):
+        export_map(easy_map, tmp_path / name, ExportSettings(to=to))
+    assert snapshot(tmp_path / "a") == snapshot(tmp_path / "b")
+
+
 def test_links_are_replaced_and_never_followed(easy_map, tmp_path):
     out, precious = tmp_path / "out", tmp_path / "precious"
     out.mkdir()

@@ -152,6 +152,15 @@ def test_a_project_lists_what_is_there(folder):
         assert leaves[name].get("source") == layer.find("datasource").text
         assert (folder / layer.find("datasource").text).is_file()
         assert CRS.from_wkt(layer.find("srs/spatialrefsys/wkt").text).to_epsg() == 32614
+    by_source = {layer.find("datasource").text: layer for layer in layers.values()}
+    order = [*by_source]
+    assert order.index("./class.tif") < order.index("./relief.tif")
+    blends = [by_source[f"./{name}.tif"].find("blendMode").text for name in ("class", "reason", "relief")]
+    assert blends == ["6", "6", "0"]  # multiplied with the relief, which unknown ground has too
+    bars = palette(by_source["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
+    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
+    assert 128 < bars.pop(Barred.UNKNOWN)[2] < 255  # the relief shows through
+    assert {alpha for _, _, alpha in bars.values()} == {255}
     checked = {name for name, leaf in leaves.items() if leaf.get("checked") == "Qt::Checked"}
     shown = {"bumpymap_reason_tif", "bumpymap_class_tif", "bumpymap_relief_tif"}
     assert checked - shown == {"bumpymap_roughness_tif", "bumpymap_roughness_tif_p_fail"}  # in a group that is not
@@ -182,21 +191,6 @@ def test_other_speeds_have_a_style_and_stand_in_the_project(tmp_path, at_two_spe
     assert not {"speeds.tif", "speeds.qml"} & {path.name for path in tmp_path.iterdir()}
 
 
-def test_the_classes_are_multiplied_with_the_relief_under_them(folder):
-    layers = {layer.find("datasource").text: layer for layer in read(folder / "map.qgs").find("projectlayers")}
-    order = [*layers]
-    assert order.index("./class.tif") < order.index("./relief.tif")
-    assert layers["./class.tif"].find("blendMode").text == "6"
-    assert layers["./relief.tif"].find("blendMode").text == "0"
-    assert layers["./reason.tif"].find("blendMode").text == "6"  # unknown ground has a relief too
-    bars = palette(layers["./barred.tif"])  # drawn over the classes, so that passable tiles stay clear
-    assert set(bars) == {code.value for code in BARRED_TEXT} - {0}
-    palette_of = layers["./barred.tif"].iter("paletteEntry")
-    alpha = {int(entry.get("value")): int(entry.get("alpha")) for entry in palette_of}
-    assert 128 < alpha.pop(Barred.UNKNOWN) < 255  # the relief shows through
-    assert set(alpha.values()) == {255}
-
-
 @pytest.mark.parametrize("crs", ["EPSG:32614+5703", None])
 def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
     cost_map = make_field(4, 4, georeference=Georeference(crs and CRS.from_user_input(crs)))
@@ -209,25 +203,20 @@ def test_a_project_has_the_horizontal_crs_or_none(tmp_path, make_field, crs):
     assert {text and CRS.from_wkt(text).to_epsg() for text in references} == {crs and 32614}
 
 
-def test_a_crs_may_have_a_name_that_xml_cannot_hold(folder, tmp_path):
+def test_a_project_says_survey_vehicle_and_calibration_and_no_name_breaks_its_xml(folder, tmp_path):
     crs = CRS.from_wkt(CRS.from_epsg(32614).to_wkt().replace("WGS 84 / UTM", "mine \x01 / UTM", 1))
-    (tmp_path / "class.tif").write_bytes((folder / "class.tif").read_bytes())
-    write_project(tmp_path, {"calibration": CALIBRATION, "crs": {"wkt": crs.to_wkt()}})
-    known = CRS.from_wkt(read(tmp_path / "map.qgs").find("projectCrs/spatialrefsys/wkt").text)
-    assert known.name == r"mine \x01 / UTM zone 14N"
-
-
-def test_a_project_says_survey_vehicle_and_calibration(folder, tmp_path):
-    record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}}
+    record = {"calibration": CALIBRATION, "survey": {"name": "Pit \x01 <7> \udce9 &"}, "crs": {"wkt": crs.to_wkt()}}
     for name in ("class.tif", "heightmap.tif"):
         (tmp_path / name).write_bytes((folder / name).read_bytes())
     write_project(tmp_path, record)
     root = read(tmp_path / "map.qgs")
     assert root.find("title").text == r"Pit \x01 <7> \xe9 &: ride cost"
-    assert "warthog" in root.find("projectMetadata/abstract").text
-    assert "c0ffee" in root.find("projectMetadata/abstract").text
-    assert "smooth: c_r 0 to 0.1 rad/m" in root.find("projectMetadata/abstract").text
+    abstract = root.find("projectMetadata/abstract").text
+    for part in ("warthog", "c0ffee", "smooth: c_r 0 to 0.1 rad/m"):
+        assert part in abstract
     assert {layer.find("datasource").text for layer in root.find("projectlayers")} == {"./class.tif", "./heightmap.tif"}
+    known = CRS.from_wkt(root.find("projectCrs/spatialrefsys/wkt").text)
+    assert known.name == r"mine \x01 / UTM zone 14N"
 
 
 def test_same_layers_same_bytes_wherever_they_lie(folder, tmp_path):

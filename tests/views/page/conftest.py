@@ -13,7 +13,6 @@ from route_maps import write_folder
 from survey_pairs import COLS, ROWS, survey
 
 import bumpymap
-from bumpymap.core import BARRED_TEXT
 
 
 @pytest.fixture(scope="session")
@@ -40,6 +39,10 @@ class ReadPage:
         about = self.data["maps"][at]
         return self.bytes_of(about[name], about)
 
+    def objects(self):
+        about = self.data["maps"][0]["objects"]
+        return self.bytes_of(about["codes"], about)
+
     @staticmethod
     def bytes_of(text, about):
         return np.frombuffer(zlib.decompress(b64decode(text)), np.uint8).reshape(about["rows"], about["cols"])
@@ -62,11 +65,6 @@ def read_page_fixture():
 def site(tmp_path_factory, make_field):
     """Layers of 40 x 30 tiles with every class and reason, and objects."""
     return write_folder(tmp_path_factory.mktemp("report") / "site", with_objects(make_field(40, 30)))
-
-
-@pytest.fixture(scope="session")
-def barred_codes():
-    return {text: int(code) for code, text in BARRED_TEXT.items()}
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,7 @@ from survey_pairs import COLS, ROWS, survey
 import bumpymap
 from bumpymap.core import CHANGE_KINDS, BadInputError, OutputError, UsageError
 from bumpymap.views import write_report
-from bumpymap.views.page.change_page import NOT_COMPARED, ChangeSite
+from bumpymap.views.page.change_page import NOT_COMPARED
 from bumpymap.views.words import area
 
 
@@ -24,9 +24,9 @@ def band(folder, name):
         return file.read(file.descriptions.index(name) + 1)
 
 
-def number_of(row):
-    """The number of the place in a row of the table."""
-    return re.match(r"\d+", row[0])[0]
+def places_of(page):
+    """Rows of the table of places, by the number of the place."""
+    return {re.match(r"\d+", row[0])[0]: row for row in Outline(page.text).tables["Places that have changed"][1:]}
 
 
 def test_tables_equal_the_counts_of_the_record(comparison, read_page):
@@ -51,14 +51,14 @@ def test_tables_equal_the_counts_of_the_record(comparison, read_page):
 def test_places_are_those_of_the_features(comparison, read_page):
     page = read_page(comparison / "report.html")
     features = json.loads((comparison / "change.geojson").read_text())["features"]
-    rows = Outline(page.text).tables["Places that have changed"][1:]
-    assert [int(row[2]) for row in rows] == sorted((f["properties"]["tiles"] for f in features), reverse=True)
+    rows = places_of(page)
+    assert [int(row[2]) for row in rows.values()] == sorted((f["properties"]["tiles"] for f in features), reverse=True)
     by_number = {str(feature["id"]): feature["properties"] for feature in features}
     to_lonlat = Transformer.from_crs("EPSG:32614", "OGC:CRS84", always_xy=True)
     spots = {spot["name"]: spot for spot in page.data["maps"][0]["places"]}
-    assert set(spots) == set(by_number) == {number_of(row) for row in rows}
-    for row in rows:
-        about, spot = by_number[number_of(row)], spots[number_of(row)]
+    assert set(spots) == set(by_number) == set(rows)
+    for number, row in rows.items():
+        about, spot = by_number[number], spots[number]
         assert f"rougher in {about['rougher']}" in page.text or about["rougher"] in {0, about["tiles"]}
         assert float(row[3]) == pytest.approx(about["d_height"], abs=0.0051)
         assert float(row[8]) == pytest.approx(about["d_c_r"], abs=0.00051)
@@ -94,34 +94,28 @@ def test_nothing_found_and_nothing_compared_are_not_the_same(may, tmp_path, read
 
 
 @pytest.mark.parametrize("step", [2, 7])
-def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, monkeypatch, step):
+def test_a_change_is_seen_in_a_pixel_of_several_tiles(comparison, tmp_path, monkeypatch, read_page, step):
     import bumpymap.views.page.change_page as module
 
-    record = json.loads((comparison / "change.json").read_text())
-    one = ChangeSite.read(comparison, record)
-    rows, cols = one.kinds.shape
-    monkeypatch.setattr(module, "_SIDE", -(-max(rows, cols) // step))
+    fine = read_page(comparison / "report.html").codes("ground")
+    monkeypatch.setattr(module, "_SIDE", -(-max(fine.shape) // step))
     monkeypatch.setattr(module, "_STRIP_TILES", 100)
-    many = ChangeSite.read(comparison, record)
-    assert many.spot.step == step
-    grid = many.grids[0]
-    root = np.where(grid.codes == 255, np.nan, grid.low + grid.step * grid.codes)
-    shown = root * np.abs(root)
+    page = read_page(write_report(comparison, tmp_path / "coarse.html"))
+    assert page.data["maps"][0]["metres"] == 3 * step
+    kinds, (shown, _) = page.codes("ground"), page.values("d_height")
     heights = np.where(np.isfinite(band(comparison, "changed")), band(comparison, "d_height"), np.nan)
-    for row, line in enumerate(many.kinds):
-        for col, kind in enumerate(line):
-            part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
-            tiles = one.kinds[part]
-            changed = tiles[(tiles > 0) & (tiles != NOT_COMPARED)]
-            if len(changed):
-                assert kind == next(code for code in (2, 4, 3, 1) if code in changed)
-            else:
-                assert kind == tiles.max()
-                if kind == NOT_COMPARED:
-                    assert np.isnan(shown[row, col])
-                    continue
-            farthest = np.nanmax(np.abs(heights[part]))
-            assert abs(shown[row, col]) == pytest.approx(farthest, abs=0.01)
+    for row, col in np.ndindex(kinds.shape):
+        part = np.s_[row * step : (row + 1) * step, col * step : (col + 1) * step]
+        tiles = fine[part]
+        changed = tiles[(tiles > 0) & (tiles != NOT_COMPARED)]
+        if len(changed):
+            assert kinds[row, col] == next(code for code in (2, 4, 3, 1) if code in changed)
+        else:
+            assert kinds[row, col] == tiles.max()
+        if kinds[row, col] == NOT_COMPARED:
+            assert np.isnan(shown[row, col])
+        else:
+            assert abs(shown[row, col]) == pytest.approx(np.nanmax(np.abs(heights[part])), abs=0.01)
 
 
 def test_the_page_made_again_has_the_same_bytes(comparison, tmp_path):
@@ -163,8 +157,8 @@ def test_without_a_crs(tmp_path, read_page):
     ]
     change = bumpymap.diff_surveys(*sides, tmp_path / "out")
     page = read_page(change.folder / "report.html")
-    row = Outline(page.text).tables["Places that have changed"][1]
-    (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number_of(row)]
+    number, row = next(iter(places_of(page).items()))
+    (spot,) = [spot for spot in page.data["maps"][0]["places"] if spot["name"] == number]
     west, north = float(row[-2]), float(row[-1])
     assert abs(west - spot["east"]) <= spot["size"][0] / 2
     assert abs(north - spot["north"]) <= spot["size"][1] / 2

@@ -67,8 +67,7 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
 def test_the_policy_of_the_page_stops_requests(visit, pages):
     """That no request is seen means something: one that is tried is refused, and complained about."""
     page = visit(pages["one"])
-    refused = page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')")
-    assert refused == "refused"
+    assert page.evaluate("fetch('https://example.invalid/').then(() => 'sent', () => 'refused')") == "refused"
     assert any("Content Security Policy" in text for text in page.complaints)
     assert outside(page) == []
 
@@ -113,96 +112,45 @@ def test_layers_change_by_keyboard_with_their_legends(visit, pages):
     assert len({chosen for chosen, _ in seen}) == len({picture for _, picture in seen}) == 7
 
 
-def test_the_pointer_reads_what_the_grids_hold(visit, pages, read_page):
-    page = visit(pages["one"])
-    about = read_page(pages["one"])
-    ground, (c_r, _) = about.codes("ground"), about.values("c_r")
-    row, col = (int(place[0]) for place in np.nonzero(ground == 2))
-    text = page.evaluate(
-        """([col, row]) => { const map = window.reportMaps[0];
-        const metres = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres];
-        map.read([0, 1].map((i) => (metres[i] - map.middle[i]) * map.scale + [map.width, map.height][i] / 2));
-        return map.readout.textContent; }""",
-        [col, row],
-    )
-    assert "class 2 rough" in text
-    assert f"ride cost C_r {c_r[row, col]:.3f} rad/m" in text
-    unknown = [int(place[0]) for place in np.nonzero((ground >= 16) & (ground < 255))]
-    colour = page.evaluate(
-        """([row, col]) => { const map = window.reportMaps[0];
-        for (const box of document.querySelectorAll('input[type=checkbox]')) box.checked = false;
-        for (const key of ['class', 'c_r', 'slope', 'barred', 'none']) {
-          document.querySelector(`input[value=${key}]`).checked = true;
-          map.draw();
-          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
-          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
-          const found = map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data;
-          if (Math.max(...found.slice(0, 3)) - Math.min(...found.slice(0, 3)) > 2) return key;
-        } return 'grey'; }""",
-        unknown,
-    )
-    assert colour == "grey", f"unknown ground has a colour in the layer {colour}"
-
-
-def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_what_nobody_knows_is_grey(visit, pages, read_page):
-    """In every colouring; smooth ground is blue, and steep ground fails no more drives than other."""
-    page = visit(pages["one"])
+def test_what_cannot_be_crossed_is_hatched_unless_switched_off_and_dark_where_tiles_are_too_small(
+    visit, pages, read_page
+):
+    """In every colouring, also where smooth ground is blue."""
     about = read_page(pages["one"])
     ground, barred = about.codes("ground"), about.codes("barred")
-    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred > 1)))
-    look = """([row, col, keys]) => { const map = window.reportMaps[0];
-        const side = map.about.metres * map.scale * map.dense;
-        const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
-        const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
-        return keys.map((key) => {
-          const radio = document.querySelector(`input[type=radio][value=${key}]`);
-          if (radio) radio.checked = true;
-          map.draw();
-          return [...map.context.getImageData(left + 2, top + 2, side - 4, side - 4).data];
-        }); }"""
-    for key in ("objects", "relief"):
-        page.uncheck(f"input[value={key}]")
-    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
-
-    def dark(found):
-        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for one in found]
-
-    lines = dark(page.evaluate(look, [row, col, keys]))
-    page.uncheck("input[value=barred][type=checkbox]")
-    plain = dark(page.evaluate(look, [row, col, keys]))
-    assert all(here > there + 0.04 for here, there in zip(lines, plain, strict=True))
-    row, col = (int(place[0]) for place in np.nonzero((ground < 2) & (barred == 0)))
-    page.evaluate(
-        """([row, col]) => { const map = window.reportMaps[0];
-        map.barred[row * map.about.cols + col] = 1;
-        map.layers = {};
-        map.masks.unknown = map.tiles((at) => map.isUnknown(at) && [178, 178, 178, 255]); }""",
-        [row, col],
-    )
-    for one in page.evaluate(look, [row, col, keys]):
-        assert np.ptp(np.reshape(one, (-1, 4))[:, :3], axis=1).max() < 3
-
-
-def test_every_tile_that_cannot_be_crossed_is_dark_when_tiles_are_too_small_for_lines(visit, pages, read_page):
-    page = visit(pages["one"], PHONE)
-    about = read_page(pages["one"])
-    ground, barred = about.codes("ground"), about.codes("barred")
-    for key in ("objects", "relief"):
-        page.uncheck(f"input[value={key}]")
-    page.evaluate("window.reportMaps[0].zoom(0.4)")
-    look = """(places) => { const map = window.reportMaps[0];
-        return places.map(([row, col]) => {
-          const x = ((col + 0.5) * map.about.metres - map.middle[0]) * map.scale + map.width / 2;
-          const y = ((row + 0.5) * map.about.metres - map.middle[1]) * map.scale + map.height / 2;
-          return [...map.context.getImageData(x * map.dense, y * map.dense, 1, 1).data].slice(0, 3);
-        }); }"""
     closed, free = (
         np.argwhere((ground < 2) & chosen).tolist() for chosen in ((barred > 1) & (barred < 255), barred == 0)
     )
     assert len(closed) > 20 < len(free)
-    assert page.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
-    assert np.max(page.evaluate(look, closed)) < 140
-    assert np.min(np.max(page.evaluate(look, free), axis=1)) > 160
+    look = """([places, keys]) => { const map = window.reportMaps[0];
+        const side = map.about.metres * map.scale * map.dense, margin = Math.min(2, side / 4);
+        return keys.map((key) => {
+          document.querySelector(`input[type=radio][value=${key}]`).checked = true;
+          map.draw();
+          return places.map(([row, col]) => {
+            const left = (col * map.about.metres - map.middle[0]) * map.scale * map.dense + map.canvas.width / 2;
+            const top = (row * map.about.metres - map.middle[1]) * map.scale * map.dense + map.canvas.height / 2;
+            const size = Math.max(1, side - 2 * margin);
+            return [...map.context.getImageData(left + margin, top + margin, size, size).data];
+          });
+        }); }"""
+    page, far = visit(pages["one"]), visit(pages["one"], PHONE)
+    for key in ("objects", "relief"):
+        page.uncheck(f"input[value={key}]")
+        far.uncheck(f"input[value={key}]")
+    far.evaluate("window.reportMaps[0].zoom(0.4)")
+    assert far.evaluate("window.reportMaps[0].scale * window.reportMaps[0].about.metres") < 6
+    assert max(np.reshape(one, (-1, 4))[:, :3].max() for one in far.evaluate(look, [closed, ["class"]])[0]) < 140
+    assert min(np.reshape(one, (-1, 4))[:, :3].max() for one in far.evaluate(look, [free, ["class"]])[0]) > 160
+    keys = ["class", "c_r", "p_fail", "slope", "cost", "barred", "none"]
+
+    def dark():
+        found = page.evaluate(look, [closed[:1], keys])
+        return [(np.reshape(one, (-1, 4))[:, :3].max(axis=1) < 70).mean() for (one,) in found]
+
+    lines = dark()
+    page.uncheck("input[value=barred][type=checkbox]")
+    assert all(here > there + 0.04 for here, there in zip(lines, dark(), strict=True))
 
 
 def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
@@ -215,7 +163,7 @@ def test_a_reader_without_scripts_sees_the_map_and_the_tables(visit, pages):
 
 POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
     document.querySelector(`input[value=${key}]`).click();
-    document.querySelector('input[value=places]').checked = false;
+    for (const box of document.querySelectorAll('input[type=checkbox]')) box.checked = false;
     map.draw();
     const at = [(col + 0.5) * map.about.metres, (row + 0.5) * map.about.metres]
       .map((metres, i) => (metres - map.middle[i]) * map.scale + [map.width, map.height][i] / 2);
@@ -224,28 +172,38 @@ POINT_AT = """([row, col, key]) => { const map = window.reportMaps[0];
     return [map.readout.textContent, [...pixel.slice(0, 3)]]; }"""
 
 
-def test_the_pointer_reads_what_has_changed(visit, pages, read_page):
+def first(chosen):
+    """Row and column of the first pixel that is chosen."""
+    return [int(place[0]) for place in np.nonzero(chosen)]
+
+
+def test_the_pointer_reads_what_the_grids_hold_and_unknown_ground_is_grey(visit, pages, read_page):
+    page, about = visit(pages["one"]), read_page(pages["one"])
+    ground, (c_r, _) = about.codes("ground"), about.values("c_r")
+    row, col = first(ground == 2)
+    text, _ = page.evaluate(POINT_AT, [row, col, "class"])
+    assert "class 2 rough" in text
+    assert f"ride cost C_r {c_r[row, col]:.3f} rad/m" in text
+    for key in ("class", "c_r", "slope", "barred", "none"):
+        _, colour = page.evaluate(POINT_AT, [*first((ground >= 16) & (ground < 255)), key])
+        assert np.ptp(colour) <= 2, f"unknown ground has a colour in the layer {key}"
+
+
+def test_the_pointer_reads_what_has_changed_and_what_is_not_compared_never_looks_unchanged(visit, pages, read_page):
     page, about = visit(pages["change"]), read_page(pages["change"])
     kinds, (heights, _), (rides, _) = about.codes("ground"), about.values("d_height"), about.values("d_c_r")
-    row, col = (int(place[0]) for place in np.nonzero(kinds == 2))
+    row, col = first(kinds == 2)
     text, colour = page.evaluate(POINT_AT, [row, col, "changed"])
     assert "· rougher ·" in text
     assert f"height after minus before {heights[row, col]:.2f} m" in text
     assert f"ride cost C_r after minus before +{rides[row, col]:.3f} rad/m" in text
     assert colour == about.data["codes"]["classColours"][2][:3]
-    calm = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isfinite(rides))]
-    assert page.evaluate(POINT_AT, [*calm, "changed"])[1] == about.data["codes"]["classColours"][0][:3]
-
-
-def test_ground_that_is_not_compared_never_looks_unchanged(visit, pages, read_page):
-    page, about = visit(pages["change"]), read_page(pages["change"])
-    kinds, (rides, _) = about.codes("ground"), about.values("d_c_r")
-    left_out = [int(place[0]) for place in np.nonzero(kinds == 16)]
-    no_ride = [int(place[0]) for place in np.nonzero((kinds == 0) & np.isnan(rides))]
+    calm = page.evaluate(POINT_AT, [*first((kinds == 0) & np.isfinite(rides)), "changed"])
+    assert calm[1] == about.data["codes"]["classColours"][0][:3]
+    left_out, no_ride = first(kinds == 16), first((kinds == 0) & np.isnan(rides))
     for place, key in ((left_out, "changed"), (left_out, "d_height"), (left_out, "d_c_r"), (no_ride, "d_c_r")):
         text, colour = page.evaluate(POINT_AT, [*place, key])
-        assert max(colour) - min(colour) <= 2, key  # grey
+        assert np.ptp(colour) <= 2, key  # grey
         assert max(colour) <= 180, key  # darker than white, which means no difference
         if place == left_out:
             assert "not compared: may have changed or not" in text
-            assert "not changed" not in text

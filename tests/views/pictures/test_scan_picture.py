@@ -25,15 +25,8 @@ def pixel(x, y, reach=RANGE):
     return int(np.floor((reach - x) * SIDE / (2 * reach))), int(np.floor((reach - y) * SIDE / (2 * reach)))
 
 
-def without_points(classed):
-    return replace(classed, sectors=replace(classed.sectors, **dict.fromkeys(POINT_FIELDS, np.zeros(0, np.int32))))
-
-
-POINT_FIELDS = ("point_sector", "point_ground", "point_height")
-
-
-def with_obstacle(classed, obstacle):
-    return replace(classed, sectors=replace(classed.sectors, obstacle=obstacle))
+def with_sectors(classed, **changes):
+    return replace(classed, sectors=replace(classed.sectors, **changes))
 
 
 def with_wall(scan, classed):
@@ -44,7 +37,7 @@ def with_wall(scan, classed):
     inside = stack.point_sector[wall]
     obstacle = np.isin(np.arange(len(stack.zone)), inside[inside >= 0])
     ground = stack.point_ground & ~wall
-    return replace(classed, sectors=replace(stack, point_height=height, obstacle=obstacle, point_ground=ground)), wall
+    return with_sectors(classed, point_height=height, obstacle=obstacle, point_ground=ground), wall
 
 
 def test_the_file_holds_what_was_painted_and_the_same_bytes_every_time(scan, classed, tmp_path):
@@ -77,17 +70,17 @@ def test_what_is_ground_decides_the_style_of_a_point_not_its_sector(scan, classe
     height, ground = stack.point_height.copy(), stack.point_ground.copy()
     height[inside] = [0.02, 0.1, 0.8, 3.0]
     ground[inside] = [True, False, False, False]
-    styles = point_styles(replace(classed, sectors=replace(stack, point_height=height, point_ground=ground)))
+    styles = point_styles(with_sectors(classed, point_height=height, point_ground=ground))
     assert styles[inside].tolist() == [classed.class_id[stack.point_sector[inside[0]]], 4, 3, 4]
 
 
 def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obstacles(scan, classed):
     """Painted without points: around the middle of a sector, off the range rings, is the hue of its class."""
-    with_obstacles, _ = with_wall(scan, classed)
-    stack = classed.sectors
+    nothing = dict.fromkeys(("point_sector", "point_ground", "point_height"), np.zeros(0, np.int32))
+    stack, barred = classed.sectors, with_wall(scan, classed)[0].sectors.obstacle
     plain, hatched = (
-        paint(Scan(np.zeros((0, 3), np.float32)), without_points(own)).astype(float)
-        for own in (with_obstacle(classed, np.zeros(len(classed.class_id), np.bool_)), with_obstacles)
+        paint(Scan(np.zeros((0, 3), np.float32)), with_sectors(classed, obstacle=own, **nothing)).astype(float)
+        for own in (np.zeros_like(barred), barred)
     )
     paper = plain[5, SIDE + 5]
     bounds = sector_bounds(stack)
@@ -101,7 +94,7 @@ def test_ground_between_points_has_a_shade_of_its_sector_and_red_lines_over_obst
             wanted = paper + 0.42 * (SCAN_COLOURS[class_id] - paper)
             off += np.abs(plain[place] - wanted).max() > 1.5
         changed = (plain[around] != hatched[around]).any()
-        assert changed or not with_obstacles.sectors.obstacle[number]
+        assert changed or not barred[number]
     assert off <= 0.02 * len(classed.class_id)  # under the words of the range rings
 
 
@@ -118,7 +111,7 @@ def test_the_legend_has_a_swatch_of_every_style_and_says_when_there_is_nothing(s
 def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it(classed):
     stack = classed.sectors
     obstacle = np.arange(len(stack.zone)) % 3 == 0
-    states = sector_states(with_obstacle(classed, obstacle))
+    states = sector_states(with_sectors(classed, obstacle=obstacle))
     for number, state in enumerate(states):
         class_id = classed.class_id[number]
         wanted = "not ground" if class_id == 255 else "obstacle" if obstacle[number] else "free"
@@ -127,11 +120,7 @@ def test_a_sector_is_free_only_if_it_is_smooth_or_fair_ground_with_nothing_on_it
 
 def test_far_points_and_strange_grids_are_no_trouble():
     points = np.array([[1e30, 0, 0], [-1e30, 3, 0], [0, 1e6, 0], [5, 5, 0], [0.1, 0, 9]], np.float32)
-    for settings in (
-        PolarSettings(),
-        PolarSettings((0.0,), 0.5, (3,), (1,)),
-        PolarSettings((0.0,), 9000.0, (3,), (1,)),
-    ):
-        scan = Scan(points)
-        for range_m in (1.0, 1000.0):
-            assert paint(scan, classify_filter(polar_sectors(scan, settings)), range_m).shape[0] == SIDE
+    scan = Scan(points)
+    for far_m, range_m in ((0.5, 1000.0), (9000.0, 1.0)):
+        sectors = polar_sectors(scan, PolarSettings((0.0,), far_m, (3,), (1,)))
+        assert paint(scan, classify_filter(sectors), range_m).shape[0] == SIDE
