@@ -17,7 +17,7 @@ from scenes import (
     wall,
 )
 
-from bumpymap.core import CANOPY, FREE, OBSTACLE, VehicleBody
+from bumpymap.core import OBSTACLE, VehicleBody
 from bumpymap.patches import settle_solids
 from bumpytiles import Grid
 
@@ -45,7 +45,7 @@ def test_a_solid_seen_only_from_above_is_closed(name, density, least, noise):
     assert found.barred == 0
 
 
-@pytest.mark.parametrize("density", [200, 50, 20, 8, 4])
+@pytest.mark.parametrize("density", [200, 20, 4])
 @pytest.mark.parametrize("name", ["open ground", "ditch", "ramp", "bank 0.4 m"])
 @pytest.mark.parametrize("classified", [True, False])
 def test_level_ground_is_free_at_any_density_and_noise(name, density, classified):
@@ -104,18 +104,6 @@ def test_a_fence_seen_here_and_there_is_one_line():
     row, cols = len(image) - 1 - int(-south / 0.2), slice(int((-5.5 - west) / 0.2), int((5.5 - west) / 0.2))
     line = image[row - 1 : row + 2, cols] == OBSTACLE
     assert np.all(line.any(axis=0))
-
-
-@pytest.mark.parametrize("gap", [0.0, 2.0])
-def test_a_ring_of_wall_is_open_only_where_its_gap_is(gap):
-    from scipy import ndimage
-
-    for seed in range(3):
-        image, west, south = seen_pixels(survey_scene(ring(gap), 50, seed=seed, margin=3.0, noise=0.03), BODY)
-        ways, _ = ndimage.label((image == FREE) | (image == CANOPY))
-        middle = ways[len(image) - 1 - int(-south / 0.2), int(-west / 0.2)]
-        outside = ways[len(image) - 1 - int((-8 - south) / 0.2), int((-8 - west) / 0.2)]
-        assert (middle == outside) == (gap > 0)
 
 
 def test_a_pixel_is_the_same_wherever_a_block_is_cut_out():

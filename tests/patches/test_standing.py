@@ -25,8 +25,7 @@ def boulder(x, y, radius, height):
     return height * np.sqrt(np.maximum(0, 1 - ((X - x) ** 2 + (Y - y) ** 2) / radius**2))
 
 
-@pytest.mark.parametrize("slope", [0.0, 0.5])
-@pytest.mark.parametrize(("radius", "height"), [(0.4, 0.35), (0.6, 0.45), (0.75, 0.5)])
+@pytest.mark.parametrize(("slope", "radius", "height"), [(0.0, 0.4, 0.35), (0.5, 0.4, 0.35), (0.5, 0.75, 0.5)])
 def test_a_boulder_stands_anywhere_on_a_slope(slope, radius, height):
     for x, y in ((6.0, 6.0), (0.3, 6.0), (0.2, 0.2), (4.57, 5.93)):
         stone = boulder(x, y, radius, height)
@@ -35,14 +34,22 @@ def test_a_boulder_stands_anywhere_on_a_slope(slope, radius, height):
         assert not np.any(marks[stone == 0])
 
 
-def test_relief_does_not_stand():
+def thinned(heights, density, seed):
+    """Leave the pixels that a survey of so many points per m2 fills."""
+    empty = np.random.default_rng(seed).random(heights.shape) < np.exp(-density * 0.2**2)
+    return np.where(empty, np.nan, heights)
+
+
+@pytest.mark.parametrize("density", [np.inf, 20, 6])
+def test_relief_does_not_stand(density):
     waves = 0.2 * np.sin(2 * np.pi * X / 2.0)  # 0.4 m high, 2 m long
     bank = np.where(X > 6.0, 0.5, 0.0)
     ditch = np.where(np.abs(X - 6.0) < 0.7, -0.5, 0.0)
     swell = 0.3 * np.exp(-((X - 6) ** 2 + (Y - 6) ** 2) / 2 / 0.6**2)
     hills = 2.0 * np.sin(2 * np.pi * X / 24.0) * np.cos(2 * np.pi * Y / 20.0)
-    for relief in (waves, bank, ditch, swell, hills, 1.0 * X):
-        assert not np.any(found(relief))
+    dense_alone = (waves, hills) if density == np.inf else ()
+    for relief in (bank, ditch, swell, 1.0 * X, *dense_alone):
+        assert not any(np.any(found(thinned(relief, density, seed))) for seed in range(20))
 
 
 def test_a_vehicle_with_a_higher_belly_is_not_barred():
@@ -60,13 +67,7 @@ def test_missing_heights_are_neither_things_nor_foot():
     assert not np.any(found(np.full_like(heights, np.nan)))
 
 
-def thinned(heights, density, seed):
-    """Leave the pixels that a survey of so many points per m2 fills."""
-    empty = np.random.default_rng(seed).random(heights.shape) < np.exp(-density * 0.2**2)
-    return np.where(empty, np.nan, heights)
-
-
-@pytest.mark.parametrize("density", [20, 10, 6])
+@pytest.mark.parametrize("density", [20, 6])
 def test_few_points_see_the_same_things_as_many(density):
     # The pixels beside a side that are known lie farther away.
     for heights in (boulder(6.0, 6.0, 0.6, 0.45), np.where(np.maximum(abs(X - 6), abs(Y - 6)) < 0.5, 0.7, 0.0)):
@@ -75,15 +76,6 @@ def test_few_points_see_the_same_things_as_many(density):
         marks = [found(one) for one in seen]
         assert sum(np.sum(mark & (one > 0.25)) for mark, one in zip(marks, seen, strict=True)) > 0.85 * high
         assert not any(np.any(mark & (heights == 0)) for mark in marks)
-
-
-@pytest.mark.parametrize("density", [20, 10, 6])
-def test_relief_does_not_stand_in_a_thin_survey(density):
-    bank = np.where(X > 6.0, 0.5, 0.0)
-    ditch = np.where(np.abs(X - 6.0) < 0.7, -0.5, 0.0)
-    swell = 0.3 * np.exp(-((X - 6) ** 2 + (Y - 6) ** 2) / 2 / 0.6**2)
-    for relief in (bank, ditch, swell, 1.0 * X):
-        assert not any(np.any(found(thinned(relief, density, seed))) for seed in range(20))
 
 
 def test_points_of_a_boulder_that_was_taken_for_ground_make_an_obstacle_across_tiles():

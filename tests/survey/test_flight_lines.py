@@ -48,8 +48,7 @@ def compared(points):
     return compare_lines(sums, adjust=True), steps_between_lines(LineCells.of(sums))
 
 
-@pytest.mark.parametrize("step", [0.04, -0.04, 0.3])
-@pytest.mark.parametrize("density", [4, 20, 60])
+@pytest.mark.parametrize(("step", "density"), [(0.04, 4), (-0.04, 20), (0.3, 60)])
 def test_a_constant_step_is_told_and_taken_off(step, density):
     found, steps = compared(strips([constant(0.0), constant(step)], density=density))
     (pair,) = found.pairs
