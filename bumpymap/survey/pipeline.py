@@ -1,7 +1,7 @@
 """The main job, step by step: surveys in, rated tiles and their files out."""
 
+from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from bumpymap.core import (
     CostTable,
@@ -81,7 +81,10 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             # A continued run may replace what it could replace when it began: if it was killed between moving its
             # layers to their places and clearing up, they are its own.
             check_folder(config.out, overwrite=overwrite or unfinished)
-        models, inputs, run_spec, neighbours = _prepare(config, budget, crs_must_agree=not in_batch)
+        models, inputs, neighbours = _prepare(config, crs_must_agree=not in_batch)
+        # A setting without effect is none of the run: a batch that gives it for one survey begins no other anew.
+        config = replace(config, local=config.local and inputs.georeference.crs is None)
+        run_spec = describe_run(config, inputs, models, budget)
     if keeps:
         try:
             return earlier_result(config, run_spec, rates_thin=neighbours.rates_thin)
@@ -124,11 +127,9 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
     return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin)
 
 
-def _prepare(
-    config: MapConfig, budget: Budget, *, crs_must_agree: bool
-) -> tuple[RatingModels, SurveyInputs, dict[str, Any], NeighbourRating]:
-    """Load the models, open the surveys, and return them with what the results depend on."""
+def _prepare(config: MapConfig, *, crs_must_agree: bool) -> tuple[RatingModels, SurveyInputs, NeighbourRating]:
+    """Load the models and open the surveys."""
     require_cloth(config)
     models = RatingModels.load(config)
     inputs = SurveyInputs.open(config, crs_must_agree=crs_must_agree)
-    return models, inputs, describe_run(config, inputs, models, budget), NeighbourRating.of(config, models)
+    return models, inputs, NeighbourRating.of(config, models)
