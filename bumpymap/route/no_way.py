@@ -38,11 +38,16 @@ def what_closes(ground: CostGround, start: Floats, goal: Floats) -> str:
     site, window, grid = ground.site, ground.site.window, ground.site.grid
     if window.cols * window.rows > ground.memory_tiles:
         return ""
-    cost = ground.on_tiles(window, through=False)
-    ends = (place_in_window(end, grid, window) for end in (start, goal))
-    first, second = (np.isfinite(spread(cost, end, margin=ground.margin)[0]) for end in ends)
-    if not (first.any() and second.any()):
+    ends = [place_in_window(end, grid, window) for end in (start, goal)]
+    for through in (False, True):  # a point between obstacles lies in a tile that is closed as a whole
+        cost = ground.on_tiles(window, through=through)
+        first, second = (np.isfinite(spread(cost, end, margin=ground.margin)[0]) for end in ends)
+        if first.any() and second.any():
+            break
+    else:
         return ""
+    if (first & second).any():
+        return f"The obstacles between them leave no opening as wide as the vehicle needs, {needed:.1f} m. "
     apart, (rows, cols) = ndimage.distance_transform_edt(~second, return_indices=True)
     row, col = np.unravel_index(np.where(first, apart, np.inf).argmin(), first.shape)
     closest = np.array([[row, col], [rows[row, col], cols[row, col]]]) + 0.5

@@ -14,6 +14,7 @@ from bumpymap.cli import main
 from bumpymap.core import Barred
 from bumpymap.route.ground import CostGround, sample_line
 from bumpymap.route.measure import measure_way
+from bumpymap.route.no_way import what_closes
 from bumpymap.route.settings import CostSettings
 from bumpymap.route.why import look_straight_ahead
 
@@ -90,3 +91,26 @@ def test_the_command_its_files_and_the_page_say_it(tmp_path):
     assert math.dist((straight["turns"][0]["x"], 0.0), (float(place(12.5, 15.5).split(",")[0]), 0.0)) < 1e-6
     way = json.loads((out / "route.geojson").read_text())["features"][0]["properties"]
     assert way["why"] == said
+
+
+def no_way(made, first, last):
+    made.has_crs, made.to_crs = False, lambda x, y: (x, y)
+    return what_closes(CostGround(made, CostSettings(), 10**6), made.at(*first), made.at(*last))
+
+
+def test_without_a_way_the_place_where_both_sides_come_closest_is_told():
+    c_r, barred = field()
+    barred[:, 18:21] = Barred.SLOPE
+    said = no_way(TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5))
+    assert "come closest at crs:480058.50" in said
+    assert "12 m from tile to tile, where there is: too steep" in said
+
+
+def test_a_start_between_obstacles_does_not_silence_it():
+    c_r, barred = field()
+    barred[:, 18:21], barred[3:6, 2:5] = Barred.SLOPE, Barred.SPLIT
+    assert "come closest" in no_way(TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5))
+    barred[:, 18:21], barred[:, 10] = Barred.NO, Barred.OBSTACLE
+    assert "leave no opening as wide as the vehicle needs, 1.6 m" in no_way(
+        TileMap(c_r, barred), (4.5, 3.5), (4.5, 30.5)
+    )
