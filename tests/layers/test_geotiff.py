@@ -4,6 +4,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
+from cost_maps import part_of
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
@@ -234,6 +235,29 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
     decided = (counts == counts.max(axis=0)).sum(axis=0) == 1
     assert decided.mean() > 0.5
     np.testing.assert_array_equal(small[decided], np.array([*range(4), NO_CLASS])[counts.argmax(axis=0)[decided]])
+
+
+@pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
+def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_field, monkeypatch, small):
+    """They are made before it is converted; blocks without values take no room."""
+    monkeypatch.setattr(_cog, "SMALL", small)
+    cost_map = make_field(520, 260, grid=Grid(3.0, 1))
+    inside = (cost_map.patches.col - cost_map.patches.col.min()) < 64
+    cost_map = part_of(cost_map, inside | (cost_map.patches.col == cost_map.patches.col.max()))
+    WRITERS["roughness"](cost_map, tmp_path / "one.tif")
+    monkeypatch.setattr(_cog, "OVERVIEWS_FIRST_FROM", 0)
+    WRITERS["roughness"](cost_map, tmp_path / "two.tif")
+    assert cog_validate(tmp_path / "two.tif", strict=True)[:2] == (True, [])
+    assert (tmp_path / "two.tif").stat().st_size < (tmp_path / "one.tif").stat().st_size + 1000
+    for level in (None, 0, 1):
+        options = {} if level is None else {"overview_level": level}
+        with (
+            rasterio.open(tmp_path / "one.tif", **options) as one,
+            rasterio.open(tmp_path / "two.tif", **options) as two,
+        ):
+            np.testing.assert_array_equal(one.read(), two.read())
+            assert [one.tags(band) for band in one.indexes] == [two.tags(band) for band in two.indexes]
+            assert one.overviews(1) == two.overviews(1)
 
 
 @pytest.mark.parametrize("scratch", [0, 1 << 30], ids=["on disk", "in memory"])
