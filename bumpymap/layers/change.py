@@ -36,6 +36,8 @@ __all__ = [
 
 _COMPARED_BANDS = ("c_r", "c_r_low", "c_r_high", "density", "coverage")
 _MUST_AGREE = "Map both with the same settings"
+_MOST_TILES = 100_000_000
+"""Most tiles that are compared: the values of all of them are in memory, 44 bytes a tile and what follows from them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +86,7 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     ------
     BadInputError
         A folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating or in which points
-        are ground; or they have no place in common.
+        are ground; or they have no place in common, or one of too many tiles.
     """
     first, second = open_map(before), open_map(after)
     if found := _differences(first, second):  # they would not be differences between the surveys
@@ -95,6 +97,11 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     if window is None:
         raise BadInputError(
             f"{before} and {after} have no place in common: they are surveys of two sites. Give two surveys of one site"
+        )
+    if window.cols * window.rows > _MOST_TILES:
+        raise BadInputError(
+            f"{before} and {after} have {window.cols * window.rows:,} tiles in common, with those between them; "
+            f"{_MOST_TILES:,} can be compared. Map the same part of both surveys, and compare these"
         )
     return SurveyPair(first, second, window)
 

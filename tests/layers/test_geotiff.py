@@ -4,6 +4,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 import rasterio
+from cost_maps import part_of
 from pyproj import CRS
 from rio_cogeo import cog_validate
 
@@ -23,6 +24,7 @@ from bumpymap.core.types import (
     ObjectStack,
     Reason,
 )
+from bumpymap.layers import _cog
 from bumpymap.layers._cog import checksum, require_intact
 from bumpymap.layers.colours import BARRED_COLOURS, CLASS_COLOURS, OBJECT_COLOURS, REASON_COLOURS
 from bumpymap.layers.geotiff import write_raster
@@ -196,6 +198,29 @@ def test_overviews_average_and_most_frequent(tmp_path, make_field):
     decided = (counts == counts.max(axis=2, keepdims=True)).sum(axis=2) == 1
     assert decided.mean() > 0.5
     np.testing.assert_array_equal(small[decided], codes[counts.argmax(axis=2)[decided]])
+
+
+@pytest.mark.parametrize("small", [0, 1 << 30], ids=["on disk", "in memory"])
+def test_a_large_raster_of_several_bands_has_the_same_overviews(tmp_path, make_field, monkeypatch, small):
+    """They are made before it is converted; blocks without values take no room."""
+    monkeypatch.setattr(_cog, "SMALL", small)
+    cost_map = make_field(520, 260, grid=Grid(3.0, 1))
+    inside = (cost_map.patches.col - cost_map.patches.col.min()) < 64
+    cost_map = part_of(cost_map, inside | (cost_map.patches.col == cost_map.patches.col.max()))
+    WRITERS["roughness"](cost_map, tmp_path / "one.tif")
+    monkeypatch.setattr(_cog, "OVERVIEWS_FIRST_FROM", 0)
+    WRITERS["roughness"](cost_map, tmp_path / "two.tif")
+    assert cog_validate(tmp_path / "two.tif", strict=True)[:2] == (True, [])
+    assert (tmp_path / "two.tif").stat().st_size < (tmp_path / "one.tif").stat().st_size + 1000
+    for level in (None, 0, 1):
+        options = {} if level is None else {"overview_level": level}
+        with (
+            rasterio.open(tmp_path / "one.tif", **options) as one,
+            rasterio.open(tmp_path / "two.tif", **options) as two,
+        ):
+            np.testing.assert_array_equal(one.read(), two.read())
+            assert [one.tags(band) for band in one.indexes] == [two.tags(band) for band in two.indexes]
+            assert one.overviews(1) == two.overviews(1)
 
 
 def test_unknown_ground_is_unknown_in_overviews_too(tmp_path, make_field):
