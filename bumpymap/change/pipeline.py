@@ -429,7 +429,7 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
     return {
         "tiles": len(kinds),
         "area_m2": round(len(kinds) * area_m2, 3),
-        "kind": _kind(kinds),
+        "kind": CHANGE_KINDS[max(_FIRST, key=lambda kind: int((kinds == kind).sum()))],
         **{CHANGE_KINDS[kind].replace(",", "").replace(" ", "_"): int((kinds == kind).sum()) for kind in _KINDS},
         "d_height": _number(heights.mean()),
         "d_height_lowest": _number(heights.min()),
@@ -445,12 +445,6 @@ def _describe(tiles: Mapping[str, NDArray[Any]], area_m2: float) -> dict[str, An
 _KINDS = range(1, len(CHANGE_KINDS))
 _FIRST = (2, 4, 3, 1)
 """Kinds in the order in which they stand for a place where several have most tiles: rougher, unknown, and so on."""
-
-
-def _kind(kinds: NDArray[np.floating]) -> str:
-    """Return the kind of most tiles."""
-    count = np.bincount(kinds.astype(np.int64), minlength=len(CHANGE_KINDS))
-    return CHANGE_KINDS[max(_FIRST, key=lambda kind: int(count[kind]))]
 
 
 def _number(value: float) -> float | None:

@@ -48,14 +48,15 @@ from bumpymap.layers import (
     CHECK_FORMAT,
     MANIFEST_NAME,
     CheckGround,
-    CheckPlaces,
     MapOffset,
     MapReader,
+    Placement,
     check_check_out,
     check_entries,
     describe_file,
     open_map,
     place_entries,
+    place_stretches,
     software_versions,
     write_stretches,
 )
@@ -532,7 +533,7 @@ def write_check(
         The layers cannot be read, or positions have no longitude and latitude.
     """
     check_check_out(out, overwrite=overwrite)
-    places = None if ground is None else CheckPlaces.of(result.stretches, ground)
+    placement = None if ground is None else place_stretches(result.stretches, ground)
 
     def describe(_: Path, files: list[dict[str, Any]]) -> dict[str, Any]:
         return {
@@ -540,25 +541,25 @@ def write_check(
             "version": 1,
             **(manifest or {}),
             "versions": software_versions(),
-            **_describe_ground(ground, places),
+            **_describe_ground(ground, placement),
             "files": files,
             **check_entries(result),
         }
 
     writers: dict[str, Callable[[Path], None]] = {
-        "check.html": partial(write_check_page, result, ground if places is not None else None),
+        "check.html": partial(write_check_page, result, ground if placement is not None else None),
     }
-    if places is not None:
-        writers["check.geojson"] = partial(write_stretches, result, places)
+    if placement is not None:
+        writers["check.geojson"] = partial(write_stretches, result, placement)
         writers["check.qml"] = write_check_style
     return CHECK_FILES.write(out, writers, describe, overwrite=overwrite)
 
 
-def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:
+def _describe_ground(ground: CheckGround | None, placement: Placement | None) -> dict[str, Any]:
     """Return the layers that drives were checked against: their folder, checksum, place and calibration."""
     if ground is None:
         return {}
     layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
     known = [name for name in ("vehicle", "calibration") if name in ground.manifest]
-    place = {} if places is None else place_entries(places.placement)
+    place = {} if placement is None else place_entries(placement)
     return {"layers": [layers], **{name: ground.manifest[name] for name in known}, **place}

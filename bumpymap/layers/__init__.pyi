@@ -35,8 +35,8 @@ from .check_vectors import (
     NORMAL_80 as NORMAL_80,
     OFF_KINDS as OFF_KINDS,
     CheckGround as CheckGround,
-    CheckPlaces as CheckPlaces,
     MapOffset as MapOffset,
+    place_stretches as place_stretches,
     write_stretches as write_stretches,
 )
 from .colours import (
@@ -128,7 +128,7 @@ from .route_inputs import (
 from .route_lines import (
     MapSource as MapSource,
     PlannedRoute as PlannedRoute,
-    RouteCoordinates as RouteCoordinates,
+    route_coordinates as route_coordinates,
     route_properties as route_properties,
     stop_names as stop_names,
     stop_roles as stop_roles,
@@ -188,5 +188,6 @@ from .tile_table import (
     require_tiles as require_tiles,
 )
 from .vector import (
+    GeoJsonCoordinates as GeoJsonCoordinates,
     outline_of as outline_of,
 )

@@ -19,7 +19,7 @@ from bumpymap.core import (
 )
 from bumpymap.layers.colours import OFF_COLOURS
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.route_lines import MapSource, RouteCoordinates
+from bumpymap.layers.route_lines import MapSource
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -28,8 +28,8 @@ __all__ = [
     "NOT_COMPARED",
     "OFF_KINDS",
     "CheckGround",
-    "CheckPlaces",
     "MapOffset",
+    "place_stretches",
     "stretch_properties",
     "write_stretches",
 ]
@@ -107,54 +107,24 @@ class CheckGround(MapSource, Protocol):
         ...
 
 
-@dataclass(frozen=True, slots=True)
-class CheckPlaces:
-    """Where the stretches of a check lie, for its files."""
-
-    placement: Placement
-    points: NDArray[np.float64]
-    """(n, 2) easting and northing of the middles of the stretches, m; NaN where not known."""
-
-    @classmethod
-    def of(cls, stretches: DrivenStretches, ground: CheckGround) -> "CheckPlaces | None":
-        """Return the places; None if no position of a stretch is known."""
-        points = np.column_stack([stretches.easting, stretches.northing])
-        known = points[np.isfinite(points).all(axis=1)]
-        if not len(known):
-            return None
-        col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
-        return cls(Placement(ground.georeference, ground.grid, TileWindow.around(col, row)), points)
-
-    @property
-    def is_known(self) -> NDArray[np.bool_]:
-        """(n,) whether the position of a stretch is known."""
-        return np.asarray(np.isfinite(self.points).all(axis=1), dtype=np.bool_)
-
-    @property
-    def files(self) -> GeoJsonCoordinates:
-        """Longitude and latitude if the survey's CRS is known, else the survey's own coordinates."""
-        return GeoJsonCoordinates.of(self.placement, local=True)
-
-    def in_file(self) -> NDArray[np.float64]:
-        """Return the middles of the stretches as GeoJSON holds them, (n, 2); NaN where not known.
-
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
-        """
-        found = np.full(self.points.shape, np.nan)
-        coordinates = RouteCoordinates(self.placement.georeference, self.files)
-        found[self.is_known] = coordinates.in_file(self.points[self.is_known])
-        return found
+def place_stretches(stretches: DrivenStretches, ground: CheckGround) -> Placement | None:
+    """Return where the stretches of a check lie, for its files; None if no position of one is known."""
+    points = np.column_stack([stretches.easting, stretches.northing])
+    known = points[np.isfinite(points).all(axis=1)]
+    if not len(known):
+        return None
+    col, row = (ground.grid.index(known[:, axis]) for axis in (0, 1))
+    return Placement(ground.georeference, ground.grid, TileWindow.around(col, row))
 
 
 _DECIMALS = {"way_m": 3, "speed_mps": 3, "start_s": 3, "end_s": 3}
 _OTHER_DECIMALS = 6
 
 
-def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> None:
+def write_stretches(result: CheckResult, placement: Placement, path: Path) -> None:
     """Write the stretches whose position is known as GeoJSON: WGS 84, or the survey's own coordinates without a CRS.
+
+    ``placement``: from `place_stretches`.
 
     Raises
     ------
@@ -164,13 +134,15 @@ def write_stretches(result: CheckResult, places: CheckPlaces, path: Path) -> Non
         A position cannot be transformed to longitude and latitude.
     """
     properties = stretch_properties(result)
-    shown = np.flatnonzero(places.is_known)
-    points = shapely.points(places.in_file()[shown])
+    middles = np.column_stack([result.stretches.easting, result.stretches.northing])
+    shown = np.flatnonzero(np.isfinite(middles).all(axis=1))
+    place = GeoJsonCoordinates.of(placement, local=True)
+    points = shapely.points(place.in_file(middles[shown]))
     features = [
         feature({key: values[at] for key, values in properties.items()}, point, at + 1)
         for at, point in zip(shown.tolist(), points, strict=True)
     ]
-    write_features(path, "check", places.files, features)
+    write_features(path, "check", place, features)
 
 
 def stretch_properties(result: CheckResult) -> dict[str, list[Any]]:

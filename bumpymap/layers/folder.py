@@ -257,17 +257,12 @@ def write_products(
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     if not table.speeds:
-        _remove_speeds(folder)
+        with writing_to(folder):  # what an earlier run left
+            for name in (SPEEDS_NAME, f"{SPEEDS_NAME}.aux.xml", SPEEDS_STYLE_NAME):
+                if lexists(folder / name):
+                    remove_path(folder / name)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
-
-
-def _remove_speeds(folder: Path) -> None:
-    """Remove the layer of other speeds and its style, which an earlier run left."""
-    with writing_to(folder):
-        for name in (SPEEDS_NAME, f"{SPEEDS_NAME}.aux.xml", SPEEDS_STYLE_NAME):
-            if lexists(folder / name):
-                remove_path(folder / name)
 
 
 def _layers(

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -176,7 +176,7 @@ class KeptRasters:
         self._open: dict[Path, DatasetReader] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _kept_rasters, (self._options,)
+        return partial(KeptRasters, **self._options), ()
 
     @contextmanager
     def keep(self) -> Iterator[None]:
@@ -208,10 +208,6 @@ class KeptRasters:
     def _close_unkept(self) -> None:
         while self._open and not self._keepers:
             self._open.popitem()[1].close()
-
-
-def _kept_rasters(options: dict[str, Any]) -> KeptRasters:
-    return KeptRasters(**options)
 
 
 def require_format(path: Path) -> None:

@@ -411,7 +411,8 @@ def _on_map(
     placed = _on_grid(path, shapely.make_valid(geometry), crs, route_map)
     parts, owner = shapely.get_parts(placed, return_index=True)
     is_on = np.isin(shapely.get_type_id(parts), _POLYGONS) & ~shapely.is_empty(parts)
-    is_on &= shapely.intersects(parts, _outline(route_map))
+    bounds = route_map.grid.window_bounds(route_map.window)
+    is_on &= shapely.intersects(parts, shapely.box(bounds.west, bounds.south, bounds.east, bounds.north))
     return np.asarray(parts[is_on], object), np.isin(np.arange(len(geometry)), owner[is_on])
 
 
@@ -491,12 +492,6 @@ def _tiles(rows: NDArray[np.int64], cols: NDArray[np.int64]) -> NDArray[np.objec
         cols + _ROUNDING, rows + _ROUNDING, cols + 1.0 - _ROUNDING, rows + 1.0 - _ROUNDING
     )
     return squares
-
-
-def _outline(route_map: MapReader) -> shapely.Geometry:
-    """Return the rectangle of the map, m."""
-    bounds = route_map.grid.window_bounds(route_map.window)
-    return shapely.box(bounds.west, bounds.south, bounds.east, bounds.north)
 
 
 def _on_grid(path: Path, geometry: NDArray[np.object_], crs: CRS | None, route_map: MapReader) -> NDArray[np.object_]:

@@ -8,7 +8,6 @@ same bytes.
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from xml.etree import ElementTree as ET
@@ -17,10 +16,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Route, TileField, atomic, write_csv
+from bumpymap.core import BadInputError, Route, TileField, atomic, write_csv
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
+from bumpymap.layers.vector import DEGREE_DECIMALS, GeoJsonCoordinates, feature, write_features
 from bumpytiles import TileWindow
 
 if TYPE_CHECKING:
@@ -31,7 +30,7 @@ __all__ = [
     "P_ARRIVES_NOTE",
     "MapSource",
     "PlannedRoute",
-    "RouteCoordinates",
+    "route_coordinates",
     "route_properties",
     "split_at_antimeridian",
     "stop_names",
@@ -98,83 +97,31 @@ class MapSource(Protocol):
         ...
 
 
-SEGMENT_M = 96.0
+_SEGMENT_M = 96.0
 """Longest straight segment of a line in longitude and latitude, m: its middle is then off by 1.2 mm at most, as for
-the outlines of cost.geojson (see `lonlat`)."""
-_DEGREE_DECIMALS = 7
-_METRE_DECIMALS = 3
+the outlines of cost.geojson (see `polygons_in_wgs84`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class RouteCoordinates:
-    """Converts grid coordinates in metres to those that files hold."""
+def route_coordinates(routes: Sequence[Route]) -> GeoJsonCoordinates:
+    """Return the coordinates for files with these routes (at least one), which lie on one grid.
 
-    georeference: Georeference
-    files: GeoJsonCoordinates
-    """Coordinates of the files: longitude and latitude, or the survey's own, with how those are declared."""
+    A survey without a CRS, or with one that has no relation to longitude and latitude, keeps its own coordinates: it
+    was mapped with ``local``.
+    """
+    first = routes[0]
+    return GeoJsonCoordinates.of(Placement(first.georeference, first.grid, window_around(routes, 0.0)), local=True)
 
-    @classmethod
-    def of(cls, routes: Sequence[Route]) -> "RouteCoordinates":
-        """Return the coordinates for files with these routes (at least one), which lie on one grid.
 
-        A survey without a CRS, or with one that has no relation to longitude and latitude, keeps its own coordinates:
-        it was mapped with ``local``.
-        """
-        first = routes[0]
-        window = window_around(routes, 0.0)
-        placement = Placement(first.georeference, first.grid, window)
-        return cls(first.georeference, GeoJsonCoordinates.of(placement, local=True))
+def _line_parts(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> list[NDArray[np.float64]]:
+    """Convert the corners of a line, (m, 2) on the grid in metres; a line that crosses the antimeridian is cut.
 
-    @property
-    def has_degrees(self) -> bool:
-        """True if longitude and latitude are known."""
-        return self.files.to_degrees is not None
-
-    def in_crs(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert (n, 2) easting and northing on the grid, m, to units of the survey's CRS."""
-        return np.asarray(grid_m / self.georeference.metres_per_unit, dtype=np.float64)
-
-    def in_file(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Convert (n, 2) grid coordinates, m, to those of GeoJSON files.
-
-        Returns
-        -------
-        array (n, 2)
-            Longitude and latitude with 7 decimals (1 cm); units of the survey's CRS with 3 if those are not known.
-
-        Raises
-        ------
-        BadInputError
-            A point cannot be transformed to longitude and latitude.
-        """
-        own = self.in_crs(grid_m)
-        if self.files.to_degrees is None:
-            return own.round(_METRE_DECIMALS)
-        degrees = np.column_stack(self.files.to_degrees.transform(own[:, 0], own[:, 1])).round(_DEGREE_DECIMALS)
-        if not np.isfinite(degrees).all():
-            raise BadInputError(
-                "a route lies outside the area where the survey's CRS "
-                f"({self.files.placement.horizontal_crs}) can be converted to longitude and latitude. Map the survey "
-                "again with the right one, `force_crs='EPSG:CODE'`"
-            )
-        return degrees
-
-    def line_in_file(self, grid_m: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-        """Convert the corners of a line, (m, 2) on the grid in metres; a line that crosses the antimeridian is cut.
-
-        Long segments get points in between, so that they stay straight on the ground.
-
-        Returns
-        -------
-        list of array (n, 2)
-            The parts of the line, n >= 2, in order.
-        """
-        if not self.has_degrees:
-            return [self.in_file(grid_m)]
-        if (grid_m == grid_m[0]).all():  # GEOS knows no line of length 0
-            return [self.in_file(grid_m)]
-        dense = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(grid_m), SEGMENT_M))
-        return split_at_antimeridian(self.in_file(dense))
+    Long segments get points in between, so that they stay straight on the ground. Returns the parts in order, (n, 2)
+    each, n >= 2.
+    """
+    if not place.has_degrees or (grid_m == grid_m[0]).all():  # GEOS knows no line of length 0
+        return [place.in_file(grid_m)]
+    dense = shapely.get_coordinates(shapely.segmentize(shapely.linestrings(grid_m), _SEGMENT_M))
+    return split_at_antimeridian(place.in_file(dense))
 
 
 def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float64]]:
@@ -198,7 +145,7 @@ def split_at_antimeridian(degrees: NDArray[np.float64]) -> list[NDArray[np.float
     to_border = side - lon[before]
     way = lon[before + 1] + 2.0 * side - lon[before]
     share = np.divide(to_border, way, out=np.zeros(len(before)), where=way != 0.0)
-    crossing = (lat[before] + share * (lat[before + 1] - lat[before])).round(_DEGREE_DECIMALS)
+    crossing = (lat[before] + share * (lat[before + 1] - lat[before])).round(DEGREE_DECIMALS)
     ends = np.column_stack([side, crossing])
     starts = np.column_stack([-side, crossing])
     cut = np.insert(degrees, np.repeat(before + 1, 2), np.stack([ends, starts], axis=1).reshape(-1, 2), axis=0)
@@ -235,9 +182,9 @@ def write_route_geojson(routes: Sequence[Route], path: Path) -> None:
     BadInputError
         A route lies where its CRS has no longitude and latitude.
     """
-    place = RouteCoordinates.of(routes)
+    place = route_coordinates(routes)
     lines = [_line(route, place) for route in routes]
-    write_features(path, "route", place.files, [*lines, *_stops(routes, place)])
+    write_features(path, "route", place, [*lines, *_stops(routes, place)])
 
 
 def stop_roles(stops: int) -> list[str]:
@@ -250,14 +197,14 @@ def stop_names(stops: int) -> list[str]:
     return [f"via {place}" if role == "via" else role for place, role in enumerate(stop_roles(stops))]
 
 
-def _line(route: Route, place: RouteCoordinates) -> dict[str, Any]:
+def _line(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
     # A way of length 0 has one corner, but a LineString has two positions.
     corners = np.repeat(route.line, 2, axis=0) if len(route.line) == 1 else route.line
-    parts = [shapely.LineString(part) for part in place.line_in_file(corners)]
+    parts = [shapely.LineString(part) for part in _line_parts(corners, place)]
     return feature(route_properties(route), parts[0] if len(parts) == 1 else shapely.MultiLineString(parts))
 
 
-def _stops(routes: Sequence[Route], place: RouteCoordinates) -> Iterator[dict[str, Any]]:
+def _stops(routes: Sequence[Route], place: GeoJsonCoordinates) -> Iterator[dict[str, Any]]:
     written: set[tuple[str, float, float]] = set()
     for route in routes:
         positions = place.in_file(route.stops)
@@ -296,7 +243,7 @@ def write_gpx(routes: Sequence[Route], path: Path) -> None:
     BadInputError
         The routes have no longitude and latitude.
     """
-    place = RouteCoordinates.of(routes)
+    place = route_coordinates(routes)
     if not place.has_degrees:
         raise BadInputError(
             "the layers have no CRS, so a GPX file cannot say where on Earth the route is. Map the survey with "
@@ -338,7 +285,7 @@ def track_points(route: Route) -> NDArray[np.float64]:
     return np.asarray(np.concatenate([corners, others])[order], dtype=np.float64)
 
 
-def _degrees(grid_m: NDArray[np.float64], place: RouteCoordinates) -> NDArray[np.float64]:
+def _degrees(grid_m: NDArray[np.float64], place: GeoJsonCoordinates) -> NDArray[np.float64]:
     """Return longitude (below 180, as the schema wants it) and latitude, (n, 2)."""
     degrees = place.in_file(grid_m)
     degrees[degrees[:, 0] == 180.0, 0] = -180.0
@@ -354,7 +301,7 @@ def _bounds(metadata: ET.Element, degrees: NDArray[np.float64]) -> None:
         ET.SubElement(metadata, "bounds", {name: f"{value:.7f}" for name, value in sides.items()})
 
 
-def _waypoints(root: ET.Element, routes: Sequence[Route], place: RouteCoordinates) -> None:
+def _waypoints(root: ET.Element, routes: Sequence[Route], place: GeoJsonCoordinates) -> None:
     written = set()
     for route in routes:
         stops = _degrees(route.stops, place)
@@ -408,11 +355,11 @@ def write_profile(routes: Sequence[Route], path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    place = RouteCoordinates.of(routes)
+    place = route_coordinates(routes)
     write_csv(path, PROFILE_COLUMNS, (row for route in routes for row in _rows(route, place)))
 
 
-def _rows(route: Route, place: RouteCoordinates) -> Iterator[tuple[str, ...]]:
+def _rows(route: Route, place: GeoJsonCoordinates) -> Iterator[tuple[str, ...]]:
     profile = route.profile
     grid_m = np.column_stack([profile.easting, profile.northing])
     degrees = place.in_file(grid_m) if place.has_degrees else np.full_like(grid_m, np.nan)

@@ -169,7 +169,8 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
     place = root / CATALOG_NAME
     if lexists(place) and (place.is_symlink() or not place.is_file()):
         raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
-    items = [_link("item", f"./{_quoted(name)}/{ITEM_NAME}", name) for name in folders if _has(root / name, ITEM_NAME)]
+    complete = [each for each in folders if all((root / each / file).is_file() for file in (ITEM_NAME, MANIFEST_NAME))]
+    items = [_link("item", f"./{_quoted(each)}/{ITEM_NAME}", each) for each in complete]
     name = valid_text(title)
     document = {
         "type": "Catalog",
@@ -180,10 +181,6 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
         "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items],
     }
     write_document(document, place)
-
-
-def _has(folder: Path, name: str) -> bool:
-    return (folder / name).is_file() and (folder / MANIFEST_NAME).is_file()
 
 
 def _quoted(name: str) -> str:
@@ -227,6 +224,8 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
     """
     paths = (PurePosixPath(str(file["path"])) for file in record.get("inputs") or ())
     name = valid_text(str(_survey(record).get("name") or min((path.stem for path in paths), default="map")))
+    # What tells surveys of one name apart.
+    digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
     grid = describe_grid(folder / _TILES)
     crs = None if record["crs"] is None else stated_crs(record["crs"]["wkt"])
     unit, tile = record["metres_per_unit"]["horizontal"], record["grid"]["tile_size_m"]
@@ -238,7 +237,7 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         "type": "Feature",
         "stac_version": STAC_VERSION,
         "stac_extensions": [_SCHEMA.format(extension) for extension in _EXTENSIONS],
-        "id": _identity(name, record),
+        "id": "_".join([identifier(name), *([digits] if digits else [])]),
         **_footprint(place),
         "properties": {
             "title": name,
@@ -256,12 +255,6 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
         "assets": describe_assets(folder, record),
     }
     write_document(item, folder / ITEM_NAME)
-
-
-def _identity(name: str, record: Mapping[str, Any]) -> str:
-    """Return the id: the name, and what tells surveys of one name apart."""
-    digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
-    return "_".join([identifier(name), *([digits] if digits else [])])
 
 
 def _description(record: Mapping[str, Any]) -> str:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 __all__ = [
+    "DEGREE_DECIMALS",
     "BoundingBox",
     "GeoJsonCoordinates",
     "feature",
@@ -47,6 +48,7 @@ _SEGMENT = 32
 most 1.2 mm (measured up to 80 degrees north and south): less than the 7 decimals that are kept."""
 
 _GRID_DECIMALS = 9
+DEGREE_DECIMALS, _METRE_DECIMALS = 7, 3
 
 
 def wgs84_transformer(placement: Placement) -> Transformer:
@@ -69,7 +71,7 @@ def wgs84_transformer(placement: Placement) -> Transformer:
 
 
 def polygons_in_wgs84(
-    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = 7
+    polygons: NDArray[np.object_], placement: Placement, to_degrees: Transformer, decimals: int = DEGREE_DECIMALS
 ) -> NDArray[np.object_]:
     """Return polygons in WGS 84 longitude and latitude, right-hand rings, cut at the antimeridian.
 
@@ -240,8 +242,38 @@ class GeoJsonCoordinates:
         """Convert polygons (m,) in grid coordinates (1 = one tile) to these; own coordinates are rounded to 1 mm."""
         if self.to_degrees is not None:
             return polygons_in_wgs84(polygons, self.placement, self.to_degrees)
-        own: NDArray[np.object_] = shapely.transform(polygons, lambda points: self.placement.to_crs(points).round(3))
+        own: NDArray[np.object_] = shapely.transform(
+            polygons, lambda points: self.placement.to_crs(points).round(_METRE_DECIMALS)
+        )
         return own
+
+    @property
+    def has_degrees(self) -> bool:
+        """True if these are longitude and latitude."""
+        return self.to_degrees is not None
+
+    def in_crs(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert (n, 2) easting and northing on the grid, m, to units of the survey's CRS."""
+        return np.asarray(grid_m / self.placement.georeference.metres_per_unit, dtype=np.float64)
+
+    def in_file(self, grid_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Convert points (n, 2) on the grid, m, to these; own coordinates are rounded to 1 mm, degrees to 1 cm.
+
+        Raises
+        ------
+        BadInputError
+            A point cannot be transformed to longitude and latitude.
+        """
+        own = self.in_crs(grid_m)
+        if self.to_degrees is None:
+            return own.round(_METRE_DECIMALS)
+        degrees = np.column_stack(self.to_degrees.transform(own[:, 0], own[:, 1])).round(DEGREE_DECIMALS)
+        if not np.isfinite(degrees).all():
+            raise BadInputError(
+                f"a position lies outside the area where the survey's CRS ({self.placement.horizontal_crs}) can be "
+                "converted to longitude and latitude. Map the survey again with the right one, `force_crs='EPSG:CODE'`"
+            )
+        return degrees
 
     def bounds(self, box: BoundingBox) -> list[float]:
         """Return west, south, east, north of a box in these coordinates."""

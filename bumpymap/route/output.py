@@ -14,13 +14,14 @@ from bumpymap.core import OutputError, Route, StraightLine, UsageError
 from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,
+    GeoJsonCoordinates,
     MapSource,
     OutputFolder,
     ReachField,
-    RouteCoordinates,
     describe_file,
     refuse_present,
     require_folder,
+    route_coordinates,
     route_properties,
     software_versions,
     stop_names,
@@ -132,7 +133,7 @@ def write_routes(
     BadInputError
         A layer cannot be read, or the routes have no longitude and latitude and ``out`` is a GPX file.
     """
-    one_file, place, notes = check_out(out, ROUTE_KINDS, overwrite=overwrite), RouteCoordinates.of(routes), []
+    one_file, place, notes = check_out(out, ROUTE_KINDS, overwrite=overwrite), route_coordinates(routes), []
     writers: dict[str, Callable[[Path], None]] = {
         "route.geojson": partial(write_route_geojson, routes),
         "route.gpx": partial(write_gpx, routes),
@@ -209,7 +210,7 @@ def _describe_layers(source: MapSource) -> dict[str, Any]:
     return {"layers": [layers], **{name: source.manifest[name] for name in kept if name in source.manifest}}
 
 
-def _describe(route: Route, place: RouteCoordinates) -> dict[str, Any]:
+def _describe(route: Route, place: GeoJsonCoordinates) -> dict[str, Any]:
     """Return figures, stops and corners of a route."""
     stops = zip(stop_names(len(route.stops)), place.in_crs(route.stops), place.in_file(route.stops), strict=True)
     return {
@@ -223,7 +224,7 @@ def _describe(route: Route, place: RouteCoordinates) -> dict[str, Any]:
     }
 
 
-def _describe_straight(straight: StraightLine, place: RouteCoordinates) -> dict[str, Any]:
+def _describe_straight(straight: StraightLine, place: GeoJsonCoordinates) -> dict[str, Any]:
     """Return what the straight line between the stops costs, and where it makes the way turn."""
     points = np.array([(turn.easting, turn.northing) for turn in straight.turns]).reshape(-1, 2)
     turns = [

@@ -117,8 +117,8 @@ def beside(path, aim):
 
 READERS = (report, export, diff, relief, dataset, check)
 PLANTS = [
-    *((virtual, read) for read in READERS),
-    *((plant, read) for plant in (tagged, beside) for read in READERS[:5]),
+    *((plant, read) for plant in (virtual, beside) for read in READERS),
+    *((tagged, read) for read in READERS if read is not check),
 ]
 
 

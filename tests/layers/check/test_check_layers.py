@@ -10,7 +10,7 @@ from pyproj import CRS, Transformer
 from route_records import UTM, MadeUpMap
 
 from bumpymap.core import CLASS_NAMES, Georeference
-from bumpymap.layers.check_vectors import CheckPlaces, write_stretches
+from bumpymap.layers.check_vectors import place_stretches, write_stretches
 
 FEET = CRS.from_epsg(2277)  # Texas Central, US survey feet
 UNIT = FEET.axis_info[0].unit_conversion_factor
@@ -19,7 +19,7 @@ UNIT = FEET.axis_info[0].unit_conversion_factor
 def written(result, path, georeference=UTM):
     """The file, and the positions in it."""
     ground = replace(MadeUpMap.around(), georeference=georeference)
-    write_stretches(result, CheckPlaces.of(result.stretches, ground), path)
+    write_stretches(result, place_stretches(result.stretches, ground), path)
     found = json.loads(path.read_text())
     return found, np.array([feature["geometry"]["coordinates"] for feature in found["features"]])
 
