@@ -8,9 +8,9 @@ GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDA
 file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
 Two threads that write rasters at the same time also lose parts of blocks: one flushes the other's blocks to free cache,
 and the other reads them back too early. So does a thread that only enters rasterio's environment with another limit of
-the cache, which is the limit of the process: GDAL then flushes blocks down to it. Therefore small rasters are made in memory and written by Python; a large one
-is made only if the disk has space for it, and is read back afterwards; and rasters are written one after the other, and
-traced while none is written: `raster_lock`.
+the cache, which is the limit of the process: GDAL then flushes blocks down to it. Therefore small rasters are made in
+memory and written by Python; a large one is made only if the disk has space for it, and is read back afterwards; and
+rasters are written one after the other, and traced while none is written: `raster_lock`.
 
 rasterio cannot write category names and raster attribute tables. The layout of the side file is that of GDAL's
 ``PAMDataset``; types and usages are the numbers of GDAL's ``GDALRATFieldType`` and ``GDALRATFieldUsage``.
