@@ -17,18 +17,18 @@ from route_sites import site
 WALL_COL = 5
 
 
-def wall_map(amplitude=0.02):
+def wall_map():
     """30 m by 18 m of waves of 3 m along the easting, with a wall across that leaves a gap in the north."""
     made = TileMap(np.full((6, 10), 0.02), p_fail=np.full((6, 10), 0.001))
     made.barred[2:, WALL_COL], made.p_fail[2:, WALL_COL] = 5, 0.9
     west, north = made.at(0, 0)
 
     def height(easting, northing):
-        waves = 100.0 + amplitude * np.sin(2.0 * np.pi * (easting - west) / 3.0) + 0.0 * northing
+        waves = 100.0 + 0.02 * np.sin(2.0 * np.pi * (easting - west) / 3.0) + 0.0 * northing
         inside = np.abs(easting - west - 3.0 * (WALL_COL + 0.5)) < 0.3
         return waves + 1.5 * (inside & (north - northing > 6.0))
 
-    made.height, made.manifest = height, {}
+    made.height, made.manifest = height, {"files": []}
     return made
 
 
