@@ -6,7 +6,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -173,10 +172,6 @@ class FrameProducts:
             for path in (part_path(self.run_folder, number), *self._files(frame, number)):
                 path.unlink(missing_ok=True)
             raise
-
-    def merged(self) -> dict[str, Any] | None:
-        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
-        return None if self.accumulated is None else self.accumulated.record()
 
     def _files(self, frame: Frame, number: int) -> list[Path]:
         grids = [] if self.grids is None else [self.grids.part(number)]
