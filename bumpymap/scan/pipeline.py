@@ -5,7 +5,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
@@ -118,7 +117,12 @@ def describe_scan(
     config: ScanConfig, frames: Sequence[Frame], method: Method, poses: FramePoses | None
 ) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
-    paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
+    paths = [frame.path for frame in frames if frame.message is None]
+    if config.poses is not None:
+        paths += [config.poses, *files_beside_poses(config.poses, [frame.path for frame in frames])]
+    paths += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
+    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
+    paths += [file for bag in bags for file in bag_files(bag)]
     calibration_id = None if method.calibration is None else method.calibration.id
     used = {
         "matched_by": "time" if poses is None else poses.matched_by,
@@ -201,15 +205,6 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
             merged=record["gathered"],
             already_done=True,
         )
-
-
-def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
-    """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
-    labels = [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
-    beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
-    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
-    stored = [file for bag in bags for file in bag_files(bag)]
-    return [*([] if config.poses is None else [config.poses]), *beside, *labels, *stored]
 
 
 def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequence[FrameReport]) -> None:
