@@ -5,9 +5,11 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
+from small_surveys import write_survey
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = {
@@ -169,6 +171,7 @@ def test_no_two_parts_of_a_room_import_each_other():
         assert not circles(parts), room
 
 
+@cache
 def arrows():
     """Modules that each module of ours imports."""
     return {
@@ -226,10 +229,9 @@ def docstrings(tree):
                 yield child.value.value
 
 
-@pytest.mark.parametrize("room", sorted(ROOMS))
-def test_docstrings_say_what_a_thing_is(room):
+def test_docstrings_say_what_a_thing_is():
     """They begin with a noun or a verb, not with What, Which or Whether."""
-    texts = [text for file in files_of(room) for text in docstrings(TREES[file])]
+    texts = [text for room in ROOMS for file in files_of(room) for text in docstrings(TREES[file])]
     assert texts
     assert not [text for text in texts if re.match(r"(What|Which|Whether)\b", text)]
 
@@ -273,9 +275,10 @@ def test_no_help_loads_anything_heavy():
 
 
 def test_a_run_with_kept_kernels_loads_neither_the_compiler_nor_pandas(tmp_path):
-    survey = str(ROOT / "sample_data" / "quarry.laz")
+    survey = write_survey(tmp_path / "site.laz")
     code = "import sys; from bumpymap.cli import main; main(standalone_mode=False); print(*sys.modules)"
-    for run in ("first", "second"):  # the first may have to compile
-        loaded = loaded_by(code, "map", survey, "--out", str(tmp_path / run))
+    loaded = loaded_by(code, "map", str(survey), "--out", str(tmp_path / "first"))
+    if "numba" in loaded:  # it had to compile
+        loaded = loaded_by(code, "map", str(survey), "--out", str(tmp_path / "second"))
     assert {"llvmlite", "pyarrow", "pyogrio"} <= loaded
     assert not {"numba", "pandas", "geopandas"} & loaded

@@ -7,9 +7,10 @@ is mostly empty is written by `write_sparse_cog`.
 GDAL reports no error when the disk fills up while it writes a TIFF. Seen in GDAL 3.10: blocks that are flushed when a
 file is closed are lost without an error (libtiff prints a line to stderr), and the COG driver may crash on a full disk.
 Two threads that write rasters at the same time also lose parts of blocks: one flushes the other's blocks to free cache,
-and the other reads them back too early. Therefore small rasters are made in memory and written by Python; a large one
-is made only if the disk has space for it, and is read back afterwards; and rasters are written one after the other, and
-traced while none is written: `raster_lock`.
+and the other reads them back too early. So does a thread that only enters rasterio's environment with another limit of
+the cache, which is the limit of the process: GDAL then flushes blocks down to it. Therefore small rasters are made in
+memory and written by Python; a large one is made only if the disk has space for it, and is read back afterwards; and
+rasters are written one after the other, and traced while none is written: `raster_lock`.
 
 rasterio cannot write category names and raster attribute tables. The layout of the side file is that of GDAL's
 ``PAMDataset``; types and usages are the numbers of GDAL's ``GDALRATFieldType`` and ``GDALRATFieldUsage``.
@@ -20,7 +21,7 @@ import shutil
 import threading
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -181,6 +182,13 @@ def raster_lock() -> threading.Lock:
     return _gdal
 
 
+@contextmanager
+def _gdal_alone() -> Iterator[None]:
+    """Let GDAL make a raster with its cache as `_GDAL` says, while no other thread does, nor changes the cache."""
+    with _gdal, rasterio.Env(**_GDAL):
+        yield
+
+
 def write_cog(
     path: Path,
     placement: Placement,
@@ -212,7 +220,7 @@ def write_cog(
     OutputError
         The file cannot be written.
     """
-    with atomic(path, _FAILURES) as temporary, rasterio.Env(**_GDAL):
+    with atomic(path, _FAILURES) as temporary:
         pixels = placement.window.cols * placement.window.rows * spec.pixels**2
         size = pixels * len(spec.bands) * np.dtype(spec.dtype).itemsize
         sparse = pieces is not None and size > _SPARSE_FROM
@@ -223,21 +231,21 @@ def write_cog(
             -(-side * spec.pixels // block) * block for side in (placement.window.cols, placement.window.rows)
         )
         if across * down * len(spec.bands) * np.dtype(spec.dtype).itemsize <= SMALL and not sparse:
-            with _gdal, MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
+            with _gdal_alone(), MemoryFile(ext=".tif") as scratch, MemoryFile(ext=".tif") as layer:
                 for _, canvas in _write_scratch(scratch.name, placement, spec, paint, side):
                     _count(canvas, spec, counts)  # no checksum: memory loses nothing
                 _convert(scratch.name, layer.name, spec, overviews_first=overviews_first)
                 _copy_side_file(layer.name, temporary)
                 temporary.write_bytes(layer.getbuffer())
         elif sparse and pieces is not None:
-            with _gdal, MemoryFile(ext=".tif") as scratch:
+            with _gdal_alone(), MemoryFile(ext=".tif") as scratch:
                 create_raster(scratch.name, placement, spec, (1, 1)).close()
                 _copy_side_file(scratch.name, temporary)
             for values in write_sparse_cog(temporary, placement, spec, pieces, _gdal):
                 _count(values, spec, counts)
         else:
             waiting = temporary.with_name(f"{temporary.stem}.scratch.tif")
-            with _gdal:
+            with _gdal_alone():
                 painted = []
                 for window, canvas in _write_scratch(str(waiting), placement, spec, paint, side):
                     painted.append((window, checksum(canvas)))

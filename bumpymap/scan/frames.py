@@ -6,7 +6,6 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,17 +66,13 @@ class FrameReader:
     def read(self, frame: Frame) -> Scan:
         """Read a frame; deskew it if its points have times. Raises BadInputError if it cannot be read."""
         if frame.message is not None:
-            scan = read_message(self._bag(frame.path), frame.message, self._config.robot, frame.name)
+            with self._lock:
+                if frame.path not in self._bags:
+                    self._bags[frame.path] = BagReader(frame.path)
+            scan = read_message(self._bags[frame.path], frame.message, self._config.robot, frame.name)
         else:
             scan = replace(read_scan(frame.path, self._config.robot, self._config.columns), name=frame.name)
         return scan if frame.motion is None or not self._config.deskew else deskew(scan, frame.motion)
-
-    def _bag(self, path: Path) -> BagReader:
-        """Return a bag, which is opened once."""
-        with self._lock:
-            if path not in self._bags:
-                self._bags[path] = BagReader(path)
-            return self._bags[path]
 
     @contextmanager
     def skipping(self, frame: Frame) -> Iterator[None]:
@@ -173,10 +168,6 @@ class FrameProducts:
             for path in (part_path(self.run_folder, number), *self._files(frame, number)):
                 path.unlink(missing_ok=True)
             raise
-
-    def merged(self) -> dict[str, Any] | None:
-        """Return what scan.json says of the merged points, see `DriveMerge.record`; None without poses."""
-        return None if self.accumulated is None else self.accumulated.record()
 
     def _files(self, frame: Frame, number: int) -> list[Path]:
         grids = [] if self.grids is None else [self.grids.part(number)]

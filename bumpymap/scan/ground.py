@@ -117,7 +117,9 @@ def find_ground(
     is known of the points and cells.
     """
     buffers = buffers or SectorBuffers()
-    geometry = _geometry(settings, start)
+    layout = cell_layout(settings)
+    azimuth = layout.y + start
+    geometry = layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
     cells, parts, count = len(geometry.x), len(geometry.x) * PARTS**2, int(by_cell.starts[-2])
     xyz = buffers.empty("accumulated", count, np.float32, rows=3)
     held = CellPoints(xyz, buffers.empty("part", count, np.int32), by_cell.starts)
@@ -139,8 +141,10 @@ def find_ground(
     slope = _median(planes.plane[planes.kind == FOUND, :2]) if planes.kind.any() else level
     rule = SearchRule(reach, settings.least_points, NEIGHBOURS, slope)
     find_planes(held, geometry, rule, planes, scratch)
-    if math.isfinite(settings.overhead_m) and _lies_above_sensor(planes):
-        planes.kind[:] = 0
+    heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
+    is_known = math.isfinite(settings.overhead_m) and len(heights) > 0
+    if is_known and _median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M:
+        planes.kind[:] = 0  # by its nearer half, the ground lies above the sensor: z does not point up
     things = buffers.empty("things", 2 * settings.pixels**2, np.float32, rows=cells)
     things[:] = 0.0
     labels = GroundLabels(
@@ -174,12 +178,6 @@ def find_ground(
     return planes.kind == FOUND, labels
 
 
-def _lies_above_sensor(planes: GroundPlanes) -> bool:
-    """Return whether the ground, by the nearer half of its planes, lies above the sensor: then z does not point up."""
-    heights = planes.plane[planes.kind == FOUND, 2]  # cells are sorted outwards
-    return len(heights) > 0 and bool(_median(heights[: len(heights) // 2 + 1]) > _HIGHEST_M)
-
-
 def _noise(planes: GroundPlanes, geometry: CellGeometry, zones: int) -> NDArray[np.float64]:
     """Return the median spread of ground points about their plane in each zone, m."""
     found = planes.kind == FOUND
@@ -203,12 +201,6 @@ def _part_of_pixel(pixels: int) -> NDArray[np.int32]:
     """Return the part of the cell that each pixel of its heightmap lies in."""
     line = np.arange(pixels) * PARTS // pixels
     return (line[:, None] * PARTS + line).astype(np.int32).ravel()
-
-
-def _geometry(settings: PolarSettings, start: float) -> CellGeometry:
-    layout = cell_layout(settings)
-    azimuth = layout.y + start
-    return layout._replace(x=layout.x * np.cos(azimuth), y=layout.x * np.sin(azimuth))
 
 
 @cache

@@ -147,7 +147,10 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
     patches[:, 2] = stack.things[asked, 0] / np.float32(stack.settings.height_m)
     patches[:, 3] = np.log1p(stack.things[asked, 1]) / np.float32(3.0)
     ground, points = stack.ground_count[asked], stack.count[asked]
-    distance, width, depth = _sizes(stack, asked)
+    bounds = sector_bounds(stack)
+    near, far = bounds.near[asked], bounds.far[asked]
+    distance = 0.5 * (near + far)  # of the centre from the sensor
+    width = distance * (bounds.left - bounds.right)[asked]
     measures = np.column_stack(
         [
             np.log10(ground / 200.0),
@@ -158,7 +161,7 @@ def network_input(stack: SectorStack) -> tuple[NDArray[np.float32], NDArray[np.f
             2.0 * np.abs(stack.normal[asked, 2]) - 1.0,
             np.log10(distance / 20.0),
             np.log10(width / 4.0),
-            np.log10(depth / 4.0),
+            np.log10((far - near) / 4.0),
             2.0 * ground / points - 1.0,
             2.0 * np.sqrt(stack.obstacle_count[asked] / points) - 1.0,
             2.0 * np.sqrt(stack.overhead_count[asked] / points) - 1.0,
@@ -181,14 +184,6 @@ def _usual_count(stack: SectorStack, asked: NDArray[np.int64]) -> NDArray[np.flo
         here = ring == number
         usual[here] = np.median(count[here])
     return usual
-
-
-def _sizes(stack: SectorStack, asked: NDArray[np.int64]) -> tuple[NDArray[np.float64], ...]:
-    """Return the distance of the centre of sectors from the sensor, their width around it and depth outwards, m."""
-    bounds = sector_bounds(stack)
-    near, far = bounds.near[asked], bounds.far[asked]
-    middle = 0.5 * (near + far)
-    return middle, middle * (bounds.left - bounds.right)[asked], far - near
 
 
 def classify_learned(stack: SectorStack, model: ScanModel | None = None) -> ClassedSectors:

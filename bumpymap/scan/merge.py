@@ -180,13 +180,6 @@ class DriveMerge:
         """(frames, 4, 4) as they were given, when all have come."""
         return np.array([pose for pose, *_ in self.frames]).reshape(-1, 4, 4)
 
-    def _read(self, number: int) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-        """Read a frame back: its points (n, 3) in the frame of the sensor, m, and whether each is ground (n,)."""
-        pose, begin, end = self.frames[number]
-        rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
-        world = 0.001 * rows["place"] + (self.offset - pose[:3, 3])
-        return world @ pose[:3, :3], rows["kind"] == 1
-
     def _image(self, number: int) -> NDArray[np.uint16]:
         """Read the range image of a frame, see `range_image`."""
         pixels = _COLUMNS * _COLUMNS // 2
@@ -224,8 +217,10 @@ class DriveMerge:
             if not len(far):
                 continue
             second = int(first + 1 + far[0])
-            points, is_ground = self._read(first)
-            standing = points[~is_ground & (np.linalg.norm(points, axis=1) < _REACH_M)]
+            pose, begin, end = self.frames[first]
+            rows = np.fromfile(self.points.name, _POINT, end - begin, offset=begin * _POINT.itemsize)
+            points = (0.001 * rows["place"] + (self.offset - pose[:3, 3])) @ pose[:3, :3]  # in the frame of the sensor
+            standing = points[(rows["kind"] == 0) & (np.linalg.norm(points, axis=1) < _REACH_M)]
             standing = standing[:: max(1, len(standing) // _POINTS)]
             found = np.zeros((4, len(standing)), np.int32)
             way = np.ascontiguousarray((np.linalg.inv(poses[second]) @ poses[first])[:3])

@@ -11,7 +11,6 @@ over its area, as far as that is rated.
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields, replace
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -218,10 +217,10 @@ def choose_method(config: ScanConfig) -> Method:
     """Choose the method according to the settings and load what it needs.
 
     The default is the learned method: a network trained on labels recognises mud or bushes that are as flat as grass,
-    while stripes show only relief. If no network for the grid is included, the default is the filter.
+    while stripes show only relief. For a grid that the included network was not trained on, the default is the filter.
 
-    Raises UsageError: no network is included, or the network or the stripe classes are for another grid. There is no
-    such vehicle, or the settings name another belly or height. Raises BadInputError: the network, the stripe classes or
+    Raises UsageError: the network or the stripe classes are for another grid. There is no such vehicle, or the settings
+    name another belly or height. Raises BadInputError: the network, the stripe classes or
     the calibration of the vehicle cannot be read.
     """
     if config.vehicle is None and config.calibration is None:
@@ -252,29 +251,20 @@ def _for_vehicle(polar: PolarSettings, body: VehicleBody) -> PolarSettings:
 
 def _choose(config: ScanConfig) -> Method:
     """Return the method without the ride of a vehicle."""
-    by_network = config.model is not None or config.method == "learned"
-    if config.method is None and (model := _shipped_network()) is not None:
-        by_network |= config.polar.pixels == model.pixels
-    if by_network:
-        return _learned(config)
+    polar, buffers = config.polar, SectorBuffers()
+    network = None
+    if config.model is not None:
+        network = ScanModel.load(config.model)
+    elif config.method != "filter":
+        network = ScanModel.shipped()
+        if config.method is None and network.pixels != polar.pixels:
+            network = None
+    if network is not None:
+        model = network
+        model.require_pixels(polar)
+        basis = f"scan network {model.id}"
+        return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, polar, buffers), model))
     stripes = load_stripes()
-    stripes.require_pixels(config.polar)
-    centres = ", ".join(f"{centre:.2f}" for centre in stripes.centres)
-    basis = f"stripe classes of bumpymap: {centres}"
-    buffers = SectorBuffers()
-    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, config.polar, buffers), stripes))
-
-
-def _learned(config: ScanConfig) -> Method:
-    model = _shipped_network() if config.model is None else ScanModel.load(config.model)
-    if model is None:
-        raise UsageError("no scan network is included for this; name one with `model`, or use `method='filter'`")
-    model.require_pixels(config.polar)
-    basis = f"scan network {model.id}"
-    buffers = SectorBuffers()
-    return Method("learned", basis, lambda scan: classify_learned(polar_sectors(scan, config.polar, buffers), model))
-
-
-def _shipped_network() -> ScanModel | None:
-    there = (files("bumpymap.scan") / "data" / "models" / "scan.onnx").is_file()
-    return ScanModel.shipped() if there else None
+    stripes.require_pixels(polar)
+    basis = f"stripe classes of bumpymap: {', '.join(f'{centre:.2f}' for centre in stripes.centres)}"
+    return Method("filter", basis, lambda scan: classify_filter(polar_sectors(scan, polar, buffers), stripes))

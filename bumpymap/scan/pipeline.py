@@ -5,7 +5,6 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
@@ -57,7 +56,7 @@ from bumpymap.layers import (
     verified_record,
     write_scan_manifest,
 )
-from bumpymap.rating import Calibration, find_calibration
+from bumpymap.rating import find_calibration
 from bumpymap.readers import (
     FramePoses,
     bag_files,
@@ -84,17 +83,9 @@ from bumpymap.views import check_bag_file
 if TYPE_CHECKING:
     from bumpymap.survey import MapResult
 
-__all__ = [
-    "ScanRun",
-    "classify_frames",
-    "crs_of_poses",
-    "describe_scan",
-    "drive_settings",
-    "earlier_frames",
-    "map_drive",
-    "scan_frames",
-    "scan_manifest",
-]
+__all__ = ["ScanRun", "scan_frames"]
+
+_log = logging.getLogger(__name__)
 
 _WITHOUT_EFFECT = {"frames", "out", "overwrite", "skip_bad", "threads", "poses"}
 """Settings that do not change the files of the frames: a resumed run may use other values. The file of the poses is an
@@ -126,26 +117,28 @@ def describe_scan(
     config: ScanConfig, frames: Sequence[Frame], method: Method, poses: FramePoses | None
 ) -> dict[str, Any]:
     """Return everything that the files of the frames depend on; a resumed run must have the same."""
-    paths = [frame.path for frame in frames if frame.message is None] + _side_files(config, frames)
+    paths = [frame.path for frame in frames if frame.message is None]
+    if config.poses is not None:
+        paths += [config.poses, *files_beside_poses(config.poses, [frame.path for frame in frames])]
+    paths += [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
+    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
+    paths += [file for bag in bags for file in bag_files(bag)]
     calibration_id = None if method.calibration is None else method.calibration.id
+    used = {
+        "matched_by": "time" if poses is None else poses.matched_by,
+        "calib": None if poses is None or poses.calib is None else str(poses.calib),
+        "deskew": config.deskew and any(frame.motion is not None for frame in frames),
+    }
     return {
         "inputs": {str(path): identity(path) for path in paths},
         "settings": flat_settings(config, _WITHOUT_EFFECT),
         "made with": software_versions() | _made_with(method.name, method.basis, calibration_id),
-        "poses": None if all(frame.pose is None for frame in frames) else _describe_poses(config, frames, poses),
+        "poses": None if all(frame.pose is None for frame in frames) else used,
     }
 
 
 def _made_with(method: str, basis: str, calibration: str | None) -> dict[str, Any]:
     return {"method": f"{method}, {basis}", "calibration": calibration}
-
-
-def _describe_poses(config: ScanConfig, frames: Sequence[Frame], poses: FramePoses | None) -> dict[str, Any]:
-    return {
-        "matched_by": "time" if poses is None else poses.matched_by,
-        "calib": None if poses is None or poses.calib is None else str(poses.calib),
-        "deskew": config.deskew and any(frame.motion is not None for frame in frames),
-    }
 
 
 def scan_manifest(
@@ -161,10 +154,20 @@ def scan_manifest(
     """
     known = run_spec["inputs"]
     own = {str(frame.path) for frame in frames if frame.message is None}
+    calibration = None
+    if method.calibration is not None:
+        body = method.calibration.body
+        calibration = {
+            "id": method.calibration.id,
+            "vehicle": method.calibration.vehicle["name"],
+            "class_limits": method.calibration.map_limits,
+            "belly_m": body.lowest_obstacle_m,
+            "height_m": body.height_m,
+        }
     return {
         "settings": recorded_settings(config),
         "method": {"name": method.name, "basis": method.basis},
-        "calibration": None if method.calibration is None else _describe_calibration(method.calibration),
+        "calibration": calibration,
         "poses": run_spec["poses"],
         "skipped": skipped,
         "skipped_inputs": [{"path": path, "mtime_ns": known[path]["mtime_ns"]} for path in skipped if path in known],
@@ -173,16 +176,6 @@ def scan_manifest(
             for path, version in known.items()
             if path not in own
         ],
-    }
-
-
-def _describe_calibration(calibration: Calibration) -> dict[str, Any]:
-    return {
-        "id": calibration.id,
-        "vehicle": calibration.vehicle["name"],
-        "class_limits": calibration.map_limits,
-        "belly_m": calibration.body.lowest_obstacle_m,
-        "height_m": calibration.body.height_m,
     }
 
 
@@ -214,15 +207,6 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         )
 
 
-def _side_files(config: ScanConfig, frames: Sequence[Frame]) -> list[Path]:
-    """List the files that are read beside those of frames: poses, what belongs to them, labels and bags."""
-    labels = [found for frame in frames if frame.path.suffix.lower() == ".bin" and (found := label_file(frame.path))]
-    beside = [] if config.poses is None else files_beside_poses(config.poses, [frame.path for frame in frames])
-    bags = dict.fromkeys(frame.path for frame in frames if frame.message is not None)
-    stored = [file for bag in bags for file in bag_files(bag)]
-    return [*([] if config.poses is None else [config.poses]), *beside, *labels, *stored]
-
-
 def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequence[FrameReport]) -> None:
     if config.bag is not None and not config.bag.exists():
         raise OutputError(
@@ -236,9 +220,6 @@ def _require_files(config: ScanConfig, frames: Sequence[Frame], reports: Sequenc
                 f"{config.out} already holds a complete run, but files of the frame {frame.name} are missing. "
                 "Choose another `out`, or pass `overwrite=True` to replace it"
             )
-
-
-_log = logging.getLogger(__name__)
 
 
 def crs_of_poses(config: ScanConfig) -> CRS | None:
@@ -319,7 +300,7 @@ def classify_frames(
     with run_folder as run, output_errors(out), utf8_path(staging_folder(run.path, frames)) as staged:
         with clock.stage("scan"), open_products(config, frames, crs, run.path, staged) as products:
             reports = _classify_each(frames, method, run_spec["inputs"], reader, products, progress)
-        accumulated = products.merged()
+        accumulated = None if products.accumulated is None else products.accumulated.record()
         manifest = scan_manifest(config, frames, method, run_spec, reader.skipped)
         manifest |= {"gathered": accumulated, "bag": None, "seconds": clock.seconds}
         if config.bag is not None and products.grids is not None:

@@ -16,7 +16,6 @@ from bumpymap.cli import main
 pytestmark = pytest.mark.later
 
 ROOT = Path(__file__).resolve().parents[2]
-PLANTED = "open({marker!r}, 'a').write(__file__ + '\\n')\nraise ImportError('planted')\n"
 COMMANDS = {
     "map": "map surveys/a.laz --out new",
     "map with a filter in a child": "map surveys/a.laz --out new --ground csf",

@@ -1,4 +1,6 @@
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -6,6 +8,7 @@ import pytest
 import rasterio
 from cost_maps import part_of
 from pyproj import CRS
+from rasterio.env import get_gdal_config
 from rio_cogeo import cog_validate
 
 from bumpymap.core.types import (
@@ -291,6 +294,22 @@ def test_threads_do_not_change_the_bytes(tmp_path, make_field, monkeypatch):
             WRITERS[name](cost_map, tmp_path / f"{name}.tif")
             seen.add((tmp_path / f"{name}.tif").read_bytes())
         assert len(seen) == 1
+
+
+def test_the_cache_of_the_process_changes_only_for_the_thread_that_may_write(tmp_path, make_field):
+    """A smaller limit makes GDAL flush blocks at once, also those that another thread has not finished."""
+    write, path = partial(write_raster, "class.tif", CostTable.of(make_field(9, 9))), tmp_path / "class.tif"
+    write(path)
+    path.unlink()
+    before = get_gdal_config("GDAL_CACHEMAX")
+    with ThreadPoolExecutor(1) as other:
+        with _cog.raster_lock():
+            written = other.submit(write, path)
+            assert not wait([written], 0.3).done
+            assert get_gdal_config("GDAL_CACHEMAX") == before
+        written.result()
+    assert path.exists()
+    assert get_gdal_config("GDAL_CACHEMAX") == before
 
 
 @pytest.mark.parametrize("name", WRITERS)

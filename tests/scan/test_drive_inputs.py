@@ -58,6 +58,12 @@ def drive_fixture(tmp_path_factory):
     return folder
 
 
+def settings(drive, out, **more):
+    return ScanConfig(
+        (drive / "frames",), out, **{"poses": drive / "tum.txt"} | more, method="filter", products=("table",)
+    )
+
+
 def off_posts(out):
     """Distance of the points above the ground to the nearest post, m."""
     points = laspy.read(out / "gathered.laz").xyz
@@ -66,21 +72,12 @@ def off_posts(out):
 
 
 def test_a_drive_is_deskewed_by_the_poses_between_its_frames(drive, tmp_path):
-    config = ScanConfig(
-        (drive / "frames",), tmp_path / "out", poses=drive / "tum.txt", method="filter", products=("table",)
-    )
+    config = settings(drive, tmp_path / "out")
     scan_frames(config)
     assert off_posts(config.out).max() < 0.01
     record = json.loads((config.out / "scan.json").read_text(encoding="utf-8"))
     assert record["poses"] == {"matched_by": "time", "calib": None, "deskew": True}
-    raw = ScanConfig(
-        (drive / "frames",),
-        tmp_path / "raw",
-        poses=drive / "tum.txt",
-        method="filter",
-        products=("table",),
-        deskew=False,
-    )
+    raw = settings(drive, tmp_path / "raw", deskew=False)
     scan_frames(raw)
     assert off_posts(raw.out).max() > 0.5
     assert not json.loads((raw.out / "scan.json").read_text(encoding="utf-8"))["poses"]["deskew"]
@@ -92,14 +89,7 @@ def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(drive, tmp_path):
     right = table[:, 3].copy()
     table[:, 3] += 7.0 * (table[:, 0] - START)
     np.savetxt(tmp_path / "tum.txt", table, fmt="%.9f")
-    config = ScanConfig(
-        (drive / "frames",),
-        tmp_path / "out",
-        poses=tmp_path / "tum.txt",
-        deskew=False,
-        method="filter",
-        products=("table",),
-    )
+    config = settings(drive, tmp_path / "out", poses=tmp_path / "tum.txt", deskew=False)
     with pytest.raises(BadInputError, match="height of the same ground differs") as refused:
         scan_frames(config)
     assert not hasattr(refused.value, "__notes__")
@@ -110,19 +100,15 @@ def test_wrong_poses_leave_nothing_in_the_way_of_right_ones(drive, tmp_path):
 
 
 def test_a_drive_is_the_same_whatever_the_columns_of_its_files(tmp_path):
-    rng = np.random.default_rng(3)
+    rng, count = np.random.default_rng(3), 12_000
+    distance, azimuth = rng.uniform(3.0, 40.0, count), np.linspace(-3.1, 3.1, count)
+    columns = [distance * np.cos(azimuth), distance * np.sin(azimuth), -1.0 + 0.01 * rng.normal(size=count)]
+    columns += [rng.uniform(size=count), np.arange(count) % 32, np.linspace(0.0, 0.1, count)]
     sectors = set()
     for width in (4, 5, 6):
-        folder = tmp_path / str(width)
-        folder.mkdir()
-        for number in range(2):
-            distance, azimuth = rng.uniform(3.0, 40.0, 12_000), np.linspace(-3.1, 3.1, 12_000)
-            rng = np.random.default_rng(number)
-            rows = [distance * np.cos(azimuth), distance * np.sin(azimuth), -1.0 + 0.01 * rng.normal(size=12_000)]
-            rows += [rng.uniform(size=12_000), np.arange(12_000) % 32, np.linspace(0.0, 0.1, 12_000)]
-            np.column_stack(rows[:width]).astype("<f4").tofile(folder / f"{number}.bin")
-        rng = np.random.default_rng(3)
-        result = scan_frames(ScanConfig((folder,), folder / "out", method="filter", products=("table",)))
-        sectors.add(tuple(frame.sectors for frame in result.frames))
-    assert len(sectors) == 1
-    assert sum(map(sum, *sectors)) > 0
+        path = tmp_path / f"{width}.bin"
+        np.column_stack(columns[:width]).astype("<f4").tofile(path)
+        (report,) = scan_frames(ScanConfig((path,), tmp_path / path.stem, method="filter", products=("table",))).frames
+        sectors.add(report.sectors)
+    (found,) = sectors
+    assert sum(found) > 0

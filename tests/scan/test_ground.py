@@ -181,3 +181,14 @@ def test_low_robots_find_the_ground_around_them(shared_data, name, least):
     # Not stretched to reach the number: what is called ground is thin.
     heights = np.abs(stack.point_height[stack.point_ground])
     assert np.quantile(heights, 0.95) < 0.3
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("pattern", ["monoforce/husky/*.ply", "monoforce/husky_oru/*.ply", "patchwork_128ch/*.pcd"])
+def test_smooth_sectors_of_a_real_scan_hold_ground_and_nothing_tall(shared_data, pattern):
+    stack = polar_sectors(read_scan(next((shared_data / "scans").glob(pattern))))
+    smooth = classify_filter(stack).class_id == 0
+    assert smooth.sum() >= 8
+    assert stack.residual[smooth].mean() < 0.06
+    assert np.abs(stack.point_height[stack.point_ground]).max() < 1.2
+    assert (np.abs(stack.heights[smooth]) > 0.5).mean() < 0.01  # over the plane of its sector, pixel by pixel

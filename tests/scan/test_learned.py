@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from bumpymap.core import cell_numbers
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.scan_types import NOT_TRAVERSABLE, PolarSettings, Scan
+from bumpymap.scan.ground import cell_layout
 from bumpymap.scan.learned import (
     CHANNELS,
     MEASURES,
@@ -76,12 +78,16 @@ def test_open_sectors_share_smooth_or_fair_with_their_neighbours_and_nothing_els
     rough = stack.traversable & (alone[:, 2] > 0.5)
     assert (classed.class_id[rough] == 2).all()
     assert (classed.class_id[stack.traversable & ~rough & (alone[:, 2] < 0.3)] < 2).all()
-    # A sector without open neighbours keeps its own answer.
-    only = np.flatnonzero(is_open)[:1]
-    lonely = replace(stack, traversable=np.isin(np.arange(len(stack.zone)), only))
-    assert_allclose(
-        classify_learned(lonely, model).confidence[only], probabilities(lonely, model)[only].max(axis=1), rtol=1e-5
-    )
+    # Log-odds of fair against smooth: its own, and one and a half times the mean of the open sectors around it.
+    near, cell = cell_layout(stack.settings).near, cell_numbers(stack)
+    smooth, fair = np.maximum(alone[:, :2], 1e-3).T
+    odds = dict(zip(cell[is_open].tolist(), np.log(fair / smooth)[is_open].tolist(), strict=True))
+    for row in np.flatnonzero(is_open):
+        beside = [odds[other] for other in near[cell[row]].tolist() if other in odds]
+        share = 1.0 / (1.0 + np.exp(-odds[cell[row]] - 1.5 * np.mean(beside or [0.0])))
+        either = alone[row, 0] + alone[row, 1]
+        most = max(either * share, either * (1.0 - share), alone[row, 2])
+        assert classed.confidence[row] == pytest.approx(most, rel=1e-4)
 
 
 def test_an_answer_does_not_depend_on_its_place_in_the_batch(stack, model):

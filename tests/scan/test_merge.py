@@ -126,9 +126,8 @@ def test_ground_below_a_truck_is_not_ground_to_drive_on(frames, drive):
     assert not (below & ground).any()
 
 
-@pytest.mark.parametrize("by", [(15.0, -9.0, 4.0), (-100_020.0, 3_999_996.0, 0.0)])
-def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path, by):
-    poses = way_along()
+def test_where_blocks_begin_makes_no_difference(frames, drive, tmp_path):
+    poses, by = way_along(), (-100_005.0, 3_999_987.0, 4.0)
     poses[:, :3, 3] += by
     xyz, ground, record = merged(tmp_path / "out", frames, poses)
     rows = [np.column_stack([np.round(1000.0 * p).astype(np.int64), g]) for p, g in ((xyz - by, ground), drive[:2])]
@@ -167,7 +166,7 @@ def test_poses_with_errors_give_level_ground_again(frames, tmp_path):
     json.dumps(record)
 
 
-@pytest.mark.parametrize(("seed", "most"), [*((seed, 1 << 30) for seed in range(5)), (0, 4_000)])
+@pytest.mark.parametrize(("seed", "most"), [(0, 1 << 30), (1, 1 << 30), (0, 4_000)])
 def test_corrections_are_those_that_were_put_in(seed, most):
     """The frames agree with each other; what they have in common cannot be known."""
     rng = np.random.default_rng(seed)
