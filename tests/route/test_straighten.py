@@ -34,9 +34,9 @@ def test_around_blocks_the_line_is_taut():
     shares = []
     for seed in range(6):
         rng = np.random.default_rng(seed)
-        cost = np.ones((30, 30), np.float32)
-        for _ in range(10):
-            r, c = rng.integers(0, 26, 2)
+        cost = np.ones((40, 40), np.float32)
+        for _ in range(16):
+            r, c = rng.integers(0, 36, 2)
             cost[r : r + rng.integers(1, 8), c : c + rng.integers(1, 4)] = np.inf
         start, goal = rng.permutation(np.argwhere(np.isfinite(cost)))[:2] + 0.5
         way, exact = find_way(cost, tuple(start), tuple(goal)), taut_length(cost, start, goal)
