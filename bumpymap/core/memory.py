@@ -77,20 +77,14 @@ def free_memory(proc: Path = _PROC, cgroups: Path = _CGROUPS) -> int | None:
     proc, cgroups : Path
         Where Linux shows processes, and control groups.
     """
-    found = [*_available(proc), *_left_in_groups(proc, cgroups), *_left_in_limits(proc)]
-    return max(min(found), 0) if found else _installed()
-
-
-def _available(proc: Path) -> Iterator[int]:
+    found = [*_left_in_groups(proc, cgroups), *_left_in_limits(proc)]
     with suppress(OSError, ValueError, KeyError):
-        yield _numbers(proc / "meminfo")["MemAvailable:"] * 1024
-
-
-def _installed() -> int | None:
-    try:
+        found.append(_numbers(proc / "meminfo")["MemAvailable:"] * 1024)
+    if found:
+        return max(min(found), 0)
+    with suppress(AttributeError, ValueError, OSError):
         return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return None
+    return None
 
 
 def _left_in_limits(proc: Path) -> Iterator[int]:

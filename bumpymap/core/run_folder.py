@@ -221,6 +221,8 @@ def _no_lock(path: Path) -> OutputError:
 WORK_FOLDER = ".bumpymap-run"
 """Exists in the output folder while a run is under way, or after it was interrupted."""
 _RUN_SPEC = "run_spec.json"
+_COMPARED = {"inputs", "settings", "made with"}
+"""Entries of a run spec that must be the same in a resumed run."""
 _SPEC_SHAPE = {
     "inputs": Each(Each()),
     "settings": Each(),
@@ -330,7 +332,8 @@ class RunFolder:
                         "Use the same to continue it, choose another `out`, or pass `overwrite=True` to discard it",
                     )
                 before = None
-            record = json.loads(json.dumps({**run_spec, **_taken_over(before)}))
+            more = {name: value for name, value in (before or {}).items() if name not in _COMPARED}
+            record = json.loads(json.dumps({**run_spec, **more}))
             clean_folder(path, everything=before is None, keep=keep)
             if before is None:
                 with atomic(path / _RUN_SPEC) as temporary:
@@ -377,10 +380,6 @@ def clean_folder(path: Path, *, everything: bool = False, keep: Collection[str] 
                     os.unlink(name, dir_fd=folder)
     finally:
         os.close(descriptor)
-
-
-def _taken_over(before: Mapping[str, Any] | None) -> dict[str, Any]:
-    return {} if before is None else {k: v for k, v in before.items() if k not in {"inputs", "settings", "made with"}}
 
 
 def _make_own(path: Path) -> None:

@@ -20,6 +20,7 @@ __all__ = [
     "body_table",
     "floor_of",
     "less_floor",
+    "number_tuples",
     "plain_lists",
     "profile_keys",
     "with_floor",
@@ -144,6 +145,11 @@ def plain_lists(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {key: plain_lists(item) for key, item in value.items()}
     return [plain_lists(item) for item in value] if isinstance(value, tuple) else value
+
+
+def number_tuples(value: Any) -> Any:
+    """Return a number of JSON as a float, lists of them as tuples; raise ValueError or TypeError at anything else."""
+    return tuple(map(number_tuples, value)) if isinstance(value, list | tuple) else float(value)
 
 
 Floats = NDArray[np.float64]

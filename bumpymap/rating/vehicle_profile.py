@@ -4,6 +4,7 @@ import json
 import math
 import re
 import shlex
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -196,10 +197,7 @@ class Vehicle:
         if not faults:
             profile = cls(**arguments)
             profile = replace(profile, body=Body(**body_table(profile.to_dict())))
-            found = [_wheels(profile), _track(profile), _belly_width(profile), _belly_length(profile), _com(profile)]
-            found += [_height(profile), _width(profile)]
-            found += [_parts(profile, record), _density(profile), *(_gyration(profile, table) for table in _GYRATION)]
-            faults = [fault for fault in found if fault]
+            faults = [*_size_faults(profile), *_mass_faults(profile, record.get("mass_kg", profile.mass_kg))]
         lacking = estimate.record is record and any(fault.startswith("missing") for fault in faults)
         refuse_faults(faults, origin, BadInputError, f"; {_SCHEMA}{_SHORT if lacking else ''}")
         return profile
@@ -248,101 +246,68 @@ def estimated_values(name_or_path: str | Path) -> dict[str, Any]:
     return estimate_profile(_profile_record(name_or_path)[0]).values
 
 
-def _parts(profile: Vehicle, record: dict[str, Any]) -> str:
-    whole = record.get("mass_kg", profile.mass_kg)
-    if math.isclose(whole, profile.mass_kg, rel_tol=0.01):
-        return ""
-    parts = f"chassis, rockers and wheels weigh {profile.mass_kg:g} together"
-    return f"mass_kg is {whole:g}, and {parts}: leave one of them out"
+def _size_faults(profile: Vehicle) -> Iterator[str]:
+    """Describe each dimension that contradicts another."""
+    wheel, belly, body = profile.wheel, profile.belly, profile.body
+    radius, between = wheel.radius_m, profile.track_m - wheel.width_m
+    under, wide = max(2 * radius, belly.clearance_m), profile.width_m
+    if 2 * radius >= profile.wheelbase_m:
+        yield (
+            f"wheel.radius_m is {radius:g} and wheelbase_m {profile.wheelbase_m:g}; front and rear wheels would touch: "
+            "the wheelbase must exceed twice the radius"
+        )
+    if between <= 0:
+        yield (
+            f"wheel.width_m is {wheel.width_m:g} and track_m {profile.track_m:g}; the track must exceed the wheel width"
+        )
+    if belly.width_m > between and belly.clearance_m < 2 * radius:
+        yield (
+            f"belly.width_m is {belly.width_m:g}, and the wheels are {between:g} apart on the inside; "
+            "a belly below the top of the wheels must fit between them"
+        )
+    if belly.length_m > _LONGEST_BELLY * profile.wheelbase_m:
+        yield (
+            f"belly.length_m is {belly.length_m:g} and wheelbase_m {profile.wheelbase_m:g}; a belly has at most "
+            f"{_LONGEST_BELLY:g} times the wheelbase"
+        )
+    if profile.chassis.com_height_m < -radius:
+        yield (
+            f"chassis.com_height_m is {profile.chassis.com_height_m:g}, below the ground; it is the height above the "
+            f"axles and must be above -wheel.radius_m = {-radius:g}"
+        )
+    if body.height_m < under:
+        yield f"body.height_m is {body.height_m:g}, and wheels and belly reach up to {under:g}; it must not be lower"
+    elif body.height_m <= body.brush_stem_m:
+        yield f"body.height_m is {body.height_m:g} and body.brush_stem_m {body.brush_stem_m:g}; it must be higher"
+    if body.width_m < round(wide, 2) - 0.005:  # the default is rounded
+        yield f"body.width_m is {body.width_m:g}, and belly and wheels are {wide:.3g} wide; it must not be less"
 
 
-def _wheels(profile: Vehicle) -> str:
-    radius, wheelbase = profile.wheel.radius_m, profile.wheelbase_m
-    if 2 * radius < wheelbase:
-        return ""
-    return (
-        f"wheel.radius_m is {radius:g} and wheelbase_m {wheelbase:g}; front and rear wheels would touch: the wheelbase "
-        "must exceed twice the radius"
-    )
-
-
-def _track(profile: Vehicle) -> str:
-    width, track = profile.wheel.width_m, profile.track_m
-    if width < track:
-        return ""
-    return f"wheel.width_m is {width:g} and track_m {track:g}; the track must exceed the wheel width"
-
-
-def _belly_width(profile: Vehicle) -> str:
-    belly, between = profile.belly, profile.track_m - profile.wheel.width_m
-    if belly.width_m <= between or belly.clearance_m >= 2 * profile.wheel.radius_m:
-        return ""
-    return (
-        f"belly.width_m is {belly.width_m:g}, and the wheels are {between:g} apart on the inside; "
-        "a belly below the top of the wheels must fit between them"
-    )
-
-
-def _belly_length(profile: Vehicle) -> str:
-    length, wheelbase = profile.belly.length_m, profile.wheelbase_m
-    if length <= _LONGEST_BELLY * wheelbase:
-        return ""
-    return (
-        f"belly.length_m is {length:g} and wheelbase_m {wheelbase:g}; a belly has at most {_LONGEST_BELLY:g} times "
-        "the wheelbase"
-    )
-
-
-def _height(profile: Vehicle) -> str:
-    body, least = profile.body, max(2 * profile.wheel.radius_m, profile.belly.clearance_m)
-    if body.height_m >= least and body.height_m > body.brush_stem_m:
-        return ""
-    if body.height_m < least:
-        return f"body.height_m is {body.height_m:g}, and wheels and belly reach up to {least:g}; it must not be lower"
-    return f"body.height_m is {body.height_m:g} and body.brush_stem_m {body.brush_stem_m:g}; it must be higher"
-
-
-def _width(profile: Vehicle) -> str:
-    least = max(profile.belly.width_m, profile.track_m + profile.wheel.width_m)
-    if profile.body.width_m >= round(least, 2) - 0.005:  # the default is rounded
-        return ""
-    return f"body.width_m is {profile.body.width_m:g}, and belly and wheels are {least:.3g} wide; it must not be less"
-
-
-def _com(profile: Vehicle) -> str:
-    height, radius = profile.chassis.com_height_m, profile.wheel.radius_m
-    if height >= -radius:
-        return ""
-    return (
-        f"chassis.com_height_m is {height:g}, below the ground; it is the height above the axles and must be above "
-        f"-wheel.radius_m = {-radius:g}"
-    )
-
-
-def _density(profile: Vehicle) -> str:
-    size = math.sqrt(profile.length_m * profile.width_m)
-    low, high = _LIGHTEST * size**3, _HEAVIEST * size**3
-    if low <= profile.mass_kg <= high:
-        return ""
-    return (
-        f"the whole vehicle weighs {profile.mass_kg:,.6g} kg and is {profile.length_m:.3g} m long and "
-        f"{profile.width_m:.3g} m wide; one of that size weighs between {low:.3g} and {high:.3g} kg. Are masses in "
-        "kilograms and lengths in metres?"
-    )
-
-
-def _gyration(profile: Vehicle, table: str) -> str:
-    part: Chassis | Rocker = getattr(profile, table)
-    size = max(profile.length_m, profile.width_m)
-    low, high = (part.mass_kg * (share * size) ** 2 for share in _GYRATION[table])
-    moments = part.inertia_kgm2
-    if low <= min(moments) and max(moments) <= high:
-        return ""
-    return (
-        f"{table}.inertia_kgm2 is {short_repr(list(moments))}: with {table}.mass_kg = {part.mass_kg:g} in a vehicle of "
-        f"{size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg m2; a solid box of mass m, length l, "
-        "width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, m (l2 + w2) / 12"
-    )
+def _mass_faults(profile: Vehicle, whole: float) -> Iterator[str]:
+    """Describe each mass or moment that does not fit the size, or the mass of the whole vehicle, kg."""
+    if not math.isclose(whole, profile.mass_kg, rel_tol=0.01):
+        yield (
+            f"mass_kg is {whole:g}, and chassis, rockers and wheels weigh {profile.mass_kg:g} together: leave one of "
+            "them out"
+        )
+    long, wide = profile.length_m, profile.width_m
+    low, high = (density * math.sqrt(long * wide) ** 3 for density in (_LIGHTEST, _HEAVIEST))
+    if not low <= profile.mass_kg <= high:
+        yield (
+            f"the whole vehicle weighs {profile.mass_kg:,.6g} kg and is {long:.3g} m long and {wide:.3g} m wide; one "
+            f"of that size weighs between {low:.3g} and {high:.3g} kg. Are masses in kilograms and lengths in metres?"
+        )
+    size = max(long, wide)
+    for table, shares in _GYRATION.items():
+        part: Chassis | Rocker = getattr(profile, table)
+        low, high = (part.mass_kg * (share * size) ** 2 for share in shares)
+        if min(part.inertia_kgm2) < low or max(part.inertia_kgm2) > high:
+            yield (
+                f"{table}.inertia_kgm2 is {short_repr(list(part.inertia_kgm2))}: with {table}.mass_kg = "
+                f"{part.mass_kg:g} in a vehicle of {size:.3g} m, each moment lies between {low:.2g} and {high:.2g} kg "
+                "m2; a solid box of mass m, length l, width w and height h has m (w2 + h2) / 12, m (l2 + h2) / 12, "
+                "m (l2 + w2) / 12"
+            )
 
 
 _NAME = re.compile(r"[\w-]{1,64}")

@@ -43,7 +43,7 @@ def test_of_a_file_that_nobody_has_read(size, tmp_path):
     assert hash_file(tmp_path / "a") == expected(data)
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
     rng = np.random.default_rng(seed)
     monkeypatch.setattr(run_spec, "MOST_PARTS", int(rng.choice([0, 1, 16])))
@@ -58,7 +58,7 @@ def test_in_any_order_with_gaps_and_overlaps(seed, monkeypatch):
     assert rest.read >= np.count_nonzero(~seen)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_parts_in_any_order_are_read_once(seed):
     data = content(3 * PIECE + 7)
     cuts = np.sort(np.random.default_rng(seed).choice(len(data), 50, replace=False))

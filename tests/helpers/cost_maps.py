@@ -13,6 +13,12 @@ UTM = CRS.from_epsg(32614)
 RULE = CostRule(ride_weight=2.5, fail_weight=300.0, drive_m=10.0, slope_limit_deg=25.0)
 
 
+def patch_stack(count, grid=None, **columns):
+    """Patches of which a test needs a few columns; the others are zero."""
+    names = [field.name for field in fields(PatchStack) if field.name != "grid"]
+    return PatchStack(grid or Grid(), **{name: np.zeros(count) for name in names} | columns)
+
+
 def make_map(col, row, class_id, reason, *, georeference=None, grid=None, seed=5, easy=False):
     """CostMap of given tiles, classes and reasons; every other number is drawn at random.
 

@@ -1,14 +1,12 @@
-import dataclasses
-
 import numpy as np
 import pytest
+from cost_maps import patch_stack
 from scipy.special import ndtr
 
 from bumpymap.core.errors import UsageError
-from bumpymap.core.types import NO_CLASS, TEXTURES, Georeference, PatchStack, Reason, TextureMap
+from bumpymap.core.types import NO_CLASS, TEXTURES, Georeference, Reason, TextureMap
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.cost import PAPER_TABLE, rate, rate_as_paper
-from bumpytiles import Grid
 
 SCALE = {"flat": 0.01, "low_noise": 0.1, "noise_sin": 0.4, "high_noise": 0.8}
 LADDER = (0.02, 0.1, 0.5, 2.5)
@@ -35,18 +33,11 @@ def calibration(**changes):
 
 
 def stack(relief, *, slope=0.0, coverage=1.0, reason=Reason.OK, raw_range=None):
-    relief = np.atleast_1d(np.asarray(relief, float))
-    n = len(relief)
-    columns = {f.name: np.zeros(n) for f in dataclasses.fields(PatchStack) if f.name != "grid"}
-    columns |= {
-        "relief": relief,
-        "slope": np.full(n, slope),
-        "coverage": np.full(n, coverage),
-        "reason": np.broadcast_to(np.asarray(reason, np.uint8), (n,)),
-        "z_max": relief if raw_range is None else np.broadcast_to(np.asarray(raw_range, float), (n,)),
-        "count": np.full(n, 100),
-    }
-    return PatchStack(Grid(), **columns)
+    relief = np.array(relief, float)
+    z_max = relief if raw_range is None else raw_range
+    given = {"slope": slope, "coverage": coverage, "reason": reason, "z_max": z_max}
+    columns = {name: np.broadcast_to(value, relief.shape) for name, value in given.items()}
+    return patch_stack(len(relief), relief=relief, **columns)
 
 
 def textures(*rows):
@@ -110,11 +101,6 @@ def test_unknown_tiles_stay_unknown():
     assert cost.class_id.tolist() == [1, NO_CLASS, 1]
     for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence"):
         assert np.isnan(cost.band(name)).tolist() == [False, True, False]
-
-
-def test_nothing_known_at_all():
-    cost = rate(stack([np.nan], reason=Reason.TOO_FEW_POINTS), textures([np.nan] * 4), calibration(), HERE)
-    assert cost.class_id.tolist() == [NO_CLASS]
 
 
 def test_a_calibration_for_other_tiles_is_refused():
@@ -189,13 +175,13 @@ def test_quantiles_and_confidence_equal_those_of_scipy():
     )
 
 
-def test_a_tile_is_rated_alike_wherever_it_stands():
+def test_a_tile_is_rated_alike_alone_and_among_others():
     cal, chance, relief, _, _ = mixtures(np.random.default_rng(3), 300)
     whole = rate(stack(relief), TextureMap(chance), cal, HERE)
-    order = np.random.default_rng(4).permutation(300)
-    mixed = rate(stack(relief[order]), TextureMap(chance[order]), cal, HERE)
-    for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "class_id"):
-        np.testing.assert_array_equal(getattr(mixed, name), getattr(whole, name)[order])
+    for order in (np.arange(300)[::-1], *np.arange(300)[:, None]):
+        some = rate(stack(relief[order]), TextureMap(chance[order]), cal, HERE)
+        for name in ("c_r", "c_r_low", "c_r_high", "p_fail", "confidence", "class_id"):
+            np.testing.assert_array_equal(getattr(some, name), getattr(whole, name)[order])
 
 
 def test_a_ladder_of_one_rung():

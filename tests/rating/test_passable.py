@@ -59,37 +59,9 @@ def test_obstacles_and_missing_tiles_around_count():
         assert inner.tolist() == [[True] * 3] * 3
 
 
-@pytest.mark.parametrize(("away", "reason"), [(2, Barred.OBSTACLE), (3, Barred.UNKNOWN)])
-def test_an_obstacle_beyond_the_radius_is_not_what_bars(away, reason):
-    mosaic = np.full((3 * PIXELS, 3 * PIXELS), UNSEEN, np.uint8)
-    mosaic[PIXELS : 2 * PIXELS, PIXELS : 2 * PIXELS] = FREE
-    mosaic[20, 2 * PIXELS - 1 + away] = OBSTACLE
-    alone = np.full((1, 1), Barred.NO, np.uint8)
-    assert only(find_passable(mosaic, alone, np.ones((1, 1, 4), bool), BODY, 3.0)) == reason
-
-
-def edges_of(*usable):
-    edges = np.zeros((1, 1, 4), bool)
-    edges[0, 0, list(usable)] = True
-    return edges
-
-
-def test_edges_that_cannot_be_crossed():
-    trunk = free()
-    trunk[7, 7] = OBSTACLE
-    assert only(judged(free(), edges=edges_of())) == Barred.STEP
-    assert only(judged(free(), edges=edges_of(2))) == Barred.NO  # a dead end
-    assert only(judged(trunk, edges=edges_of(2))) == Barred.STEP
-    assert only(judged(trunk, edges=edges_of(0, 2))) == Barred.NO
-    wall = free()
-    wall[7] = OBSTACLE  # from west to east: north and south are not joined
-    assert only(judged(wall, edges=edges_of(0, 2))) == Barred.STEP
-    assert only(judged(wall, edges=edges_of(0, 1))) == Barred.NO
-
-
 def test_the_first_reason_that_holds_is_named():
     wall = np.full_like(free(), OBSTACLE)
-    everything = {"known": False, "too_steep": True, "fails": True, "edges": edges_of()}
+    everything = {"known": False, "too_steep": True, "fails": True, "edges": np.zeros((1, 1, 4), bool)}
     order = [Barred.UNKNOWN, Barred.SLOPE, Barred.FAILS, Barred.OBSTACLE, Barred.STEP]
     changes = [{"known": True}, {"too_steep": False}, {"fails": False}]
     for wanted, change in zip(order[:3], changes, strict=True):

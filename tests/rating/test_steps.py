@@ -168,9 +168,3 @@ def test_without_a_neighbour_the_step_is_unknown():
     empty = find_steps(np.full_like(heights, np.nan), PIXELS)
     assert np.isnan(empty.border).all()
     assert np.isnan(empty.unseen).all()
-
-
-@pytest.mark.parametrize("shape", [(45, 44), (30, 45), (46, 46)])
-def test_heights_of_no_whole_tiles_are_refused(shape):
-    with pytest.raises(ValueError, match="a ring of them"):
-        find_steps(np.zeros(shape), PIXELS)

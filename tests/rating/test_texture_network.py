@@ -7,38 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from cost_maps import patch_stack
 from numpy.testing import assert_array_equal
 
 from bumpymap.core.errors import BadInputError, UsageError
-from bumpymap.core.types import TEXTURES, PatchStack, Reason
+from bumpymap.core.types import TEXTURES, Reason
 from bumpymap.rating.textures import FLAT_RELIEF, TextureModel, classify, make_textures
 from bumpytiles import Grid
 
 
-def _stack(relief, reason=None, grid=None):
-    n = len(relief)
-    floats, whole = np.zeros(n), np.zeros(n, np.int64)
+def stack_of(relief, reason=0, grid=None):
     relief = np.asarray(relief, np.float32)
-    return PatchStack(
-        grid=grid or Grid(),
-        col=np.arange(n),
-        row=whole,
-        count=whole,
-        z_min=floats,
-        z_max=floats,
-        z_variance=floats,
-        ransac_residual=floats,
-        slope=floats,
-        z_range=floats,
-        density=floats,
-        coverage=floats,
-        heights=relief,
-        spread_count=np.zeros(relief.shape, np.int32),
-        spread_variance=relief,
-        relief_map=relief,
-        relief=floats,
-        reason=np.zeros(n, np.uint8) if reason is None else np.asarray(reason, np.uint8),
-    )
+    return patch_stack(len(relief), grid, relief_map=relief, reason=np.broadcast_to(np.uint8(reason), len(relief)))
 
 
 def _textures(per_texture, seed=99):
@@ -54,9 +34,9 @@ def model():
 def test_shipped_network_knows_fresh_textures(model):
     per_texture = 250
     relief = _textures(per_texture) * 0.4 - 0.1
-    probability = classify(_stack(relief), model).probability
+    probability = classify(stack_of(relief), model).probability
     assert np.abs(probability.sum(axis=1) - 1).max() < 1e-5
-    assert np.abs(classify(_stack(100 * relief), model).probability - probability).max() < 1e-3, (
+    assert np.abs(classify(stack_of(100 * relief), model).probability - probability).max() < 1e-3, (
         "height does not matter"
     )
     answer = probability.argmax(axis=1).reshape(4, per_texture)
@@ -83,10 +63,10 @@ def test_short_regular_waves_are_never_taken_for_smooth_ground(model, measure_po
 @pytest.mark.parametrize("sizes", [[1] * 30, [255, 1, 256, 88], [257, 343]])
 def test_neither_the_order_nor_the_way_a_stack_is_split_changes_a_bit(model, sizes):
     relief = _textures(150)[np.random.default_rng(0).permutation(600)][: sum(sizes)]
-    whole = classify(_stack(relief), model).probability
-    assert_array_equal(classify(_stack(relief[::-1]), model).probability, whole[::-1])
+    whole = classify(stack_of(relief), model).probability
+    assert_array_equal(classify(stack_of(relief[::-1]), model).probability, whole[::-1])
     borders = np.cumsum([0, *sizes])
-    parts = [classify(_stack(relief[a:b]), model).probability for a, b in pairwise(borders)]
+    parts = [classify(stack_of(relief[a:b]), model).probability for a, b in pairwise(borders)]
     assert_array_equal(np.concatenate(parts), whole)
 
 
@@ -96,18 +76,18 @@ def test_unknown_tiles_stay_unknown_and_disturb_nobody(model):
     reason[[0, 5]] = Reason.TOO_FEW_POINTS, Reason.TOO_MANY_HOLES
     holed = relief.copy()
     holed[[0, 5]] = np.nan
-    probability = classify(_stack(holed, reason), model).probability
+    probability = classify(stack_of(holed, reason), model).probability
     assert np.isnan(probability[[0, 5]]).all()
     others = np.setdiff1d(np.arange(12), [0, 5])
-    assert_array_equal(probability[others], classify(_stack(relief), model).probability[others])
+    assert_array_equal(probability[others], classify(stack_of(relief), model).probability[others])
 
 
 def test_level_ground_is_flat_for_certain(model):
     level = np.zeros((3, 15, 15))
     level[1] = 5.0
     level[2] = _textures(1)[3] * 0.9 * FLAT_RELIEF
-    assert_array_equal(classify(_stack(level), model).probability, [[1, 0, 0, 0]] * 3)
-    rough = classify(_stack(_textures(1)[3:] * 2 * FLAT_RELIEF), model).probability
+    assert_array_equal(classify(stack_of(level), model).probability, [[1, 0, 0, 0]] * 3)
+    rough = classify(stack_of(_textures(1)[3:] * 2 * FLAT_RELIEF), model).probability
     assert rough[0].argmax() == 3
 
 
@@ -115,14 +95,14 @@ def test_a_hole_in_known_ground_is_an_error(model):
     relief = _textures(1)
     relief[0, 3, 3] = np.nan
     with pytest.raises(ValueError, match="has NaN"):
-        classify(_stack(relief), model)
+        classify(stack_of(relief), model)
 
 
 @pytest.mark.parametrize("grid", [Grid(1.5, 15), Grid(3.0, 30)])
 def test_another_grid_is_refused_with_the_remedy(model, grid):
     relief = np.zeros((1, grid.pixels, grid.pixels))
     with pytest.raises(UsageError, match="trained for 3 m with 15") as refusal:
-        classify(_stack(relief, grid=grid), model)
+        classify(stack_of(relief, grid=grid), model)
     assert f"bumpymap train textures --set tile_size={grid.tile_size:g} --set network.pixels={grid.pixels}" in str(
         refusal.value
     )

@@ -100,9 +100,3 @@ def test_ends_may_be_near_closed_tiles_but_the_way_may_come_no_nearer():
     assert not is_clear(cost, np.array([[2.0, 2.0], [3.9, 4.0], [2.0, 6.0]]), 0.4)  # in the middle of a line
     assert is_clear(cost, np.array([[3.999, 4.2], [3.5, 4.5]]), 0.4)
     assert not is_clear(cost, np.array([[3.9, 4.2], [4.1, 4.5], [3.5, 4.5]]), 0.0)
-
-
-@pytest.mark.parametrize("line", [np.zeros(4), np.zeros((3, 3)), np.array([[0.0, np.nan], [1.0, 1.0]])])
-def test_what_is_no_line_is_refused(line):
-    with pytest.raises(ValueError, match="a line is"):
-        line_cost(np.ones((4, 4), np.float32), line)

@@ -73,7 +73,7 @@ def test_a_ramp_climbs_by_its_height_and_the_slope_has_the_sign_of_the_direction
     up = measured(site, [(5.5, 2.5), (5.5, 52.5)])
     down = measured(site, [(5.5, 52.5), (5.5, 2.5)])
     assert up.figures.climb_m == pytest.approx(150.0 * slope, abs=0.02)
-    assert up.figures.descent_m == pytest.approx(0.0, abs=1e-3)
+    assert (up.figures.descent_m, down.figures.climb_m) == pytest.approx((0.0, 0.0), abs=1e-3)
     assert down.figures.descent_m == pytest.approx(up.figures.climb_m, abs=1e-3)
     angle = math.degrees(math.atan(slope))
     inner = slice(3, -3)

@@ -30,9 +30,8 @@ def rough_map(seed, rows=60, cols=70, barred_share=0.15):
     return TileMap(0.02 + 0.5 * rank, barred, p_fail=0.3 * (1 - rank) ** 2)
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_heavier_risk_costs_more_and_arrives_more_surely(seed):
-    site = rough_map(seed)
+def test_a_heavier_risk_costs_more_and_arrives_more_surely():
+    site = rough_map(0)
     stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
     ways = [planner(site).way(stops, risk) for risk in (0.0, 30.0, 300.0, 3000.0, 30000.0)]
     hazard = [way.figures.hazard for way in ways]
@@ -65,14 +64,6 @@ def test_areas_close_tiles():
     assert around.figures.detour > 1.05
     assert not ({14, 15} & set(around.tiles[around.tiles[:, 1] < site.south + 15][:, 0] - site.west))
     assert Planner(CostGround(site, CostSettings(), 10**7, only=wall)).way(stops) is None
-
-
-def test_the_upper_end_of_the_interval_is_dearer():
-    site = rough_map(7)
-    stops = np.array([site.at(1.5, 1.5), site.at(58.5, 68.5)])
-    usual, robust = (planner(site, robust=robust, risk=0.0).way(stops).figures for robust in (False, True))
-    assert robust.cost_m > usual.cost_m
-    assert robust.c_r_mean == pytest.approx(usual.c_r_mean, rel=0.05)
 
 
 def test_a_way_keeps_room_beside_obstacles_where_there_is_room():

@@ -102,6 +102,9 @@ def test_nothing_is_reached_through_a_wall(gap):
     reach = find_reach(CostGround(site, CostSettings(), 10**6), start)
     assert np.isfinite(reach.cost[:, :20]).all()
     assert np.isnan(reach.cost[:, 21:]).all()
+    beside = find_reach(CostGround(site, CostSettings(), 10**6), site.at(15.5, 20.1))  # in a split tile
+    np.testing.assert_array_equal(np.isfinite(beside.cost[:, :20]), np.isfinite(reach.cost[:, :20]))
+    assert np.isnan(beside.cost[:, 21:]).all()
 
 
 def test_what_lies_behind_a_gap_is_reached_at_the_cost_of_a_way_there():
@@ -142,13 +145,6 @@ def test_a_way_leads_over_corners_of_pixels_where_half_the_width_is_free():
     reach = find_reach(ground, start)
     assert np.isfinite(reach.cost).all()
     assert reach.cost[5, 8] == pytest.approx(Planner(ground).leg_cost(start, goal), rel=0.15)  # by areas, straight
-
-
-def test_a_start_beside_an_obstacle_in_a_split_tile_reaches_its_side():
-    site, _ = walled(0.0)
-    reach = find_reach(CostGround(site, CostSettings(), 10**6), site.at(15.5, 20.1))
-    assert np.isfinite(reach.cost[:, :20]).all()
-    assert np.isnan(reach.cost[:, 21:]).all()
 
 
 def test_without_the_memory_for_it_only_whole_tiles_are_searched_and_that_is_said():

@@ -40,7 +40,7 @@ def test_reach_is_that_of_the_same_graph_in_scipy(margin):
         assert back[tuple(start)] == FROM_START
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
     rng = np.random.default_rng(seed)
     cost = smooth_field(rng, (40, 30), closed=0.2)
@@ -58,22 +58,6 @@ def test_a_way_by_moves_costs_what_the_graph_says_or_the_straight_line(seed):
     assert way.cost == pytest.approx(line_cost(cost, way.line), rel=1e-9)
     assert is_clear(cost, way.line, 0.3)
     assert gap_to_closed(cost, way.line) >= 0.3 - 1e-6
-
-
-def test_following_back_gives_a_way_of_the_cost_reached():
-    cost = smooth_field(np.random.default_rng(3), (40, 40), closed=0.2)
-    start = tuple(np.argwhere(np.isfinite(cost))[0] + [0.3, 0.8])
-    reach, back = spread(cost, start, margin=0.2)
-    tiles = np.argwhere(np.isfinite(reach))[::97]
-    assert len(tiles) > 5
-    for row, col in tiles:
-        line = np.vstack([start, follow_back(back, row, col)[::-1]])
-        assert tuple(line[-1]) == (row + 0.5, col + 0.5)
-        assert line_cost(cost, line) == pytest.approx(reach[row, col], rel=1e-9)
-        assert is_clear(cost, line, 0.2)
-    closed = np.argwhere(np.isinf(cost))[0]
-    with pytest.raises(ValueError, match="no way to the tile"):
-        follow_back(back, *closed)
 
 
 @pytest.mark.parametrize("margin", [0.1, 0.3, 0.45])
@@ -128,10 +112,15 @@ def test_a_start_beside_closed_tiles_leads_away_from_them():
     assert gap_to_closed(cost, way.line[:2]) == pytest.approx(0.01, abs=1e-9)
 
 
-def test_no_distance_is_a_way():
-    way = find_way(EVEN, (3.3, 4.4), (3.3, 4.4))
-    assert way.cost == 0.0
-    assert way.line.shape == (2, 2)
+@pytest.mark.parametrize(
+    ("least", "margin", "message"),
+    [(0.99, 0.0, "at least 1"), (np.nan, 0.0, "at least 1"), (1.0, 0.5, "margin is"), (1.0, np.nan, "margin is")],
+)
+def test_costs_and_margins_that_make_no_sense_are_refused(least, margin, message):
+    cost = EVEN[:5, :5].copy()
+    cost[2, 2] = least
+    with pytest.raises(ValueError, match=message):
+        find_way(cost, (1.0, 1.0), (3.0, 3.0), margin=margin)
 
 
 @pytest.mark.parametrize("goal", [(4.5, 4.5), (-0.5, 2.0), (12.0, 3.0), (3.0, 1e9)])
@@ -140,17 +129,3 @@ def test_ends_in_closed_tiles_or_outside_have_no_way(goal):
     cost[4, 4] = np.inf
     assert find_way(cost, (1.0, 1.0), goal) is None
     assert find_way(cost, goal, (1.0, 1.0)) is None
-
-
-@pytest.mark.parametrize("value", [0.99, np.nan, -np.inf])
-def test_costs_below_one_are_refused(value):
-    cost = EVEN[:5, :5].copy()
-    cost[2, 2] = value
-    with pytest.raises(ValueError, match="at least 1"):
-        find_way(cost, (1.0, 1.0), (3.0, 3.0))
-
-
-@pytest.mark.parametrize("margin", [-0.1, 0.5, np.nan])
-def test_margins_out_of_range_are_refused(margin):
-    with pytest.raises(ValueError, match="margin is"):
-        find_way(EVEN, (1.0, 1.0), (3.0, 3.0), margin=margin)

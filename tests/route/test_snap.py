@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import shapely
 from route_maps import bare_map
 from tile_maps import TileMap
 
@@ -54,13 +55,11 @@ def test_the_message_says_what_closes_the_tile_and_where_to_go(code, words):
         usable(site, 12.5, 10.5, snap=10.0)
 
 
-def test_areas_that_the_user_closed_and_no_open_tile_at_all(monkeypatch):
+def test_areas_that_the_user_closed_and_no_open_tile_at_all():
     site = SnapMap(Barred.NO)
-    monkeypatch.setattr(
-        "bumpymap.route.ground.tiles_in", lambda _, window, __: np.ones((window.rows, window.cols), bool)
-    )
+    everywhere = np.array([shapely.box(*site.at(20, 0), *site.at(0, 30))])
     with pytest.raises(BadInputError, match=r"`avoid` or `only`.*No tile in the 90 m x 60 m around it"):
-        usable(site, 3.5, 3.5, avoid=object())
+        usable(site, 3.5, 3.5, avoid=everywhere)
 
 
 def test_without_a_crs_the_point_is_given_in_coordinates_of_the_survey():

@@ -14,7 +14,7 @@
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, BumpymapError
 from bumpymap.rating.ride.motion_operator import Rides
-from bumpymap.rating.vehicle_body import plain_lists
+from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
 __all__ = [
     "MAX_FAILED_SHARE",
@@ -35,6 +35,7 @@ __all__ = [
     "Prediction",
     "fail_features",
     "fit_correction",
+    "fit_logistic",
     "ride_features",
     "subtract_noise",
 ]
@@ -112,6 +113,16 @@ class Prediction:
     p_fail: Floats
     """(n,) 0..1."""
 
+    def each(self, change: Callable[[Floats], Floats]) -> "Prediction":
+        """Return it with all four arrays changed alike: reshaped, or a part of each."""
+        return Prediction(*map(change, (self.log_c_r, self.below, self.above, self.p_fail)))
+
+    def at_speed(self, log_ratio: Floats, log_sd: float) -> "Prediction":
+        """Return it at another speed: C_r times exp(``log_ratio``), with an error more of that size in ln C_r."""
+        return Prediction(
+            self.log_c_r + log_ratio, np.hypot(self.below, log_sd), np.hypot(self.above, log_sd), self.p_fail
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class Correction:
@@ -151,7 +162,7 @@ class Correction:
         """
         try:
             values = {f.name: record[f.name] for f in fields(cls) if f.name in record or f.name != "model_error"}
-            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else _numbers(v) for k, v in values.items()}
+            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
             made = cls(**numbers)
             made._check()
         except (LookupError, TypeError, ValueError) as error:
@@ -242,8 +253,9 @@ def fit_correction(driven: DrivenPatches, noisy: NoisyPatches) -> Correction:
     # The residuals of a fit understate its error, so the intervals are based on cross-validation.
     predicted = _cross_validate(features, target, error, log_g, log_range)
     mean_error = error * student_factor(driven.completed[good])
-    spread = calibrate_spread(spread, target - predicted, mean_error, log_g, log_range)
-    fail = _fit_fail(fail_features(driven.rides, driven.slope_deg), driven.failed, driven.completed)
+    spread = _calibrate_spread(spread, target - predicted, mean_error, log_g, log_range)
+    terms, drives = fail_features(driven.rides, driven.slope_deg), (driven.failed + driven.completed).astype(np.float64)
+    fail = fit_logistic(terms, terms.mean(axis=0), drives, lambda chance: driven.failed - drives * chance, _FAIL_RIDGE)
     low, middle, high = _noise_tables(noisy)
     return Correction(
         log_range=log_range,
@@ -300,12 +312,12 @@ def _fit_spread(
     return float(found[0] + widen), float(found[1] + widen)
 
 
-def calibrate_spread(
+def _calibrate_spread(
     spread: tuple[float, float], residual: Floats, mean_error: Floats, log_g: Floats, log_range: tuple[float, float]
 ) -> tuple[float, float]:
     """Scale a spread so that 80 % intervals contain 80 % of the cross-validated means; add ``_VALIDATION_ERROR``.
 
-    ``mean_error`` is the standard error of the means, widened by `_student_factor`.
+    ``mean_error`` is the standard error of the means, widened by `student_factor`.
     """
     own = np.exp(np.interp(log_g, log_range, spread))
     factors = np.geomspace(0.5, 3.0, 181)
@@ -347,25 +359,43 @@ def _report(predicted: Floats, target: Floats, error: Floats, driven: DrivenPatc
     }
 
 
-def _fit_fail(features: Floats, failed: NDArray[np.int64], completed: NDArray[np.int64]) -> Floats:
-    """Fit a logistic regression over drives by Newton's method, with a ridge penalty on all but the constant."""
-    middle, scale = features.mean(axis=0), np.maximum(features.std(axis=0), 1e-9)
+def fit_logistic(
+    terms: Floats, middle: Floats, weight: Floats, misfit: Callable[[Floats], Floats], penalty: float
+) -> Floats:
+    """Fit a logistic regression by Newton's method, with a ridge penalty on all but the constant.
+
+    Parameters
+    ----------
+    terms : array (n, k)
+        The first is the constant.
+    middle : array (k,)
+        Of the terms: they are scaled about it.
+    weight : array (n,)
+        Of the rows.
+    misfit : callable
+        Called with the chances, (n,); returns how far the rows lie above them, times their weight, (n,).
+    penalty : float
+
+    Returns
+    -------
+    array (k,)
+        Coefficients, in logits.
+    """
+    middle, scale = middle.copy(), np.maximum(terms.std(axis=0), 1e-9)
     middle[0], scale[0] = 0.0, 1.0
-    x = (features - middle) / scale
-    drives = (failed + completed).astype(np.float64)
-    ridge = np.full(x.shape[1], _FAIL_RIDGE)
+    x = (terms - middle) / scale
+    ridge = np.full(x.shape[1], penalty)
     ridge[0] = 1e-6
-    weight = np.zeros(x.shape[1])
+    found = np.zeros(x.shape[1])
     for _ in range(60):
-        chance = 1 / (1 + np.exp(-np.clip(x @ weight, -30, 30)))
-        gradient = x.T @ (failed - drives * chance) - ridge * weight
-        curvature = (x * (drives * chance * (1 - chance))[:, None]).T @ x + np.diag(ridge)
+        chance = 1 / (1 + np.exp(-np.clip(x @ found, -30, 30)))
+        gradient = x.T @ misfit(chance) - ridge * found
+        curvature = (x * (weight * chance * (1 - chance))[:, None]).T @ x + np.diag(ridge)
         step = np.linalg.solve(curvature, gradient)
-        weight = weight + step / max(1.0, float(np.abs(step).max()) / 2)
-    plain = weight / scale
-    plain[0] -= float(np.sum(weight[1:] * middle[1:] / scale[1:]))
-    found: Floats = plain
-    return found
+        found = found + step / max(1.0, float(np.abs(step).max()) / 2)
+    plain: Floats = found / scale
+    plain[0] -= float(np.sum(found[1:] * middle[1:] / scale[1:]))
+    return plain
 
 
 def _noise_tables(noisy: NoisyPatches) -> tuple[_Table, _Table, _Table]:
@@ -417,10 +447,6 @@ def _weighted(features: Floats, coefficients: tuple[float, ...]) -> Floats:
     """Return the sum of the first features, as many as there are coefficients."""
     total: Floats = features[:, : len(coefficients)] @ np.array(coefficients)
     return total
-
-
-def _numbers(value: Any) -> Any:
-    return tuple(_numbers(item) for item in value) if isinstance(value, list | tuple) else float(value)
 
 
 def ride_features(log_g: Floats, rides: Rides, slope_deg: Floats) -> Floats:

@@ -38,7 +38,6 @@ from bumpymap.rating.ride._ride_kernels import (
     take_group,
 )
 from bumpymap.rating.ride.operator import (
-    NodeLattice,
     PitchSamples,
     RideOperator,
     WheelShape,
@@ -181,7 +180,8 @@ class MotionOperator:
         for speed in speeds:
             taps = chassis_response({**vehicle, "speed_mps": speed}, way)
             groups.append(pitch_change(lattice, places, taps, way, base, track))
-            groups.append(wheel_rows(lattice, places, _heave(speed, lattice), base, track))
+            felt, back = heave_filter(speed, min(way, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
+            groups.append(wheel_rows(lattice, places, WheelShares((1, 1, 1, 1), felt / 4, back), base, track))
         counts = [len(rows.starts) - 1 for rows in groups]
         return cls(
             speeds=tuple(speeds),
@@ -305,11 +305,6 @@ def heave_filter(speed: float, way: float) -> tuple[Floats, Floats]:
     window = np.hanning(len(kept) + 2)[1:-1]
     kept = kept - window * (kept.sum() / window.sum())
     return np.asarray(kept), np.asarray(way * np.arange(-reach, reach + 1), np.float64)
-
-
-def _heave(speed: float, lattice: NodeLattice) -> WheelShares:
-    taps, back = heave_filter(speed, min(lattice.step / 2, speed / (_PER_WAVE * WEIGHTED_BAND_HZ[1])))
-    return WheelShares((1, 1, 1, 1), taps / 4, back)
 
 
 def _joined(groups: Sequence[PitchSamples]) -> PitchSamples:

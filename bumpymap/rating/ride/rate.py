@@ -11,7 +11,7 @@ one that stands far out of the noise keeps what is above it, so that a kerb or a
 What the points cannot tell: errors that neighbours share (photogrammetry, flight lines) look like ground, and stay.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -118,29 +118,21 @@ class RideModel:
             require_speeds(calibration, speeds, "speeds")
             self.speeds = SpeedRating.of(calibration, speeds)
 
-    def ground(self, patches: PatchStack) -> tuple[NDArray[np.float32], Floats]:
-        """Return the relief that the vehicle rolls over, (n, pixels, pixels), m, and `CleanPatches.noise_felt`."""
-        clean = denoise(patches, self.operator)
-        return clean.relief_map, clean.noise_felt
-
-    def predict(self, patches: PatchStack) -> Prediction:
-        """Predict C_r and p_fail of n tiles; NaN where a tile cannot be judged."""
-        return self._predict(patches)[0]
-
     def _predict(self, patches: PatchStack) -> tuple[Prediction, NDArray[np.float32] | None]:
-        """Return also the factors of `CostMap.motion`; None without other speeds."""
-        relief, noise_felt = self.ground(patches)
-        rides = roll_over(relief, self.operator)
+        """Predict C_r and p_fail of n tiles, NaN where a tile cannot be judged; and the factors of `CostMap.motion`.
+
+        The latter are None without other speeds.
+        """
+        clean = denoise(patches, self.operator)
+        rides = roll_over(clean.relief_map, self.operator)
         pixel_points = patches.count / patches.grid.pixels**2
-        found = self.correction.predict(rides, patches.slope.astype(np.float64), noise_felt, pixel_points)
+        found = self.correction.predict(rides, patches.slope.astype(np.float64), clean.noise_felt, pixel_points)
         if self.speeds is None:
             return found, None
-        log_ratio, factors = self.speeds.factors(relief, rides.pitch_change)
+        log_ratio, factors = self.speeds.factors(clean.relief_map, rides.pitch_change)
         level = plain_speed_factor(self.calibration, found.log_c_r)
         log_ratio = np.where(np.isnan(log_ratio), level, log_ratio)
-        more = speed_log_sd(self.calibration)
-        below, above = np.hypot(found.below, more), np.hypot(found.above, more)
-        return replace(found, log_c_r=found.log_c_r + log_ratio, below=below, above=above), factors
+        return found.at_speed(log_ratio, speed_log_sd(self.calibration)), factors
 
     def rate(self, patches: PatchStack, textures: TextureMap, georeference: Georeference) -> CostMap:
         """Rate tiles.

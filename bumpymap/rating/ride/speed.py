@@ -133,20 +133,16 @@ class MotionModel:
             The k speeds, m/s.
         """
         terms = motion_terms(motions, pitch_change, self._log_ratios(speeds), self.log_range)
-        return np.stack([terms[name] @ np.array(self._fit(name).terms) for name in QUANTITIES], axis=-1)
+        return np.stack([terms[name] @ np.array(getattr(self, name).terms) for name in QUANTITIES], axis=-1)
 
     def plain_log_factors(self, c_r: Floats, speeds: tuple[float, ...]) -> Floats:
         """Return the same from C_r [rad/m] at the profile's speed alone, (..., k, 3)."""
         terms = plain_terms(c_r, self._log_ratios(speeds), self.log_c_r_range)
-        return np.stack([terms[name] @ np.array(self._fit(name).plain) for name in QUANTITIES], axis=-1)
+        return np.stack([terms[name] @ np.array(getattr(self, name).plain) for name in QUANTITIES], axis=-1)
 
     def log_sd(self, speed: float) -> float:
         """Return the standard deviation of ln c_r that another speed than the profile's adds."""
         return float(self.c_r.log_sd * min(abs(self._log_ratios((speed,))[0]) / np.log(2.0), 1.0))
-
-    def _fit(self, name: str) -> MotionFit:
-        fit: MotionFit = getattr(self, name)
-        return fit
 
     def _log_ratios(self, speeds: tuple[float, ...]) -> Floats:
         return np.log(np.array(speeds) / self.speed_mps)

@@ -19,7 +19,7 @@ from bumpymap.core import BadInputError
 from bumpymap.rating.ride.correction import Prediction
 from bumpymap.rating.ride.motion_operator import roll_over
 from bumpymap.rating.ride.operator import RideOperator
-from bumpymap.rating.vehicle_body import plain_lists
+from bumpymap.rating.vehicle_body import number_tuples, plain_lists
 
 __all__ = ["THIN_COLUMNS", "ThinModel", "fail_terms", "log_points", "ride_terms", "spread_terms", "thin_columns"]
 
@@ -98,7 +98,9 @@ class ThinModel:
             A value is missing or has the wrong length.
         """
         try:
-            made = cls(**{f.name: _plain(record[f.name]) for f in fields(cls)})
+            values = {f.name: record[f.name] for f in fields(cls)}
+            numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
+            made = cls(**numbers)
             made.require_lengths()
         except (LookupError, TypeError, ValueError) as error:
             raise BadInputError(f"the model of thin surveys of the calibration is damaged: {error!r}") from error
@@ -145,12 +147,6 @@ class ThinModel:
         logit = np.clip(fail_terms(columns, noise, self.felt) @ np.array(self.fail), -_MOST_LOGIT, _MOST_LOGIT)
         below, above = (np.hypot(self.own_spread, side * sd) for side in self.sides)
         return Prediction(log_c_r, below, above, 1.0 / (1.0 + np.exp(-logit)))
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return dict(value)
-    return tuple(float(number) for number in value) if isinstance(value, list | tuple) else float(value)
 
 
 def _column(columns: Floats, name: str) -> Floats:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from bumpymap.core import DENSE_COVERAGE, NO_CLASS, THIN_POINTS, THIN_SEEN, Reason, UsageError
 from bumpymap.rating.calibration import Calibration, remembered
-from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction
+from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction, fit_logistic
 from bumpymap.rating.ride.rate import interval, judge
 from bumpymap.rating.ride.speed import plain_speed_factor, speed_log_sd
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel, fail_terms, log_points, ride_terms, spread_terms
@@ -59,7 +59,7 @@ def pull_to_neighbours(found: Prediction, own_weight: Floats, fail_growth: float
     variance = (0.5 * (found.below + found.above)) ** 2
     between = _variance_between(found.log_c_r, variance)
     middle, sure, unlike = _mean_of_neighbours(found.log_c_r, 1.0 / (variance + between))
-    own = Prediction(*(values[1:-1, 1:-1] for values in (found.log_c_r, found.below, found.above, found.p_fail)))
+    own = found.each(lambda values: values[1:-1, 1:-1])
     error = variance[1:-1, 1:-1]
     prior = between * np.maximum(unlike, 1.0) + 1.0 / np.maximum(sure, 1e-9)
     away = (own.log_c_r - middle) ** 2 / (prior + error)
@@ -243,7 +243,9 @@ def rate_thin(
     if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
-        thin_tiles = _at_map_speed(_predicted(model, flat, reason == Reason.OK), calibration)
+        thin_tiles = _predicted(model, flat, reason == Reason.OK)
+        if more := speed_log_sd(calibration):
+            thin_tiles = thin_tiles.at_speed(plain_speed_factor(calibration, thin_tiles.log_c_r), more)
         mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
@@ -319,19 +321,6 @@ def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> 
     return Prediction(*found)
 
 
-def _at_map_speed(found: Prediction, calibration: Calibration) -> Prediction:
-    """Return a prediction at the speed of the map; the same at the profile's speed."""
-    more = speed_log_sd(calibration)
-    if not more:
-        return found
-    return replace(
-        found,
-        log_c_r=found.log_c_r + plain_speed_factor(calibration, found.log_c_r),
-        below=np.hypot(found.below, more),
-        above=np.hypot(found.above, more),
-    )
-
-
 def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:
     """Mix with the first pass less its floor, (rows, cols); the result is continuous in the coverage."""
     ends = (first.c_r, first.c_r_low, first.c_r_high)
@@ -352,8 +341,8 @@ def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -
 
 def _as_rating(found: Prediction, steep: Floats, reason: NDArray[np.uint8], calibration: Calibration) -> BlockRating:
     """Turn predictions into what is stored, by the rules of the ride rating."""
-    line = Prediction(*(values.ravel() for values in (found.log_c_r, found.below, found.above, found.p_fail)))
-    class_id, chance, p_fail = (values.reshape(steep.shape) for values in judge(line, steep.ravel(), calibration))
+    line = judge(found.each(np.ravel), steep.ravel(), calibration)
+    class_id, chance, p_fail = (values.reshape(steep.shape) for values in line)
     c_r, low, high = interval(found, calibration.map_floor)
     return BlockRating(
         class_id=class_id.astype(np.uint8),
@@ -397,7 +386,9 @@ class ThinSurveys:
 
 def fit_thin(surveys: ThinSurveys) -> ThinModel:
     """Fit all coefficients."""
-    felt = _fit_felt(*surveys.bare)
+    points, noise, ride = surveys.bare
+    slope, constant = np.polyfit(log_points(points), np.log(ride / noise), 1)
+    felt = (float(constant), float(slope))
     first = (surveys.columns, surveys.noise, felt)
     height = ride_terms(*first, (-50.0, 50.0))[:, 1]
     relief = (float(np.quantile(height, _BEYOND)), float(np.quantile(height, 1 - _BEYOND)))
@@ -411,7 +402,7 @@ def fit_thin(surveys: ThinSurveys) -> ThinModel:
         predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
     residual = target - predicted
     spread, sides = _fit_spread(spread_terms(*inputs), residual)
-    fail = _fit_logistic(fail_terms(*first), surveys.p_fail)
+    fail = _fit_fail(fail_terms(*first), surveys.p_fail)
     order = np.argsort(np.argsort(predicted)), np.argsort(np.argsort(target))
     return ThinModel(
         relief=relief,
@@ -429,12 +420,6 @@ def fit_thin(surveys: ThinSurveys) -> ThinModel:
             "median_relative_error": round(float(np.median(np.abs(np.expm1(residual)))), 4),
         },
     )
-
-
-def _fit_felt(points: Floats, noise: Floats, ride: Floats) -> tuple[float, float]:
-    """Fit ln of the pitch change of noise over the noise, as a line over ln of the points."""
-    slope, constant = np.polyfit(log_points(points), np.log(ride / noise), 1)
-    return float(constant), float(slope)
 
 
 def _robust_fit(terms: Floats, target: Floats) -> Floats:
@@ -462,26 +447,13 @@ def _fit_spread(terms: Floats, residual: Floats) -> tuple[Floats, tuple[float, f
     return found, (float(-low), float(high))
 
 
-def _fit_logistic(terms: Floats, share: Floats) -> Floats:
-    """Fit a logistic regression to shares by Newton's method, with a ridge on all but the constant.
+def _fit_fail(terms: Floats, share: Floats) -> Floats:
+    """Fit a logistic regression to shares of drives that failed.
 
     The library holds little ground that fails, a survey may hold nothing else: failed and completed drives weigh alike,
     so that a tile about which the points say nothing is as likely to fail as not.
     """
     failing = float(np.clip(share.mean(), 1e-6, 1 - 1e-6))
     balance = 0.5 * (share / failing + (1 - share) / (1 - failing))
-    middle, scale = np.average(terms, axis=0, weights=balance), np.maximum(terms.std(axis=0), 1e-9)
-    middle[0], scale[0] = 0.0, 1.0
-    x = (terms - middle) / scale
-    ridge = np.full(x.shape[1], _FAIL_RIDGE)
-    ridge[0] = 1e-6
-    weight = np.zeros(x.shape[1])
-    for _ in range(60):
-        chance = 1 / (1 + np.exp(-np.clip(x @ weight, -30, 30)))
-        gradient = x.T @ (balance * (share - chance)) - ridge * weight
-        curvature = (x * (balance * chance * (1 - chance))[:, None]).T @ x + np.diag(ridge)
-        step = np.linalg.solve(curvature, gradient)
-        weight = weight + step / max(1.0, float(np.abs(step).max()) / 2)
-    plain: Floats = weight / scale
-    plain[0] -= float(np.sum(weight[1:] * middle[1:] / scale[1:]))
-    return plain
+    middle = np.average(terms, axis=0, weights=balance)
+    return fit_logistic(terms, middle, balance, lambda chance: balance * (share - chance), _FAIL_RIDGE)

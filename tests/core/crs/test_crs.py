@@ -110,12 +110,6 @@ def test_us_feet_of_few_digits_are_the_same_unit():
     assert settle(statement_from_wkt(text))[0].metres_per_unit == US_FOOT
 
 
-def test_heights_of_a_three_dimensional_crs():
-    place, _ = settle(CrsStatement(CRS(32614).to_3d()))
-    assert place.crs.to_epsg() == 32614
-    assert len(place.crs.axis_info) == 2
-
-
 # What a file states, what is given, and the CRS that counts; the units of the forced ones.
 @pytest.mark.parametrize(
     ("own", "crs", "used"),
@@ -144,17 +138,18 @@ def test_a_given_crs_that_agrees_supplies_heights_and_makes_no_noise(own, crs):
 
 
 @pytest.mark.parametrize(
-    ("own", "force", "units"),
+    ("own", "force", "unit_z"),
     [
-        ("EPSG:32614+6360", "EPSG:32614+5703", (1.0, 1.0)),
-        ("EPSG:32614+6360", "EPSG:32613", (1.0, US_FOOT)),
-        ("EPSG:2276+6360", "EPSG:32614", (1.0, 1.0)),
+        ("EPSG:32614+6360", "EPSG:32614+5703", 1.0),
+        ("EPSG:32614+6360", "EPSG:32613", US_FOOT),
+        ("EPSG:2276+6360", "EPSG:32614", 1.0),
+        ("EPSG:32614+5703", "EPSG:32614+5773", 1.0),
     ],
 )
-def test_heights_under_a_forced_crs(own, force, units):
+def test_heights_under_a_forced_crs(own, force, unit_z):
     """The file's unit of height stays, unless the CRS has one, or contradicts the file's horizontal unit."""
     place, _ = settle(CrsStatement(CRS(own)), force=force)
-    assert (place.metres_per_unit, place.metres_per_unit_z) == units
+    assert (place.crs, place.metres_per_unit, place.metres_per_unit_z) == (CRS(force), 1.0, unit_z)
 
 
 def settled(statement=SILENT, crs=None, z_unit=None):
@@ -170,23 +165,15 @@ def test_the_vertical_part_stays():
     assert settled(CrsStatement(compound), z_unit="us-ft") == compound
     # One that has a code of its own keeps it.
     assert settled(CrsStatement(CRS(7405))).to_epsg() == 7405
-
-
-def test_the_files_vertical_part_goes_with_a_given_crs_that_agrees():
-    file = CrsStatement(CRS("EPSG:32614+5703"))
-    assert settled(file, "EPSG:32614") == CRS("EPSG:32614+5703")
-    assert settle(file, force="EPSG:32613")[0].crs == CRS("EPSG:32613")
-    assert settle(file, force="EPSG:32614+5773")[0].crs == CRS("EPSG:32614+5773")
+    # Depths, and heights above the ellipsoid, are left out.
+    assert settled(CrsStatement(CRS("EPSG:32614+5715"))) == CRS("EPSG:32614")
+    assert settled(CrsStatement(CRS(32614).to_3d())).to_epsg() == 32614
 
 
 def test_heights_in_feet_are_written_without_their_crs_and_that_is_said():
     place, notes = settle(CrsStatement(CRS("EPSG:2276+6360")))
     assert (place.metres_per_unit_z, place.crs.is_compound) == (US_FOOT, True)
     assert [note for note in notes if "NAVD88 height (ftUS) (EPSG:6360) is not in metres" in note]
-
-
-def test_depths_are_no_heights():
-    assert settled(CrsStatement(CRS("EPSG:32614+5715"))) == CRS("EPSG:32614")
 
 
 def test_trouble_is_refused_or_set_aside():
