@@ -17,9 +17,7 @@ import rasterio
 import xarray as xr
 
 import bumpymap
-from bumpymap.core import Scan
 from bumpymap.core.types import BANDS
-from bumpymap.scan import polar_sectors
 
 pytestmark = pytest.mark.slow
 
@@ -315,18 +313,6 @@ def test_returns_that_are_no_points_keep_their_rows():
     np.testing.assert_array_equal(result.point_sector[kept], alone.point_sector)
     assert (result.point_class[~kept] == 255).all()
     assert (result.point_sector[~kept] == -1).all()
-
-
-def test_a_classifier_gives_what_a_fresh_one_gives_and_leaves_earlier_results_alone():
-    classifier = bumpymap.ScanClassifier()
-    scans = [ring_of_ground(seed, points) for seed, points in ((1, 60_000), (2, 20_000), (3, 90_000), (4, 40_000))]
-    streamed = [classifier(scan) for scan in scans]
-    for scan, result in zip(scans, streamed, strict=True):
-        fresh = bumpymap.classify_scan(scan)
-        np.testing.assert_array_equal(result.point_class, fresh.point_class)
-        np.testing.assert_array_equal(result.point_sector, fresh.point_sector)
-        np.testing.assert_array_equal(result.sector_class, fresh.sector_class)
-        np.testing.assert_array_equal(result.sectors.sectors.heights, polar_sectors(Scan(scan)).heights)
 
 
 @pytest.mark.parametrize(

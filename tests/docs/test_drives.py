@@ -1,6 +1,7 @@
 """The scripts of docs/drives: what they measure on drives whose truth is known, and on real ones."""
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 
@@ -19,6 +20,13 @@ def script(name):
 
 
 boreal = script("borealtc")
+
+
+def test_the_surfaces_that_pages_show_are_those_of_the_whole_set():
+    known = json.loads((ROOT / "bumpymap" / "views" / "page" / "data" / "surfaces.json").read_text(encoding="utf-8"))
+    assert {one["name"]: one["c_r"] for one in known["surfaces"]} == boreal.WHOLE_SET
+    text = PAGE.read_text(encoding="utf-8")
+    assert all(f"{c_r:.3f}" in text for c_r in boreal.WHOLE_SET.values())
 
 
 @pytest.mark.realdata

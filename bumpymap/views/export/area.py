@@ -17,14 +17,13 @@ from bumpymap.core import (
     NO_TILE,
     OBSTACLE,
     OPEN_THROUGH,
-    UNDECIDED,
-    UNSEEN,
     BadInputError,
     Barred,
     TileField,
     atomic,
 )
 from bumpymap.layers import (
+    UNKNOWN_OBJECT,
     BandSpec,
     MapReader,
     Placement,
@@ -155,7 +154,7 @@ def lay_objects(
     """
     pixels = objects.shape[0] // cells.shape[0]
     fine, told = by_pixel(cells, pixels), by_pixel(judged, pixels)
-    fine[((objects == UNDECIDED) | (objects == UNSEEN)) & told & (fine < LETHAL)] = unknown
+    fine[(objects == UNKNOWN_OBJECT) & told & (fine < LETHAL)] = unknown
     fine[objects == OBSTACLE] = LETHAL
     return fine
 

@@ -26,8 +26,8 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from bumpymap.core import OPEN_THROUGH, BadInputError, corners_join
-from bumpymap.views.export.area import FRAME, ExportArea, write_file
+from bumpymap.core import OPEN_THROUGH, BadInputError, atomic, corners_join
+from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.export.settings import NodeSquare
 from bumpytiles import TileWindow
 
@@ -143,8 +143,7 @@ class FreeGround:
 
     def costs(self, rows: slice, cols: slice) -> NDArray[np.float32]:
         """Return the cost of each pixel of some rows and columns of tiles; inf where closed."""
-        factor = self.factor[rows, cols].astype(np.float32)
-        out = np.repeat(np.repeat(factor, self.pixels, 0), self.pixels, 1)
+        out = by_pixel(self.factor[rows, cols].astype(np.float32), self.pixels)
         out[~self.read(rows, cols)] = np.inf
         return out
 
@@ -370,13 +369,6 @@ class _Nodes:
         size = np.concatenate([side**2 * pixels**2, areas.size[~is_full]])
         return cls(areas, side, number, np.concatenate([middle, areas.place[~is_full]]), size, of_area)
 
-    @property
-    def is_small(self) -> NDArray[np.bool_]:
-        """Say which nodes are an area or a square of one tile, (n,)."""
-        small = np.ones(len(self.place), np.bool_)
-        small[: len(self.side)] = self.side == 1
-        return small
-
 
 def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
     """Join nodes, from `thin`, by edges where a straight line crosses only free pixels.
@@ -386,7 +378,7 @@ def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
     count, squares = len(nodes.place), len(nodes.side)
     pair = nodes.of_area[nodes.areas.pair]
     touching, at = np.unique(np.sort(pair, axis=1), axis=0, return_index=True)
-    beside = _others(np.column_stack(_pairs(nodes.number, squares)), touching)
+    beside = _others(_pairs(nodes.number, squares), touching)
     near = _two_apart(np.concatenate([touching, beside]), nodes, 2 * ground.pixels)
     wanted = np.concatenate([touching, beside, near])
     cost = ground.line_costs(nodes.place[wanted[:, 0]], nodes.place[wanted[:, 1]])
@@ -404,12 +396,13 @@ def join(ground: FreeGround, nodes: _Nodes) -> Lattice:
 
 def _two_apart(joined: NDArray[np.int64], nodes: _Nodes, limit_px: int) -> NDArray[np.int64]:
     """Return the pairs of small nodes, not both squares, that touch a third, less than ``limit_px`` pixels apart."""
-    count, small = len(nodes.place), nodes.is_small
+    count, squares = len(nodes.place), len(nodes.side)
+    small = np.append(nodes.side == 1, np.ones(count - squares, np.bool_))
     ends = joined[small[joined].all(axis=1)]
     one = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
     one += one.T
     first, second = (one @ one).tocoo().coords
-    kept = (first < second) & (second >= len(nodes.side))
+    kept = (first < second) & (second >= squares)
     first, second = first[kept], second[kept]
     apart = np.abs(nodes.place[first] - nodes.place[second]).max(axis=1, initial=0)
     found: NDArray[np.int64] = np.column_stack([first, second])[apart < limit_px].astype(np.int64)
@@ -503,8 +496,8 @@ def _largest_part(
     )
 
 
-def _pairs(number: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return the numbers of squares that touch, each pair once, in order."""
+def _pairs(number: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Return the numbers of squares that touch, (n, 2), each pair once, in order."""
     rows, cols = number.shape
     found = [np.empty(0, np.int64)]
     for down, right in _NEIGHBOURS:
@@ -513,15 +506,12 @@ def _pairs(number: NDArray[np.int64], count: int) -> tuple[NDArray[np.int64], ND
         touch = (one != other) & (one >= 0) & (other >= 0)
         pair = np.sort(np.stack([one[touch], other[touch]]), axis=0)
         found.append(np.unique(pair[0] * count + pair[1]))
-    first, second = np.divmod(np.unique(np.concatenate(found)), max(count, 1))
-    return first, second
+    return np.column_stack(np.divmod(np.unique(np.concatenate(found)), max(count, 1)))
 
 
 _MAX_TILES = 9_000_000
 """Most tiles that are thinned at once."""
 _USUAL_NODES, _MAX_NODES = 5_000, 100_000
-_BATCH = 5_000
-"""Features that are written at once."""
 
 
 def make_graph(area: ExportArea, every: int | None) -> tuple[Lattice, int]:
@@ -601,16 +591,11 @@ def thin(ground: FreeGround, every: int | None, origin: tuple[int, int]) -> tupl
 
 def write_graph(folder: Path, area: ExportArea, lattice: Lattice, every: int) -> dict[str, Any]:
     """Write graph.geojson, and return what the sidecar file says of it."""
-    parts = [b'{"type":"FeatureCollection","name":"bumpymap","features":[\n']
-    features, separator = [], b""
-    for feature in _features(area, lattice):
-        features.append(json.dumps(feature, separators=(",", ":"), allow_nan=False))
-        if len(features) == _BATCH:
-            parts.append(separator + ",\n".join(features).encode())
-            features, separator = [], b",\n"
-    if features:
-        parts.append(separator + ",\n".join(features).encode())
-    write_file(folder / "graph.geojson", *parts, b"\n]}\n")
+    with atomic(folder / "graph.geojson") as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        file.write('{"type":"FeatureCollection","name":"bumpymap","features":[\n')
+        for number, feature in enumerate(_features(area, lattice)):
+            file.write((",\n" if number else "") + json.dumps(feature, separators=(",", ":"), allow_nan=False))
+        file.write("\n]}\n")
     nodes, edges = len(lattice.row), 2 * len(lattice.cost)
     return {
         "graph": {

@@ -29,7 +29,7 @@ from bumpymap.core import (
     cell_numbers,
     remove_path,
 )
-from bumpymap.views.export.gridmap import GRID_MAP, grid_map_message, require_rosbags, typestore
+from bumpymap.views.export.gridmap import GRID_MAP, grid_map_message, make_header, require_rosbags, typestore
 
 __all__ = ["GridBag", "GroundGrid", "check_bag_file", "sector_occupancy"]
 
@@ -230,13 +230,16 @@ class GridBag:
 
     def add(self, frame: Frame, number: int, scan: Scan, classed: ClassedSectors) -> None:
         """Write the grids of a frame to its file, without flushing it to the disk."""
-        grid, header = self._grid, self._header(frame, number)
-        occupancy = grid.fill(self._blank(), classed, header)
+        grid, stamp_ns, frame_id = self._grid, number * _PERIOD_NS, _SENSOR
+        if frame.message is not None:
+            stamp_ns, frame_id = frame.message.stamp_ns, frame.message.frame_id
+        header = make_header(self._store, stamp_ns, frame_id)
+        occupancy = grid.fill(self._blank(header), classed, header)
         occupancy.data = np.frombuffer(occupancy.data, np.int8)
         layers = {name: layer[::-1] for name, layer in grid.layers(scan, classed).items()}
         grid_map = grid_map_message(self._store, header, (0.0, 0.0), grid.resolution_m, layers)
         with self.part(number).open("wb") as file:
-            file.write(struct.pack("<q", _stamp_ns(frame, number)))
+            file.write(struct.pack("<q", stamp_ns))
             for message, kind in zip((occupancy, grid_map), GRID_TOPICS.values(), strict=True):
                 data = self._store.serialize_cdr(message, kind)
                 file.write(struct.pack("<q", len(data)))
@@ -273,32 +276,20 @@ class GridBag:
             shutil.move(bag / "grids.mcap", temporary)
         remove_path(bag)
 
-    def _header(self, frame: Frame, number: int) -> Any:
-        seconds, rest = divmod(_stamp_ns(frame, number), 1_000_000_000)
-        types = self._store.types
-        stamp = types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
-        frame_id = _SENSOR if frame.message is None else frame.message.frame_id
-        return types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
-
-    def _blank(self) -> Any:
+    def _blank(self, header: Any) -> Any:
         """Return an OccupancyGrid with nothing in it."""
         types = self._store.types
-        stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
         origin = types["geometry_msgs/msg/Pose"](
             position=types["geometry_msgs/msg/Point"](x=0.0, y=0.0, z=0.0),
             orientation=types["geometry_msgs/msg/Quaternion"](x=0.0, y=0.0, z=0.0, w=1.0),
         )
         return types[_OCCUPANCY](
-            header=types["std_msgs/msg/Header"](stamp=stamp, frame_id=""),
+            header=header,
             info=types["nav_msgs/msg/MapMetaData"](
-                map_load_time=stamp, resolution=0.0, width=0, height=0, origin=origin
+                map_load_time=header.stamp, resolution=0.0, width=0, height=0, origin=origin
             ),
             data=np.empty(0, np.int8),
         )
-
-
-def _stamp_ns(frame: Frame, number: int) -> int:
-    return number * _PERIOD_NS if frame.message is None else frame.message.stamp_ns
 
 
 def _messages(data: bytes) -> Iterable[Any]:

@@ -17,6 +17,7 @@ __all__ = [
     "GRID_MAP",
     "TOPIC",
     "grid_map_message",
+    "make_header",
     "make_layers",
     "require_rosbags",
     "typestore",
@@ -116,8 +117,9 @@ def write_gridmap(folder: Path, area: ExportArea, layers: Mapping[str, NDArray[n
     """
     from rosbags.rosbag2 import StoragePlugin, Writer
 
-    store, bag = typestore(), folder / "gridmap"
-    message = _message(store, area, layers)
+    store, bag, bounds = typestore(), folder / "gridmap", area.bounds
+    middle = ((bounds.west + bounds.east) / 2.0, (bounds.south + bounds.north) / 2.0)
+    message = grid_map_message(store, make_header(store, 0, FRAME), middle, area.resolution, layers)
     try:
         with Writer(bag, version=8, storage_plugin=StoragePlugin.MCAP) as writer:
             topic = writer.add_connection(TOPIC, GRID_MAP, typestore=store, offered_qos_profiles=[_latched()])
@@ -150,13 +152,11 @@ def _latched() -> Any:
     )
 
 
-def _message(store: Any, area: ExportArea, layers: Mapping[str, NDArray[np.float32]]) -> Any:
-    """Make the message: position of the middle, sides, and the layers."""
-    types, bounds = store.types, area.bounds
-    stamp = types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id=FRAME)
-    middle = ((bounds.west + bounds.east) / 2.0, (bounds.south + bounds.north) / 2.0)
-    return grid_map_message(store, header, middle, area.resolution, layers)
+def make_header(store: Any, stamp_ns: int, frame_id: str) -> Any:
+    """Make a ``std_msgs/Header`` of a time [ns] and a coordinate frame; ``store`` is from `typestore`."""
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=rest)
+    return store.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)
 
 
 def grid_map_message(

@@ -253,7 +253,16 @@ def export_map(
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
     split = route_map.grid.pixels if by_pixels else 1
     area = choose_area(route_map, split, settings.around, settings.radius, settings.datum)
-    record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
+    vehicle = route_map.vehicle
+    record = {
+        "format": "bumpymap-export",
+        "version": 1,
+        "to": settings.to,
+        **area.describe(),
+        "layers": [route_map.folder.resolve().name],
+        "calibration": route_map.calibration_id,
+        "vehicle": {"name": vehicle.name, "width_m": vehicle.width_m, "speed_m_per_s": vehicle.speed_mps},
+    }
     # The faults of what was given come first, but for those that take long to find.
     write = _made(area, settings) if settings.to == "plan" else None
     _check_target(folder, settings.to, overwrite=overwrite)
@@ -264,15 +273,6 @@ def export_map(
             record |= write(staged)
             write_manifest(record, staged / DATUM_NAME)
     return Export(tuple(folder / name for name in EXPORT_FILES[settings.to]), record)
-
-
-def _sources(route_map: MapReader) -> dict[str, Any]:
-    vehicle = route_map.vehicle
-    return {
-        "layers": [route_map.folder.resolve().name],
-        "calibration": route_map.calibration_id,
-        "vehicle": {"name": vehicle.name, "width_m": vehicle.width_m, "speed_m_per_s": vehicle.speed_mps},
-    }
 
 
 def _plan(route_map: MapReader, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:

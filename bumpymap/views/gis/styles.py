@@ -85,7 +85,7 @@ def write_qgis(path: Path, template: str, **context: Any) -> None:
 NORMAL, MULTIPLY = 0, 6
 """Blending modes of QGIS."""
 Style = dict[str, Any]
-"""A layer for a template: pixels by `paletted`, `_ramp` or `_relief`, areas and points by `_vectors`."""
+"""A layer for a template: pixels by `paletted` or `_ramp`, areas and points by `_vectors`."""
 _Colour = tuple[int, int, int, int]
 """Red, green, blue, alpha from 0 to 255."""
 
@@ -111,11 +111,6 @@ def _ramp(entries: Iterable[tuple[float, str, _Colour]], band: int = 1, *, clip:
         "clip": clip,
         "opacity": 1.0,
     }
-
-
-def _relief(units: float, opacity: float) -> Style:
-    """Return the style of heights in m, lit from the north-west; ``units`` of the CRS make a metre."""
-    return {"kind": "hillshade", "band": 1, "z_factor": units, "opacity": opacity}
 
 
 def _vectors(kind: str, looks: Iterable[tuple[str, str, _Colour, str]], large: str = "") -> Style:
@@ -237,7 +232,8 @@ def map_styles(record: Mapping[str, Any], *, layered: bool = False) -> dict[str,
     labels, stops, speeds = class_labels(record), _ride_stops(record), speeds_of(record)
     units = record.get("metres_per_unit")
     metres = units.get("horizontal") if isinstance(units, Mapping) else None
-    relief = _relief(1.0 / metres if isinstance(metres, int | float) and metres > 0 else 1.0, _PALE if layered else 1.0)
+    units_per_m = 1.0 / metres if isinstance(metres, int | float) and metres > 0 else 1.0
+    relief = {"kind": "hillshade", "band": 1, "z_factor": units_per_m, "opacity": _PALE if layered else 1.0}
     bars = BARRED_COLOURS | ({Barred.UNKNOWN: _GREY} if layered else {})
     most = max(COST_COLOURS)
     costs = {value: f"{value:g}" for value in COST_COLOURS} | {1.0: "1: level road", most: f"{most:g} and more"}

@@ -27,33 +27,6 @@ _LEAST_SPAN = 4.0
 """Least ratio of the ends."""
 
 
-@dataclass(frozen=True, slots=True)
-class _LogAxis:
-    """From a lowest to a highest value, both above 0."""
-
-    low: float
-    high: float
-
-    @classmethod
-    def around(cls, values: NDArray[np.float64]) -> "_LogAxis":
-        """Return an axis with room for values above 0, at least one."""
-        low, high = float(values.min()) / _ROOM, float(values.max()) * _ROOM
-        wider = float(max(1.0, np.sqrt(_LEAST_SPAN * low / high)))
-        return cls(low / wider, high * wider)
-
-    def part(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return where values lie, 0 at the lower end to 1 at the upper; those beyond are at the ends."""
-        share = np.log(np.clip(values, self.low, self.high) / self.low) / np.log(self.high / self.low)
-        return np.asarray(share, dtype=np.float64)
-
-    @property
-    def ticks(self) -> list[float]:
-        """1, 2 and 5 times powers of ten."""
-        powers = range(int(np.floor(np.log10(self.low))), int(np.ceil(np.log10(self.high))) + 1)
-        found = [float(f"{step}e{power}") for power in powers for step in _STEPS]
-        return [value for value in found if self.low <= value <= self.high]
-
-
 Part = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """From values to their place along an axis: 0 at its lower end, 1 at its upper."""
 
@@ -217,35 +190,44 @@ def drive_chart(result: CheckResult) -> Chart | None:
     shown = np.flatnonzero(np.isfinite(offset.ratio))
     if not len(shown):
         return None
-    axis = _LogAxis.around(np.concatenate([stretches.c_r[shown], stretches.measured[shown]]))
+    both = np.concatenate([stretches.c_r[shown], stretches.measured[shown]])
+    low, high = float(both.min()) / _ROOM, float(both.max()) * _ROOM
+    wider = float(max(1.0, np.sqrt(_LEAST_SPAN * low / high)))
+    low, high = low / wider, high * wider
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    ticks = [value for power in powers for step in _STEPS if low <= (value := float(f"{step}e{power}")) <= high]
+
+    def part(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.log(np.clip(values, low, high) / low) / np.log(high / low), dtype=np.float64)
+
     caption = "Ride cost of the map and as the drives measured it"
     title = f"{caption}: a mark for each of {count_text(len(shown), 'stretch', 'stretches')}"
     note = (
         "One mark a stretch, both axes logarithmic. Grey bars: the map's 80 % interval, and the 80 % error of the "
         f"measurement. Thick line: both agree; thin lines: a factor of {_FACTOR:g}. Brown lines: limits of the classes."
     )
-    chart = Chart(title, "chart-drives", 560, 440, _SIDES, axis.part, axis.part, caption, note, is_narrow=True)
+    chart = Chart(title, "chart-drives", 560, 440, _SIDES, part, part, caption, note, is_narrow=True)
     left, right, top, foot = chart.frame
     limits = () if result.ground is None else result.ground.class_limits
-    lines = [(value, _LINES) for value in axis.ticks]
-    for value, colour in [*lines, *((limit, "#c49678") for limit in limits if axis.low < limit < axis.high)]:
+    lines = [(value, _LINES) for value in ticks]
+    for value, colour in [*lines, *((limit, "#c49678") for limit in limits if low < limit < high)]:
         (x,), (y,) = chart.x(np.array([value])), chart.y(np.array([value]))
         chart.path(f"M{x:.1f} {top}V{foot}M{left} {y:.1f}H{right}", colour)
-    for value in axis.ticks:
+    for value in ticks:
         (x,), (y,) = chart.x(np.array([value])), chart.y(np.array([value]))
         chart.text(x, foot + 16, f"{value:g}")
         chart.text(left - 6, y + 4, f"{value:g}", "end")
     for factor, colour, width in ((1 / _FACTOR, _FAINT, 1), (1.0, _DARK, 2), (_FACTOR, _FAINT, 1)):
-        ends = np.array([max(axis.low, axis.low / factor), min(axis.high, axis.high / factor)])
-        (west, east), (low, high) = chart.x(ends), chart.y(ends * factor)
-        chart.path(f"M{west:.1f} {low:.1f}L{east:.1f} {high:.1f}", colour, f' stroke-width="{width}"')
+        ends = np.array([max(low, low / factor), min(high, high / factor)])
+        (west, east), (foot_y, top_y) = chart.x(ends), chart.y(ends * factor)
+        chart.path(f"M{west:.1f} {foot_y:.1f}L{east:.1f} {top_y:.1f}", colour, f' stroke-width="{width}"')
     chart.names("C_r of the map, rad/m", "C_r measured by the drive, rad/m")
     c_r, measured = stretches.c_r[shown], stretches.measured[shown]
     half = NORMAL_80 * np.nan_to_num(stretches.measured_sd[shown])
-    low, high = (np.where(np.isfinite(end), end, c_r) for end in (stretches.c_r_low[shown], stretches.c_r_high[shown]))
-    x, y = (chart.x(low), chart.x(high), chart.x(c_r)), (chart.y(measured - half), chart.y(measured + half))
-    shape = "M{:.1f} {:.1f}H{:.1f}M{:.1f} {:.1f}V{:.1f}"
-    chart.paths(shape, _ERROR, x[0], chart.y(measured), x[1], x[2], *y, more=' fill="none"')
+    sides = [np.where(np.isfinite(end), end, c_r) for end in (stretches.c_r_low[shown], stretches.c_r_high[shown])]
+    across = chart.x(sides[0]), chart.y(measured), chart.x(sides[1])
+    upright = chart.x(c_r), chart.y(measured - half), chart.y(measured + half)
+    chart.paths("M{:.1f} {:.1f}H{:.1f}M{:.1f} {:.1f}V{:.1f}", _ERROR, *across, *upright, more=' fill="none"')
     order = shown[np.argsort(offset.beyond[shown], kind="stable")]
     chart.discs(chart.x(stretches.c_r[order]), chart.y(stretches.measured[order]), offset, order, 1.0)
     return chart

@@ -1,6 +1,5 @@
 """Drives that a map was checked against, as their page shows them."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from bumpymap.core import (
 from bumpymap.layers import MapOffset
 from bumpymap.views.page.charts import Chart, along_chart, drive_chart
 from bumpymap.views.words import (
-    check_headline,
     metres,
     number,
     percent,
@@ -22,58 +20,37 @@ from bumpymap.views.words import (
     warnings_of,
 )
 
-__all__ = ["DrawnCheck"]
+__all__ = ["check_charts", "check_tables", "drawn_stretches"]
 
 
-@dataclass(frozen=True, slots=True)
-class DrawnCheck:
-    """Findings of drives over the map of a page."""
+def check_charts(result: CheckResult) -> list[Chart]:
+    """Return the charts of what the drives measured."""
+    return [chart for chart in (drive_chart(result), along_chart(result)) if chart is not None]
 
-    result: CheckResult
 
-    @property
-    def headline(self) -> str:
-        """The result in two or three sentences."""
-        return check_headline(self.result)
+def check_tables(result: CheckResult) -> dict[str, list[Any]]:
+    """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
+    entries = [("all", result.agreement)] if result.agreement is not None else []
+    entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
+    return {
+        "warnings": [*skipped_words(result), *warnings_of(result)],
+        "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
+        "worst": _worst(result),
+    }
 
-    def charts(self) -> list[Chart]:
-        """Return the charts of what the drives measured."""
-        return [chart for chart in (drive_chart(self.result), along_chart(self.result)) if chart is not None]
 
-    def tables(self) -> dict[str, list[Any]]:
-        """Return the rows of the tables about drives, by what they hold, with the warnings as texts."""
-        result = self.result
-        entries = [("all", result.agreement)] if result.agreement is not None else []
-        entries += [(f"{code} {CLASS_NAMES[code]}", found) for code, found in sorted(result.by_class.items())]
-        return {
-            "warnings": [*skipped_words(result), *warnings_of(result)],
-            "agreement": [_agreement(name, found) for name, found in entries if found.stretches],
-            "worst": _worst(result),
-        }
-
-    def places(self) -> list[dict[str, Any]]:
-        """Return each stretch with a position as the script of the page needs it."""
-        stretches, offset = self.result.stretches, MapOffset.of(self.result.stretches)
-        known = np.isfinite(stretches.easting) & np.isfinite(stretches.northing)
-        return [
-            {
-                "east": round(float(stretches.easting[at]), 2),
-                "north": round(float(stretches.northing[at]), 2),
-                "kind": int(offset.kind[at]),
-                "off": bool(offset.is_off[at]),
-                "text": self._text(at, float(offset.ratio[at])),
-            }
-            for at in np.flatnonzero(known).tolist()
-        ]
-
-    def _text(self, at: int, ratio: float) -> str:
-        stretches = self.result.stretches
-        name = self.result.drives[int(stretches.drive[at])].name
-        text = f"{name} measured {stretches.measured[at]:.3f} rad/m"
-        if not np.isfinite(ratio):
-            return text
-        level = f"{percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
-        return f"{text}, the map says {stretches.c_r[at]:.3f} along the stretch ({level})"
+def drawn_stretches(result: CheckResult) -> list[dict[str, Any]]:
+    """Return each stretch with a position as the script of the page needs it."""
+    stretches, offset, drawn = result.stretches, MapOffset.of(result.stretches), []
+    for at in np.flatnonzero(np.isfinite(stretches.easting) & np.isfinite(stretches.northing)).tolist():
+        text = f"{result.drives[stretches.drive[at]].name} measured {stretches.measured[at]:.3f} rad/m"
+        ratio = float(offset.ratio[at])
+        if np.isfinite(ratio):
+            level = f"{percent(abs(ratio - 1.0))} {'high' if ratio > 1.0 else 'low'}"
+            text += f", the map says {stretches.c_r[at]:.3f} along the stretch ({level})"
+        place = {"east": round(float(stretches.easting[at]), 2), "north": round(float(stretches.northing[at]), 2)}
+        drawn.append(place | {"kind": int(offset.kind[at]), "off": bool(offset.is_off[at]), "text": text})
+    return drawn
 
 
 _WORST = 10

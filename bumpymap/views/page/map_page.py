@@ -32,7 +32,7 @@ from bumpymap.layers import (
     require_written,
 )
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
-from bumpymap.views.page.drives import DrawnCheck
+from bumpymap.views.page.drives import check_charts, check_tables, drawn_stretches
 from bumpymap.views.page.page import write_page
 from bumpymap.views.page.site import WAY_FIGURES, DrawnWay, Site, read_ways
 from bumpymap.views.page.tiles import UNKNOWN_FROM
@@ -40,6 +40,7 @@ from bumpymap.views.words import (
     DASH,
     area,
     base_name,
+    check_headline,
     degrees,
     names_of,
     number,
@@ -194,21 +195,30 @@ def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path
     OutputError
         The page cannot be written.
     """
-    check = DrawnCheck(result)
-    site = None if ground is None else _driven_site(check, ground)
+    site = None if ground is None else _driven_site(result, ground)
     names = names_of([drive.name for drive in result.drives])
     title = f"{result.ground.name} checked against {names}" if result.ground else f"Drives measured: {names}"
-    write_page(path, "check.html", title=title, check=check, site=site, **_of_map(site))
+    write_page(
+        path,
+        "check.html",
+        title=title,
+        headline=check_headline(result),
+        result=result,
+        found=check_tables(result),
+        charts=check_charts(result),
+        site=site,
+        **_of_map(site),
+    )
 
 
-def _driven_site(check: DrawnCheck, ground: CheckGround) -> Site | None:
+def _driven_site(result: CheckResult, ground: CheckGround) -> Site | None:
     """Return the map; None if no stretch lies on it, or it cannot be drawn."""
     try:
         with utf8_path(ground.folder) as readable:
-            site = Site.read(readable, ground.manifest, check=check)
+            site = Site.read(readable, ground.manifest, stretches=drawn_stretches(result))
     except BadInputError:
         return None
-    spot, stretches = site.tiles.spot, check.result.stretches
+    spot, stretches = site.tiles.spot, result.stretches
     east, south = stretches.easting - spot.west, spot.north - stretches.northing
     inside = (east >= 0) & (east < spot.cols * spot.tile_size) & (south >= 0) & (south < spot.rows * spot.tile_size)
     return site if inside.any() else None

@@ -2,7 +2,7 @@
 
 import base64
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -35,7 +35,6 @@ from bumpymap.layers import (
     read_averaged,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
-from bumpymap.views.page.drives import DrawnCheck
 from bumpymap.views.page.tiles import (
     NO_POINTS,
     UNKNOWN_FROM,
@@ -74,14 +73,6 @@ def finer(spot: Spot, side: int) -> int:
     return 1 if spot.step > 1 else max(1, min(spot.pixels, side // max(spot.cols, spot.rows)))
 
 
-def _halves(pixels: int) -> Iterator[int]:
-    """Yield the pixels along a tile, half of them and so on to 1: what overviews hold, or a little less."""
-    while pixels > 1:
-        yield pixels
-        pixels //= 2
-    yield 1
-
-
 def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
 
@@ -92,7 +83,9 @@ def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     float32
         Metres; NaN where there is no point.
     """
-    factor = next(half for half in _halves(spot.pixels) if half <= finer(spot, side))
+    factor = spot.pixels
+    while factor > finer(spot, side):  # half and half again: what overviews hold, or a little less
+        factor //= 2
     heights = np.full([pixels * factor for pixels in spot.shape], np.nan, np.float32)
     with open_layer(folder / "heightmap.tif") as file:
         for line, lines, rows in _spans(spot.rows, spot.step):
@@ -270,8 +263,8 @@ class Site:
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     ways: tuple[DrawnWay, ...] = ()
-    check: DrawnCheck | None = None
-    """Findings of real drives over the map."""
+    stretches: Sequence[Mapping[str, Any]] = ()
+    """Stretches of real drives over the map, as the script of the page needs them."""
 
     @classmethod
     def read(
@@ -280,7 +273,7 @@ class Site:
         record: Mapping[str, Any],
         ways: tuple[DrawnWay, ...] = (),
         *,
-        check: DrawnCheck | None = None,
+        stretches: Sequence[Mapping[str, Any]] = (),
     ) -> Self:
         """Read a folder of layers.
 
@@ -292,8 +285,8 @@ class Site:
             The content of its run.json, which may not be there yet.
         ways : tuple of DrawnWay
             Ways to draw.
-        check : DrawnCheck, optional
-            What real drives show of the map.
+        stretches : sequence of mapping
+            Stretches of real drives, from `drawn_stretches`.
 
         Raises
         ------
@@ -312,7 +305,13 @@ class Site:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
             heights = read_heights(folder, spot, _RELIEF_SIDE)
-            grids = _grids(tiles, block_means(heights, spot.shape))
+            grids = (
+                ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
+                ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
+                ByteGrid.of(("slope", "slope", "°", 1), tiles.slope),
+                ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
+                ByteGrid.of(("height", "height", "m", 1), block_means(heights, spot.shape)),
+            )
             taken = sum(len(packed(grid.codes)) for grid in grids)
             if taken < 0.7 * _BUDGET or max(spot.shape) < 100:
                 break
@@ -330,7 +329,7 @@ class Site:
             side //= 2
         still = _still(tiles, light)
         shown = (tiles, grids, objects, text, relief, still)
-        return cls(survey_name(record), record, summary, *shown, ways, check)
+        return cls(survey_name(record), record, summary, *shown, ways, stretches)
 
     @property
     def vehicle(self) -> str:
@@ -383,7 +382,7 @@ class Site:
             dense = float(np.mean(self.objects[self.objects != NO_CLASS] == OBSTACLE))
             overlays.append(("objects", "Obstacles and canopy", dense < _DENSE))
         overlays += [("ways", "Way", True)] if self.ways else []
-        return [*overlays, ("stretches", "Real drives", True)] if self.check is not None else overlays
+        return [*overlays, ("stretches", "Real drives", True)] if self.stretches else overlays
 
     def charts(self) -> tuple[Chart, Chart]:
         """Return the histograms of the ride cost and of the slope."""
@@ -400,19 +399,9 @@ class Site:
             "grids": [grid.record() for grid in self.grids],
             "objects": {"rows": self.objects.shape[0], "cols": self.objects.shape[1], "codes": self.packed_objects},
             "relief": self.relief,
-            "stretches": [] if self.check is None else self.check.places(),
+            "stretches": list(self.stretches),
             "ways": [{"name": way.name, "lines": [line.tolist() for line in way.lines]} for way in self.ways],
         }
-
-
-def _grids(tiles: PageTiles, heights: NDArray[np.float32]) -> tuple[ByteGrid, ...]:
-    return (
-        ByteGrid.of(("c_r", "ride cost C_r", "rad/m", 3), tiles.c_r, "log"),
-        ByteGrid.of(("p_fail", "chance of failure", "", 3), tiles.p_fail, limits=(0.0, 1.0)),
-        ByteGrid.of(("slope", "slope", "°", 1), tiles.slope),
-        ByteGrid.of(("cost", "cost of a metre", "m", 2), tiles.cost, "log"),
-        ByteGrid.of(("height", "height", "m", 1), heights),
-    )
 
 
 def _still(tiles: PageTiles, light: NDArray[np.uint8]) -> str:

@@ -229,23 +229,23 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
         The scale of the colours of passable ground.
     """
     barred, c_r = _sample(source, view)
-    passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & _fits(source, view)
+    shape, place = _finest(view)
+    fits = source.passage_shown(view.window(), shape)[place]
+    passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & fits
     scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
     colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
     darkest = np.where(passable, *_DARKEST)
-    colour *= (darkest + (1 - darkest) * _shade(source, view))[:, :, None]
+    window, tile = view.window(), view.grid.tile_size
+    heights = _fill(source.relief(window, shape).astype(np.float64))
+    # rows and columns may differ a little in size, since both are whole numbers
+    light = light_of(heights, (window.rows * tile / shape[0], window.cols * tile / shape[1]))[place]
+    colour *= (darkest + (1 - darkest) * light)[:, :, None]
     colour[barred == NO_TILE] = NO_DATA
     closed = ~passable & (barred != Barred.UNKNOWN) & (barred != NO_TILE)
     colour[closed & hatched(view.height, view.width)] = HATCH
     return np.clip(colour, 0, 255).astype(np.uint8), scale
-
-
-def _fits(source: MapSource, view: MapView) -> NDArray[np.bool_]:
-    """Return where the middle of the vehicle can be, (height, width)."""
-    shape, place = _finest(view)
-    return np.asarray(source.passage_shown(view.window(), shape)[place])
 
 
 def _finest(view: MapView) -> tuple[tuple[int, int], tuple[NDArray[np.int64], ...]]:
@@ -282,16 +282,6 @@ def _sample(source: MapSource, view: MapView) -> tuple[NDArray[np.uint8], NDArra
         place = np.ix_(line, col - window.col)
         barred[rows], c_r[rows] = field.barred[place], field.c_r[place]
     return barred, c_r
-
-
-def _shade(source: MapSource, view: MapView) -> NDArray[np.float64]:
-    """Return how bright the light from the north-west leaves each pixel, 0 to 1, (height, width)."""
-    window, grid = view.window(), view.grid
-    shape, place = _finest(view)
-    heights = _fill(source.relief(window, shape).astype(np.float64))
-    # rows and columns may differ a little in size, since both are whole numbers
-    down, right = window.rows * grid.tile_size / shape[0], window.cols * grid.tile_size / shape[1]
-    return np.asarray(light_of(heights, (down, right))[place], dtype=np.float64)
 
 
 def light_of(heights: NDArray[np.floating], pixel: tuple[float, float]) -> NDArray[np.float64]:

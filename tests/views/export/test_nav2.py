@@ -147,7 +147,7 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     record, _, (grid, mask, _) = exported(route_map, tmp_path / "out", resolution=resolution, **crop)
     datum = record["datum"]
     rng = np.random.default_rng(1)
-    rows, cols = (rng.integers(0, size, 300) for size in grid.data.shape)
+    rows, cols = (rng.integers(0, size, 20_000) for size in grid.data.shape)
     x, y = grid.world(rows, cols)
     places = list(zip((x + datum["x"]).tolist(), (y + datum["y"]).tolist(), strict=True))
     with rasterio.open(folder / "barred.tif") as file:
@@ -161,6 +161,7 @@ def test_cells_lie_where_the_survey_has_them(route_map, folder, tmp_path, around
     assert (cell[obstacle] == 100).all()
     assert (cell[unknown & ~obstacle] == -1).all()
     assert (cell[passable & unseen] == -1).all()
+    assert (passable & unseen).any() == (resolution == "pixel")
     seen = passable & ~obstacle & ~unseen
     assert ((cell[seen] >= 0) & (cell[seen] <= 98)).all()
     assert (kept == np.where(seen, 0, 100)).all()

@@ -46,23 +46,16 @@ def describe(layer):
 
 
 def describe_raster(layer):
-    renderer, filtered = layer.renderer(), layer.resampleFilter()
+    renderer = layer.renderer()
     found = {
         "bands": renderer.usesBands(),
         "legend": [[label, colour.name(), colour.alpha()] for label, colour in renderer.legendSymbologyItems()],
-        "resampling": [
-            sampler.type() if sampler else "nearest"
-            for sampler in (filtered.zoomedInResampler(), filtered.zoomedOutResampler())
-        ],
     }
     if renderer.type() == "paletted":
         found["values"] = [int(entry.value) for entry in renderer.classes()]
     elif renderer.type() == "singlebandpseudocolor":
         shader = renderer.shader().rasterShaderFunction()
         found["values"] = [item.value for item in shader.colorRampItemList()]
-        found["shades"] = {str(value): list(shader.shade(value)[1:]) for value in (-1.0, 0.05, 0.3, 2.0, 3.0, 99.0)}
-    elif renderer.type() == "hillshade":
-        found["z_factor"], found["opacity"] = renderer.zFactor(), renderer.opacity()
     return found
 
 

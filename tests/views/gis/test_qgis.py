@@ -18,7 +18,7 @@ from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, NO_CLASS, CostTable, Georeference
 from bumpymap.layers import write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
-from bumpymap.layers.colours import CHANGE_COLOURS, CLASS_COLOURS, OFF_COLOURS
+from bumpymap.layers.colours import CHANGE_COLOURS, OFF_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.views import write_map_views
 
@@ -84,18 +84,6 @@ def test_every_layer_opens_with_its_renderer(seen):
     }
     assert all(layer["name"] == Path(name).stem for name, layer in layers.items())
     assert all(layer["colours"] > 1 for layer in layers.values())
-
-
-def test_numbers_have_the_colours_of_their_stops(seen):
-    shades = seen["layers"]["roughness.tif"]["shades"]
-    assert seen["layers"]["roughness.tif"]["bands"] == [1]
-    assert shades["0.05"] == list(CLASS_COLOURS[0])
-    assert shades["0.3"] == list(CLASS_COLOURS[2])
-    assert shades["2.0"] == shades["99.0"] == list(CLASS_COLOURS[3])
-    costs = seen["layers"]["cost.tif"]["shades"]
-    assert costs["-1.0"] != costs["2.0"] != costs["99.0"]
-    assert seen["layers"]["relief.tif"]["resampling"] == ["bilinear", "bilinear"]
-    assert seen["layers"]["class.tif"]["resampling"] == ["nearest", "nearest"]
 
 
 def test_every_area_is_drawn_and_none_as_what_it_is_not(seen, cost_map):

@@ -1,4 +1,4 @@
-"""What a check says in words."""
+"""What a check and the summary of a map say in words."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from check_records import made_up_check
 
-from bumpymap.views import check_headline
+from bumpymap.views import check_headline, degrees_line
 from bumpymap.views.words import check_verdict
 
 
@@ -51,3 +51,10 @@ def test_the_headline_holds_the_figures():
     assert check_headline(alone) == (
         f"1 drive measured over 80 m: a ride cost of {mean:.3f} rad/m on average. No map was checked."
     )
+
+
+def test_a_summary_says_ride_costs_in_degrees():
+    line = degrees_line([0.1, np.nan, np.radians(20.0), np.nan])
+    assert line.startswith("Median c_r in degrees of pitch per metre: smooth 5.7, rough 20.0; ")
+    assert line.endswith("measured 2.2 on asphalt, 8.4 on snow, 16.2 on silty loam")
+    assert degrees_line([np.nan] * 4) == ""

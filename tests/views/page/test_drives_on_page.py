@@ -50,13 +50,6 @@ def test_every_stretch_is_on_the_map(checked, read_page):
     assert found[4]["text"].endswith("rad/m")
 
 
-def test_without_a_check_nothing_of_drives_is_on_the_page(site, read_page):
-    page = read_page(site / "report.html")
-    assert "Against real drives" not in page.text
-    assert "Real drives" not in page.text
-    assert page.data["maps"][0]["stretches"] == []
-
-
 def test_the_page_holds_map_figures_and_drives(checked, read_page):
     out, result = checked
     page = read_page(out / "check.html")
