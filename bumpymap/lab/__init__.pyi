@@ -8,7 +8,6 @@ from .evaluate.report import (
 )
 from .evaluate.scans import (
     ScanFindings as ScanFindings,
-    ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
 )

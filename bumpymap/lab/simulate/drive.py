@@ -176,14 +176,6 @@ class Effort:
     target_error: float = 0.05
     """Drives stop once the standard error of the mean C_r is below this share of it."""
 
-    def __post_init__(self) -> None:
-        if not 1 <= self.least <= self.most:
-            raise UsageError(
-                f"{self.least} to {self.most} drives per patch; the first must be at least 1, the second not smaller"
-            )
-        if not self.target_error > 0:
-            raise UsageError(f"target error is {self.target_error}; it must be above 0, such as 0.05")
-
     @classmethod
     def fixed(cls, starts: int) -> "Effort":
         """Return an effort of exactly this many drives."""
@@ -233,7 +225,7 @@ def drive_patch(
     heights: NDArray[np.floating],
     tile_size: float,
     seed: int,
-    effort: Effort | None = None,
+    effort: Effort,
     settings: DriveSettings | None = None,
     *,
     stream: tuple[int, ...] = (),
@@ -252,12 +244,11 @@ def drive_patch(
     tile_size : float
         Side of the patch, m.
     seed : int
-    effort : Effort, optional
+    effort : Effort
     settings : DriveSettings, optional
     stream : tuple of int
         Distinguishes patches that share a seed.
     """
-    effort = effort or Effort()
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
     while len(drives.outcome) < effort.most and not _is_enough(drives, effort):

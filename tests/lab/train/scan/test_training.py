@@ -46,7 +46,6 @@ def test_a_short_training_learns():
     assert scores.every.accuracy > 0.9
     assert (scores.every.count, scores.scans, set(scores.labels)) == (180, 7, {3, 4, 19})
     assert sum(map(sum, scores.labels.values())) == 180
-    assert net.parameter_count() < 100_000
 
 
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):
