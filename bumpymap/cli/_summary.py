@@ -28,6 +28,12 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
     yield Table(_rows(summary), _TITLES)
     degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), _steps(result, config)
     yield from filter(None, [degrees, _passable_line(summary)])
+    if summary.by_holes:
+        share = share_text(summary.by_holes / summary.tiles, 1)
+        yield (
+            f"compat='paper': {share} of the tiles are class 3 because they have too few points, or more than 30 % of "
+            "their pixels hold none, which says nothing of the ground: leave compat out on sparse surveys"
+        )
     yield unknown_line(result, config)
     yield from filter(None, [ground_line(result), lines])
     if result.skipped:
@@ -54,13 +60,19 @@ def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
     medians = zip(summary.median_c_r, summary.median_slope, strict=True)
     for name, count, share, (c_r, slope) in zip(names, counts, shares, medians, strict=True):
         if name == "unknown" and summary.failing:
-            fails = share_text(summary.failing / summary.tiles, 1)
-            yield "  only too steep or drives fail", f"{summary.failing:,}", fails, "", ""
+            yield "  only too steep or drives fail", *_part(summary.failing, summary)
+        if name == "unknown" and summary.by_holes:
+            yield "  only by the paper's rule of holes", *_part(summary.by_holes, summary)
         yield name, f"{count:,}", share, _number(c_r, 3), _number(slope, 1)
     reasons = summary.reasons
     shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)
     for (reason, count), share in zip(reasons.items(), shares, strict=False):
         yield f"  {reason}", f"{count:,}", share, "", ""
+
+
+def _part(count: int, summary: MapSummary) -> tuple[str, str, str, str]:
+    """Return the cells of a part of class 3: tiles and their share of all."""
+    return f"{count:,}", share_text(count / summary.tiles, 1), "", ""
 
 
 def _number(value: float, decimals: int) -> str:

@@ -54,10 +54,11 @@ def command(run: Run, quick: bool) -> None:
         lines=True,
         force_crs=config.force_crs,
         ground_classes=config.ground_classes,
+        keep_classes=True,
     )
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:
-        whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
+        whole = None if quick else PointSummaryBuilder(grid, FeatureSettings(), config.ground_classes)
         files = [_inspect(path, options, grid, progress, whole) for path in paths]
     memory = config.memory if limited.memory == config.memory else f"{config.memory} ({limited.memory} now)"
     report = Report(files, config, budget, memory, whole)
@@ -87,7 +88,8 @@ def _inspect(
         if whole is None:
             return FileReport(path, reader.info)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        builder = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
+        ground = options.ground_classes
+        builder = PointSummaryBuilder(grid, FeatureSettings(), ground).read(reader, progress.advance)
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped

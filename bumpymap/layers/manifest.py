@@ -168,6 +168,7 @@ def complete_manifest(
                 "by_class": summary.classes,
                 "by_reason": summary.reasons,
                 "failing": summary.failing,
+                **({"by_holes": summary.by_holes} if summary.by_holes else {}),
                 "median_c_r": summary.median_c_r,
                 "median_slope": summary.median_slope,
                 "median_count": summary.median_count,
