@@ -91,9 +91,13 @@ def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSett
 
     The same seed gives the same bits in any process.
     """
-    easting, northing, turn = np.random.default_rng(seed).random(3).tolist()
-    start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
-    return drive_from(profile, ground, start, settings)
+    return drive_from(profile, ground, draw_start(ground, np.random.default_rng(seed)), settings)
+
+
+def draw_start(ground: DrivenGround, rng: np.random.Generator) -> Start:
+    """Draw a start within the extent of the ground, at any heading."""
+    easting, northing, turn = rng.random(3).tolist()
+    return Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
 
 
 def drive_from(

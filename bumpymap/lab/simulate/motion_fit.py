@@ -15,12 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import DriveSettings, Start, drive_strip, follow
+from bumpymap.lab.simulate.drive import DriveSettings, Start, draw_start, drive_strip, follow
 from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.model import DartVehicle, Physics
 from bumpymap.lab.simulate.plan import library_terrain, six_digits
-from bumpymap.lab.simulate.ride_fit import relief_and_slope
-from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip
+from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip, relief_and_slope
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
@@ -158,8 +157,7 @@ def run_motion(settings: CalibrationSettings, job: DriveJob) -> MotionRecord:
     for number in range(settings.motion_starts):
         stream = (_STREAM, KINDS.index(kind), index, number)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-        easting, northing, turn = rng.random(3).tolist()
-        start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
+        start = draw_start(ground, rng)
         made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in SPEED_RATIOS])
     return MotionRecord.of(made)
 
@@ -195,9 +193,9 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
     c_r = means[:, own, 0]
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
     places = [divmod(number, len(KINDS)) for number in np.flatnonzero(used).tolist()]
-    terrains = [library_terrain(settings, KINDS[kind], index) for index, kind in places]
+    tiles = [library_terrain(settings, KINDS[kind], index).heights for index, kind in places]
     vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
-    relief, _ = relief_and_slope(terrains)
+    relief, _ = relief_and_slope(tiles, settings.tile_size)
     speeds = tuple(ratio * speed for ratio in SPEED_RATIOS)
     motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
     pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
@@ -224,13 +222,11 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:
     """Fit both sets of terms to logarithms (n, speeds); the speed ``anchor`` has no error and says nothing of it."""
     free = np.arange(wanted.shape[1]) != anchor
-    coefficients, spread = zip(*(_least_squares(x[:, free], wanted[:, free]) for x in (terms, plain)), strict=True)
-    return MotionFit(coefficients[0], coefficients[1], spread[0], spread[1])
-
-
-def _least_squares(terms: Floats, wanted: Floats) -> tuple[tuple[float, ...], float]:
-    flat, values = terms.reshape(-1, terms.shape[-1]), wanted.ravel()
-    found, *_ = np.linalg.lstsq(flat, values, rcond=None)
-    rounded = tuple(float(f"{value:.6g}") for value in found)
-    left = values - flat @ np.array(rounded)
-    return rounded, float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}")
+    values, coefficients, spread = wanted[:, free].ravel(), [], []
+    for columns in (terms, plain):
+        flat = columns[:, free].reshape(-1, columns.shape[-1])
+        rounded = tuple(float(f"{value:.6g}") for value in np.linalg.lstsq(flat, values, rcond=None)[0])
+        left = values - flat @ np.array(rounded)
+        coefficients.append(rounded)
+        spread.append(float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}"))
+    return MotionFit(*coefficients, *spread)
