@@ -16,11 +16,10 @@ from .evaluate.survey_trial import (
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
 )
-from .label_sets import LABEL_SETS as LABEL_SETS, LabelSet as LabelSet, label_set as label_set
+from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (
     CalibrationSettings as CalibrationSettings,
     EvaluateSettings as EvaluateSettings,
-    LoopSettings as LoopSettings,
     NetworkSettings as NetworkSettings,
     ScanEvaluateSettings as ScanEvaluateSettings,
     ScanTrainSettings as ScanTrainSettings,

@@ -255,17 +255,13 @@ def drive_patch(
     """
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
-    while len(drives.outcome) < effort.most and not _is_enough(drives, effort):
+    while len(drives.outcome) < effort.most:
+        mean, error = drives.mean_c_r, drives.standard_error
+        known = mean is None or (error is not None and error <= effort.target_error * mean)
+        if len(drives.outcome) >= effort.least and known:
+            break
         own = np.random.SeedSequence(seed, spawn_key=(*stream, len(drives.outcome)))
         made = drive(profile, ground, int(own.generate_state(1, np.uint64)[0]), settings)
         c_r = made.c_r if made.outcome == "completed" else None
         drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
     return drives
-
-
-def _is_enough(drives: PatchDrives, effort: Effort) -> bool:
-    """Return whether no further drives are needed."""
-    if len(drives.outcome) < effort.least:
-        return False
-    mean, error = drives.mean_c_r, drives.standard_error
-    return mean is None or (error is not None and error <= effort.target_error * mean)

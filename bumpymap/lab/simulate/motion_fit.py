@@ -222,11 +222,13 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:
     """Fit both sets of terms to logarithms (n, speeds); the speed ``anchor`` has no error and says nothing of it."""
     free = np.arange(wanted.shape[1]) != anchor
-    values, coefficients, spread = wanted[:, free].ravel(), [], []
+    values = wanted[:, free].ravel()
+    coefficients: list[tuple[float, ...]] = []
+    spread: list[float] = []
     for columns in (terms, plain):
         flat = columns[:, free].reshape(-1, columns.shape[-1])
         rounded = tuple(float(f"{value:.6g}") for value in np.linalg.lstsq(flat, values, rcond=None)[0])
         left = values - flat @ np.array(rounded)
         coefficients.append(rounded)
         spread.append(float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}"))
-    return MotionFit(*coefficients, *spread)
+    return MotionFit(coefficients[0], coefficients[1], spread[0], spread[1])

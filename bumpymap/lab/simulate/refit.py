@@ -120,7 +120,7 @@ def _rated_tiles(calibration: Calibration, settings: CalibrationSettings) -> dic
     rows = []
     none = np.zeros(len(unit))
     for height in heights:
-        relief, slope = relief_and_slope(height * unit, calibration.tile_size)
+        relief, slope = relief_and_slope(list(height * unit), calibration.tile_size)
         found = model.correction.predict(roll_over(relief, model.operator), slope, none, none + 10.0)
         logs = found.log_c_r
         rows.append(

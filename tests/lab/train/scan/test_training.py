@@ -39,7 +39,7 @@ def _sectors(seed, each=60):
 
 def test_a_short_training_learns():
     reports = []
-    net = train(ScanTrainSettings(epochs=4, sectors_per_class=300, batch=32), _sectors(1, 200), None, reports.append)
+    net = train(ScanTrainSettings(epochs=4, sectors_per_class=150, batch=24), _sectors(1, 150), None, reports.append)
     assert [report.epoch for report in reports] == [1, 2, 3, 4]
     assert reports[-1].loss < 0.6 * reports[0].loss
     scores = evaluate(net, _sectors(2), 7)
