@@ -97,18 +97,18 @@ def scans_command(run: Run, frames: tuple[Path, ...], labels: str | None, out: P
     \b
     bumpymap evaluate scans drive --labels kitti --out trust
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, write_scan_report
+    from bumpymap.lab import evaluate_scans, labels_of, write_scan_report
     from bumpymap.readers import find_frames, read_scan
     from bumpymap.scan import ScanModel, load_stripes
 
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
-    methods = ScanMethods(load_stripes(), network)
     found = find_frames(list(frames))
     label_set = labels_of(found, labels)
     with locked(out), run.progress() as progress:
         _check_place(out, overwrite=overwrite)
-        findings = evaluate_scans(map(read_scan, found), len(found), settings, methods, progress, label_set)
+        scans = map(read_scan, found)
+        findings = evaluate_scans(scans, len(found), settings, load_stripes(), network, progress, label_set)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
 

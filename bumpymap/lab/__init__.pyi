@@ -8,7 +8,6 @@ from .evaluate.report import (
 )
 from .evaluate.scans import (
     ScanFindings as ScanFindings,
-    ScanMethods as ScanMethods,
     evaluate_scans as evaluate_scans,
     labels_of as labels_of,
 )
@@ -17,11 +16,10 @@ from .evaluate.survey_trial import (
     TrialOptions as TrialOptions,
     evaluate_survey as evaluate_survey,
 )
-from .label_sets import LABEL_SETS as LABEL_SETS, LabelSet as LabelSet, label_set as label_set
+from .label_sets import LABEL_SETS as LABEL_SETS
 from .settings import (
     CalibrationSettings as CalibrationSettings,
     EvaluateSettings as EvaluateSettings,
-    LoopSettings as LoopSettings,
     NetworkSettings as NetworkSettings,
     ScanEvaluateSettings as ScanEvaluateSettings,
     ScanTrainSettings as ScanTrainSettings,

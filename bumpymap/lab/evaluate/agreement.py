@@ -89,12 +89,7 @@ def coverage(low: Floats, high: Floats, driven: Floats) -> dict[str, float]:
     """Return the shares of the driven means (n,) inside (``held``), below and above the intervals (n,)."""
     below, above = driven < low, driven > high
     parts = {"held": ~below & ~above, "below": below, "above": above}
-    return {name: mean_share(part) for name, part in parts.items()}
-
-
-def mean_share(right: NDArray[np.bool_]) -> float:
-    """Return the share of True, 0..1."""
-    return float(right.mean()) if len(right) else math.nan
+    return {name: float(part.mean()) if len(part) else math.nan for name, part in parts.items()}
 
 
 def fail_auc(p_fail: Floats, failed: Floats, completed: Floats) -> float:

@@ -5,7 +5,7 @@ A method is of use only if it beats the constant answers, and a limit on the pla
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -275,23 +275,12 @@ def labels_of(frames: Sequence[Path], name: str | None) -> LabelSet | None:
     return tell_label_set(np.concatenate(there), str(frames[0])) if there else None
 
 
-class ScanMethods:
-    """Both methods of classification, by name."""
-
-    def __init__(self, stripes: StripeModel, network: ScanModel) -> None:
-        self.stripes = stripes
-        self.network = network
-        self.by_sectors: dict[str, Callable[[SectorStack], ClassedSectors]] = {
-            "filter": lambda stack: classify_filter(stack, stripes),
-            "learned": lambda stack: classify_learned(stack, network),
-        }
-
-
 def evaluate_scans(
     scans: Iterator[Scan],
     count: int,
     settings: ScanEvaluateSettings,
-    methods: ScanMethods,
+    stripes: StripeModel,
+    network: ScanModel,
     progress: Progress,
     labels: LabelSet | None = None,
 ) -> ScanFindings:
@@ -302,7 +291,10 @@ def evaluate_scans(
     scans : iterator of Scan, length ``count``
     count : int
     settings : ScanEvaluateSettings
-    methods : ScanMethods
+    stripes : StripeModel
+        Of the filter method.
+    network : ScanModel
+        Of the learned method.
     progress : Progress
     labels : LabelSet, optional
         The meaning of the labels of the scans; None if they have none.
@@ -318,7 +310,7 @@ def evaluate_scans(
     progress.start("classing scans", count)
     for scan in scans:
         stack = polar_sectors(scan)
-        found = {name: classifier(stack) for name, classifier in methods.by_sectors.items()}
+        found = {"filter": classify_filter(stack, stripes), "learned": classify_learned(stack, network)}
         if labels is not None and scan.label is not None:
             ground.append(ground_score(scan, stack.point_ground, labels))
             for name, own in found.items():
@@ -339,13 +331,13 @@ def evaluate_scans(
         "all_sectors": len(drivable),
         "all_labelled": int(labelled.sum()),
         "labels": labels.name if labels and labelled.any() else None,
-        "filter": asdict(methods.stripes),
-        "network": methods.network.id,
+        "filter": asdict(stripes),
+        "network": network.id,
     }
     return ScanFindings(
         facts=facts,
         settings=asdict(settings),
-        classes={name: class_rows(table, name) for name in methods.by_sectors},
+        classes={name: class_rows(table, name) for name in table.class_id},
         accuracy={name: accuracy_of(table.truth[drivable], answer[drivable]) for name, answer in answers.items()},
         accuracy_all={name: accuracy_of(table.truth, answer) for name, answer in answers.items()},
         ground=[*ground, mean_ground(ground)] if ground else [],

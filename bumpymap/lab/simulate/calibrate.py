@@ -103,11 +103,16 @@ def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command
         for texture in range(len(TEXTURES))
     ]
 
-    def cells(summary: Callable[[list[PatchDrives]], Any]) -> tuple[tuple[Any, ...], ...]:
-        return tuple(tuple(summary(cell) for cell in line) for line in table)
+    means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
+
+    def cells(summary: Callable[[Any], Any], of: list[list[Any]]) -> tuple[tuple[Any, ...], ...]:
+        return tuple(tuple(map(summary, line)) for line in of)
+
+    def log_sd(values: list[float]) -> float | None:
+        return float(np.std([math.log(value) for value in values], ddof=1)) if len(values) > 1 else None
 
     driven = driven_library(settings, results)
-    means = [[[patch.mean_c_r for patch in cell] for cell in line] for line in table]
+    crossed = [[[mean for mean in cell if mean is not None] for cell in line] for line in means]
     limits = class_limits(driven)
     known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
     class_id = np.searchsorted(limits, known, side="right")  # of all terrains, also those of few completed drives
@@ -120,23 +125,14 @@ def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command
         pixels=settings.pixels,
         textures=TEXTURES,
         z_range=settings.z_range,
-        c_r=cells(lambda cell: math.fsum(_known(cell)) / len(_known(cell)) if _known(cell) else None),
-        c_r_log_sd=cells(lambda cell: _log_sd(_known(cell))),
-        p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell)),
-        drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell)),
+        c_r=cells(lambda values: math.fsum(values) / len(values) if values else None, crossed),
+        c_r_log_sd=cells(log_sd, crossed),
+        p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell), table),
+        drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell), table),
         class_limits=limits,
         class_c_r=(a, b, c, d),
         settings=record,
     )
-
-
-def _known(cell: list[PatchDrives]) -> list[float]:
-    """Return the mean C_r of the patches of a cell that have one."""
-    return [patch.mean_c_r for patch in cell if patch.mean_c_r is not None]
-
-
-def _log_sd(values: list[float]) -> float | None:
-    return float(np.std([math.log(value) for value in values], ddof=1)) if len(values) > 1 else None
 
 
 def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:

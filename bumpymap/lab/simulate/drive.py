@@ -91,9 +91,13 @@ def drive(profile: Vehicle, ground: DrivenGround, seed: int, settings: DriveSett
 
     The same seed gives the same bits in any process.
     """
-    easting, northing, turn = np.random.default_rng(seed).random(3).tolist()
-    start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
-    return drive_from(profile, ground, start, settings)
+    return drive_from(profile, ground, draw_start(ground, np.random.default_rng(seed)), settings)
+
+
+def draw_start(ground: DrivenGround, rng: np.random.Generator) -> Start:
+    """Draw a start within the extent of the ground, at any heading."""
+    easting, northing, turn = rng.random(3).tolist()
+    return Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
 
 
 def drive_from(
@@ -176,14 +180,6 @@ class Effort:
     target_error: float = 0.05
     """Drives stop once the standard error of the mean C_r is below this share of it."""
 
-    def __post_init__(self) -> None:
-        if not 1 <= self.least <= self.most:
-            raise UsageError(
-                f"{self.least} to {self.most} drives per patch; the first must be at least 1, the second not smaller"
-            )
-        if not self.target_error > 0:
-            raise UsageError(f"target error is {self.target_error}; it must be above 0, such as 0.05")
-
     @classmethod
     def fixed(cls, starts: int) -> "Effort":
         """Return an effort of exactly this many drives."""
@@ -233,7 +229,7 @@ def drive_patch(
     heights: NDArray[np.floating],
     tile_size: float,
     seed: int,
-    effort: Effort | None = None,
+    effort: Effort,
     settings: DriveSettings | None = None,
     *,
     stream: tuple[int, ...] = (),
@@ -252,25 +248,20 @@ def drive_patch(
     tile_size : float
         Side of the patch, m.
     seed : int
-    effort : Effort, optional
+    effort : Effort
     settings : DriveSettings, optional
     stream : tuple of int
         Distinguishes patches that share a seed.
     """
-    effort = effort or Effort()
     ground = PatchGround.from_heights(heights.astype(np.float64), tile_size)
     drives = PatchDrives((), ())
-    while len(drives.outcome) < effort.most and not _is_enough(drives, effort):
+    while len(drives.outcome) < effort.most:
+        mean, error = drives.mean_c_r, drives.standard_error
+        known = mean is None or (error is not None and error <= effort.target_error * mean)
+        if len(drives.outcome) >= effort.least and known:
+            break
         own = np.random.SeedSequence(seed, spawn_key=(*stream, len(drives.outcome)))
         made = drive(profile, ground, int(own.generate_state(1, np.uint64)[0]), settings)
         c_r = made.c_r if made.outcome == "completed" else None
         drives = PatchDrives((*drives.outcome, made.outcome), (*drives.c_r, c_r))
     return drives
-
-
-def _is_enough(drives: PatchDrives, effort: Effort) -> bool:
-    """Return whether no further drives are needed."""
-    if len(drives.outcome) < effort.least:
-        return False
-    mean, error = drives.mean_c_r, drives.standard_error
-    return mean is None or (error is not None and error <= effort.target_error * mean)

@@ -14,7 +14,7 @@ from contextlib import closing, nullcontext
 from dataclasses import asdict, dataclass
 from multiprocessing.connection import wait
 from pathlib import Path
-from typing import Any, Generic, Protocol, TextIO, TypeVar
+from typing import Any, Generic, TextIO, TypeVar
 
 from bumpymap.core import BumpymapError, Child, ChildDiedError, OutputError, atomic, parse_json, shielded
 
@@ -134,28 +134,17 @@ Progress = Callable[[int, int], None]
 """Called with the number of finished drives and the number of all drives."""
 
 
-class Job(Protocol):
-    """A patch to drive over."""
-
-    @property
-    def key(self) -> Key:
-        """Name of the job in a journal."""
-
-    @property
-    def starts(self) -> int:
-        """Number of drives that it counts for in the progress."""
-
-
 @dataclass(frozen=True, slots=True)
 class DriveJob:
-    """Drives over one patch, which its key names."""
+    """Drives over one patch."""
 
     key: Key
+    """Names the job in a journal."""
     starts: int
-    """Number of drives."""
+    """Number of drives that it counts for in the progress."""
 
 
-JobType = TypeVar("JobType", bound=Job)
+JobType = TypeVar("JobType", bound=DriveJob)
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 

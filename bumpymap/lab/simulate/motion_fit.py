@@ -8,19 +8,18 @@ frequency domain from the start of the vehicle on, so that the filter has settle
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.lab.settings import CalibrationSettings
-from bumpymap.lab.simulate.drive import DriveSettings, Outcome, Start, drive_strip, follow
+from bumpymap.lab.simulate.drive import DriveSettings, Start, draw_start, drive_strip, follow
 from bumpymap.lab.simulate.jobs import DriveJob, Key
-from bumpymap.lab.simulate.model import DartVehicle, Pose
+from bumpymap.lab.simulate.model import DartVehicle, Physics
 from bumpymap.lab.simulate.plan import library_terrain, six_digits
-from bumpymap.lab.simulate.ride_fit import relief_and_slope
-from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround
+from bumpymap.lab.simulate.terrain import DrivenGround, PatchGround, Strip, relief_and_slope
 from bumpymap.lab.worlds.terrains import KINDS
 from bumpymap.rating import (
     QUANTITIES,
@@ -44,7 +43,6 @@ _SETTLE_S = 0.02
 class MotionDrive:
     """Motion of one drive; NaN unless completed."""
 
-    outcome: Outcome
     c_r: float
     """Integral of the absolute pitch rate over the way, rad/m."""
     c_roll: float
@@ -53,30 +51,22 @@ class MotionDrive:
     """Root mean square of the weighted vertical acceleration, m/s2."""
 
 
-@dataclass(slots=True)
-class _Recorder:
+class _RecordedVehicle(DartVehicle):
     """A vehicle that notes its motion while it is driven."""
 
-    vehicle: DartVehicle
-    roll_rate: list[float] = field(default_factory=list)
-    """rad/s, one for each call of `advance`."""
-    upward: list[float] = field(default_factory=list)
-    """Vertical velocity, m/s, one for each time step."""
-
-    def command(self, left_mps: float, right_mps: float) -> None:
-        """Set the speed of the tyres on either side."""
-        self.vehicle.command(left_mps, right_mps)
+    def __init__(self, profile: Vehicle, ground: DrivenGround, strip: Strip, physics: Physics) -> None:
+        super().__init__(profile, ground, strip, physics)
+        self.roll_rate: list[float] = []
+        """rad/s, one for each call of `advance`."""
+        self.upward: list[float] = []
+        """Vertical velocity, m/s, one for each time step."""
 
     def advance(self, steps: int) -> None:
         """Simulate and record time steps."""
         for _ in range(steps):
-            self.vehicle.advance(1)
-            self.upward.append(float(self.vehicle.chassis.getCOMLinearVelocity()[2]))
-        self.roll_rate.append(float(self.vehicle.chassis.getSpatialVelocity()[0]))
-
-    def pose(self) -> Pose:
-        """Return the present state of the chassis."""
-        return self.vehicle.pose()
+            super().advance(1)
+            self.upward.append(float(self.chassis.getCOMLinearVelocity()[2]))
+        self.roll_rate.append(float(self.chassis.getSpatialVelocity()[0]))
 
 
 def drive_motion(
@@ -98,18 +88,18 @@ def drive_motion(
     settings = replace(settings, measure_s=settings.measure_s * profile.speed_mps / speed)
     own = replace(profile, speed_mps=speed)
     strip = drive_strip(own, start, settings)
-    recorder = _Recorder(DartVehicle(own, ground, strip, settings.physics))
-    made = follow(recorder, strip, own, settings)
+    vehicle = _RecordedVehicle(own, ground, strip, settings.physics)
+    made = follow(vehicle, strip, own, settings)
     if made.outcome != "completed":
-        return MotionDrive(made.outcome, math.nan, math.nan, math.nan)
+        return MotionDrive(math.nan, math.nan, math.nan)
     before = round((settings.settle_s + settings.ramp_s + settings.cruise_s) * settings.sample_hz)
-    rates = np.abs(recorder.roll_rate[before - 1 :])
+    rates = np.abs(vehicle.roll_rate[before - 1 :])
     rolled = float((rates[1:] + rates[:-1]).sum() / 2 / settings.sample_hz)
     step = settings.physics.time_step
     quiet = round(settings.settle_s / step)
-    felt = weighted_acceleration(np.array(recorder.upward[quiet:]), step)
+    felt = weighted_acceleration(np.array(vehicle.upward[quiet:]), step)
     measured = felt[before * settings.steps_per_sample - quiet : -round(_SETTLE_S / step)]
-    return MotionDrive("completed", made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2))))
+    return MotionDrive(made.c_r, rolled / made.path_m, float(np.sqrt(np.mean(measured**2))))
 
 
 def weighted_acceleration(velocity: NDArray[np.float64], step: float) -> NDArray[np.float64]:
@@ -167,8 +157,7 @@ def run_motion(settings: CalibrationSettings, job: DriveJob) -> MotionRecord:
     for number in range(settings.motion_starts):
         stream = (_STREAM, KINDS.index(kind), index, number)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=stream))
-        easting, northing, turn = rng.random(3).tolist()
-        start = Start(easting * ground.extent, northing * ground.extent, turn * 2 * math.pi)
+        start = draw_start(ground, rng)
         made.append([drive_motion(profile, ground, start, ratio * profile.speed_mps) for ratio in SPEED_RATIOS])
     return MotionRecord.of(made)
 
@@ -204,9 +193,9 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
     c_r = means[:, own, 0]
     used = np.isfinite(means).all(axis=(1, 2)) & (c_r > _LEAST_C_R)
     places = [divmod(number, len(KINDS)) for number in np.flatnonzero(used).tolist()]
-    terrains = [library_terrain(settings, KINDS[kind], index) for index, kind in places]
+    tiles = [library_terrain(settings, KINDS[kind], index).heights for index, kind in places]
     vehicle, speed = settings.profile.to_dict(), settings.profile.speed_mps
-    relief, _ = relief_and_slope(terrains)
+    relief, _ = relief_and_slope(tiles, settings.tile_size)
     speeds = tuple(ratio * speed for ratio in SPEED_RATIOS)
     motions = move_over(relief, MotionOperator.of(vehicle, settings.tile_size, settings.pixels, speeds))
     pitch = roll_over(relief, RideOperator.of(vehicle, settings.tile_size, settings.pixels)).pitch_change
@@ -233,13 +222,13 @@ def fit_means(settings: CalibrationSettings, means: Floats, starts: int) -> Moti
 def _fit(terms: Floats, plain: Floats, wanted: Floats, anchor: int | None) -> MotionFit:
     """Fit both sets of terms to logarithms (n, speeds); the speed ``anchor`` has no error and says nothing of it."""
     free = np.arange(wanted.shape[1]) != anchor
-    coefficients, spread = zip(*(_least_squares(x[:, free], wanted[:, free]) for x in (terms, plain)), strict=True)
+    values = wanted[:, free].ravel()
+    coefficients: list[tuple[float, ...]] = []
+    spread: list[float] = []
+    for columns in (terms, plain):
+        flat = columns[:, free].reshape(-1, columns.shape[-1])
+        rounded = tuple(float(f"{value:.6g}") for value in np.linalg.lstsq(flat, values, rcond=None)[0])
+        left = values - flat @ np.array(rounded)
+        coefficients.append(rounded)
+        spread.append(float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}"))
     return MotionFit(coefficients[0], coefficients[1], spread[0], spread[1])
-
-
-def _least_squares(terms: Floats, wanted: Floats) -> tuple[tuple[float, ...], float]:
-    flat, values = terms.reshape(-1, terms.shape[-1]), wanted.ravel()
-    found, *_ = np.linalg.lstsq(flat, values, rcond=None)
-    rounded = tuple(float(f"{value:.6g}") for value in found)
-    left = values - flat @ np.array(rounded)
-    return rounded, float(f"{np.sqrt((left**2).sum() / max(len(values) - len(rounded), 1)):.4g}")

@@ -19,7 +19,6 @@ from bumpymap.rating import Calibration, DrivenTerrain, Vehicle
 __all__ = [
     "calibrated_settings",
     "driven_library",
-    "library_ground",
     "library_record",
     "library_terrain",
     "library_terrains",
@@ -71,11 +70,6 @@ def driven_library(settings: CalibrationSettings, results: Mapping[Key, PatchDri
     )
 
 
-def library_ground(settings: CalibrationSettings, driven: Sequence[DrivenTerrain]) -> list[Terrain]:
-    """Regenerate the ground of driven terrains."""
-    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven]
-
-
 def library_record(driven: Sequence[DrivenTerrain]) -> dict[str, dict[str, list[Any]]]:
     """Return the entry of a calibration file: kind -> column -> one value per terrain, ordered by index."""
     record: dict[str, dict[str, list[Any]]] = {}
@@ -114,8 +108,8 @@ def read_library(calibration: Calibration) -> tuple[list[Terrain], tuple[DrivenT
     BadInputError
         The record is damaged.
     """
-    driven = library_terrains(calibration)
-    return library_ground(calibrated_settings(calibration), driven), driven
+    settings, driven = calibrated_settings(calibration), library_terrains(calibration)
+    return [library_terrain(settings, terrain.kind, terrain.index) for terrain in driven], driven
 
 
 def six_digits(value: float | None) -> float | None:

@@ -29,7 +29,7 @@ from bumpymap.lab.simulate.drive import Drive, PatchDrives, Start, drive_from
 from bumpymap.lab.simulate.jobs import DriveJob, Key
 from bumpymap.lab.simulate.plan import calibrated_settings, read_library
 from bumpymap.lab.simulate.ride_fit import fit_ride, fit_thin_surveys
-from bumpymap.lab.simulate.terrain import fit_plane
+from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.rating import Calibration, RideModel, Vehicle, roll_over
 
 _HEIGHTS = (0.02, 0.05, 0.08, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7, 1.0)
@@ -118,14 +118,10 @@ def _rated_tiles(calibration: Calibration, settings: CalibrationSettings) -> dic
     places = [(turn, offset) for turn in _TILE_TURNS_DEG for offset in _TILE_OFFSETS]
     unit = np.stack([step_tile(turn, offset, calibration.pixels) for turn, offset in places])
     rows = []
-    per_metre = calibration.pixels / calibration.tile_size
+    none = np.zeros(len(unit))
     for height in heights:
-        tiles = height * unit
-        planes = [fit_plane(tile) for tile in tiles]
-        relief = np.stack([tile - plane for tile, (plane, _) in zip(tiles, planes, strict=True)])
-        slope = np.degrees(np.arctan([math.hypot(*gradient) * per_metre for _, gradient in planes]))
-        rides = roll_over(relief.astype(np.float32), model.operator)
-        found = model.correction.predict(rides, slope, np.zeros(len(tiles)), np.full(len(tiles), 10.0))
+        relief, slope = relief_and_slope(list(height * unit), calibration.tile_size)
+        found = model.correction.predict(roll_over(relief, model.operator), slope, none, none + 10.0)
         logs = found.log_c_r
         rows.append(
             (float(np.exp(logs).mean()), float(np.std(logs, ddof=1)), float(np.quantile(found.p_fail, _FAIL_QUANTILE)))

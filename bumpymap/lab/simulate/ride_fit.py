@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import FeatureSettings, Reason
-from bumpymap.lab.simulate.terrain import fit_plane
+from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
 from bumpymap.rating import (
@@ -50,7 +50,7 @@ def fit_ride(
     """Fit a ride model to driven terrains and the drives over them (n each); the calibration's ``ride`` as JSON."""
     side, pixels = terrains[0].tile_size, terrains[0].pixels
     operator = RideOperator.of(profile.to_dict(), side, pixels)
-    relief, slope = relief_and_slope(terrains)
+    relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     rides = roll_over(relief, operator)
     return fit_correction(
         DrivenPatches(
@@ -65,24 +65,12 @@ def fit_ride(
     ).to_record()
 
 
-def relief_and_slope(terrains: Sequence[Terrain]) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Return relief maps (n, pixels, pixels) [m] and slopes (n,) [deg] of terrains, free of survey errors."""
-    relief, slope = [], []
-    for terrain in terrains:
-        heights = terrain.heights
-        plane, gradient = fit_plane(heights)
-        relief.append((heights - plane).astype(np.float32))
-        slope.append(np.degrees(np.arctan(np.hypot(*gradient) * terrain.pixels / terrain.tile_size)))
-    return np.stack(relief), np.array(slope)
-
-
 def survey_terrains(terrains: Sequence[Terrain], effects: ScanEffects, seed: int) -> TileBuckets:
     """Survey terrains, each as the tile ``(index, 0)`` with its own random stream."""
     buckets = TileBuckets(Grid(terrains[0].tile_size, terrains[0].pixels))
     for index, terrain in enumerate(terrains):
-        points = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
-        west = index * terrain.tile_size
-        buckets.add(points.easting + west, points.northing, points.upward, np.zeros(len(points.upward), np.bool_))
+        x, y, z = survey_terrain(terrain, effects, np.random.default_rng([seed, index]))
+        buckets.add(x + index * terrain.tile_size, y, z, np.zeros(len(z), np.bool_))
     return buckets
 
 
@@ -135,7 +123,7 @@ def fit_thin_surveys(
     """
     operator = RideOperator.of(profile.to_dict(), terrains[0].tile_size, terrains[0].pixels)
     correction = Correction.from_record(ride)
-    relief, slope = relief_and_slope(terrains)
+    relief, slope = relief_and_slope([terrain.heights for terrain in terrains], terrains[0].tile_size)
     none = np.zeros(len(terrains))
     truth = correction.predict(roll_over(relief, operator), slope, none, none + _WITHOUT_NOISE)
     log_c_r = np.maximum(truth.log_c_r, np.log(_FLOOR * first_limit))

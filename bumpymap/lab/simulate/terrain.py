@@ -5,6 +5,7 @@ unbounded, and the residual is mirrored at the edges (half-sample: the edge pixe
 themselves would fold every slope into a ridge. Heights are at pixel centres, with bilinear interpolation between them.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -52,6 +53,16 @@ def fit_plane(heights: _Floats) -> tuple[_Floats, tuple[float, float]]:
     north = -float(heights.sum(axis=1) @ axis) / norm
     plane = heights.mean() + east * axis[None, :] - north * axis[:, None]
     return plane, (east, north)
+
+
+def relief_and_slope(tiles: Sequence[_Floats], tile_size: float) -> tuple[NDArray[np.float32], _Floats]:
+    """Return relief maps (n, pixels, pixels) [m] above the planes of heightmaps, and the slopes of these (n,) [deg]."""
+    relief, slope = [], []
+    for heights in tiles:
+        plane, gradient = fit_plane(heights)
+        relief.append((heights - plane).astype(np.float32))
+        slope.append(np.degrees(np.arctan(np.hypot(*gradient) * len(heights) / tile_size)))
+    return np.stack(relief), np.array(slope)
 
 
 @dataclass(frozen=True, slots=True)

@@ -210,6 +210,11 @@ def model_files(out: Path) -> Iterator[ModelFiles]:
         yield ModelFiles(out)
 
 
+def parameter_count(net: nn.Module) -> int:
+    """Return the number of trained parameters of a network."""
+    return sum(p.numel() for p in net.parameters())
+
+
 def versions(kind: str) -> dict[str, object]:
     """Return format and versions for the metadata of an ONNX file."""
     return {"format": kind, "bumpymap": version("bumpymap"), "torch": torch.__version__}

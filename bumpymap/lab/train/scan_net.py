@@ -24,6 +24,7 @@ from bumpymap.lab.train.model_files import (
     Training,
     count_answers,
     model_files,
+    parameter_count,
     percent,
     score_table,
     versions,
@@ -86,10 +87,6 @@ class ScanNet(nn.Module):
         x = nn.functional.relu6(self.hidden(torch.cat((x, joined), dim=1)))  # (n, 48, 1, 1)
         logits: torch.Tensor = self.head(x).flatten(1)  # (n, 3)
         return logits
-
-    def parameter_count(self) -> int:
-        """Return the number of trained parameters."""
-        return sum(p.numel() for p in self.parameters())
 
 
 def train(
@@ -340,12 +337,12 @@ def train_and_write(
     net = train(settings, data.learn, files.checkpoint, progress)
     evaluation = evaluate(net, data.unseen, data.unseen_scans)
     network = {"sector_version": SECTOR_VERSION, "pixels": PolarSettings().pixels}
-    training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": data.command}
+    training = {"parameters": parameter_count(net), "seed": settings.seed, "command": data.command}
     scores = {
         "accuracy_even": evaluation.every.balanced_accuracy,
         "accuracy_unseen": evaluation.every.accuracy,
         "confusion_unseen": evaluation.every.confusion,
     }
     content = to_onnx(net, {**versions("bumpymap-scan"), **network, **training, **scores})
-    files.write(content, model_card(settings, evaluation, data, (net.parameter_count(), len(content))))
-    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
+    files.write(content, model_card(settings, evaluation, data, (parameter_count(net), len(content))))
+    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))

@@ -26,6 +26,7 @@ from bumpymap.lab.train.model_files import (
     Training,
     count_answers,
     model_files,
+    parameter_count,
     percent,
     score_table,
     versions,
@@ -78,10 +79,6 @@ class TextureNet(nn.Module):
         x = x.mean(dim=(2, 3), keepdim=True)  # (n, 96, 1, 1)
         x = torch.relu(self.norm5(self.conv5(x)))  # (n, 128, 1, 1)
         return self.head(x).flatten(1)  # (n, 4)
-
-    def parameter_count(self) -> int:
-        """Return the number of trained parameters."""
-        return sum(p.numel() for p in self.parameters())
 
 
 def train(
@@ -328,7 +325,7 @@ def make_model(
             "channels": list(settings.network.channels),
             "hidden": settings.network.hidden,
         }
-        training = {"parameters": net.parameter_count(), "seed": settings.seed, "command": settings.command}
+        training = {"parameters": parameter_count(net), "seed": settings.seed, "command": settings.command}
         content = to_onnx(net, {**versions("bumpymap-textures"), **network, **training, **scores})
-        files.write(content, model_card(settings, evaluation, net.parameter_count(), len(content)))
-    return TrainedModel(files.model, files.card, evaluation, net.parameter_count())
+        files.write(content, model_card(settings, evaluation, parameter_count(net), len(content)))
+    return TrainedModel(files.model, files.card, evaluation, parameter_count(net))

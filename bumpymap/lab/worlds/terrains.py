@@ -297,20 +297,14 @@ class ScanEffects:
     """Standard deviation of the heights, of which each is independent."""
 
 
-@dataclass(frozen=True, slots=True)
-class TerrainPoints:
-    """Points (n,) of a tile with its south-west corner at the origin, m."""
+def survey_terrain(terrain: Terrain, effects: ScanEffects, rng: np.random.Generator) -> tuple[Floats, Floats, Floats]:
+    """Draw easting, northing and upward (n,) [m] of the points of a survey; the tile's south-west corner is the origin.
 
-    easting: Floats
-    northing: Floats
-    upward: Floats
-
-
-def survey_terrain(terrain: Terrain, effects: ScanEffects, rng: np.random.Generator) -> TerrainPoints:
-    """Draw the points of a survey; the same generator state gives the same bits."""
+    The same generator state gives the same bits.
+    """
     side = terrain.tile_size
     step = side / len(terrain.surface)
     easting, northing = rng.uniform(0.0, side, (2, int(rng.poisson(effects.density * side**2))))
     where = np.array([(side - northing) / step - 0.5, easting / step - 0.5])
     upward: Floats = map_coordinates(terrain.surface, where, order=1, mode="nearest")
-    return TerrainPoints(easting, northing, upward + effects.noise_m * rng.standard_normal(len(upward)))
+    return easting, northing, upward + effects.noise_m * rng.standard_normal(len(upward))

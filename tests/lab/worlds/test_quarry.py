@@ -38,9 +38,9 @@ def test_zones_hold_whole_tiles_and_are_as_rough_as_their_names():
 @pytest.mark.parametrize(("read", "name"), [(laspy.read, "quarry.laz"), (read_vertices, "quarry_part.ply")])
 def test_heights_of_the_sample_files_are_the_reliefs_within_the_noise(read, name):
     points = read(SAMPLES / name)
-    ground = np.asarray(points["classification"]) == 2
     if name == "quarry.laz":
-        ground &= np.asarray(points["withheld"]) == 0
+        points = points[np.asarray(points["withheld"]) == 0][::4]
+    ground = np.asarray(points["classification"]) == 2
     x, y, z = (np.asarray(points[axis], float)[ground] for axis in "xyz")
     error = z - made_quarry.height(x, y)
     stray = np.abs(error) > 10.0

@@ -23,8 +23,8 @@ def surveyed(terrains, effects, seed=1):
     rng = np.random.default_rng(seed)
     buckets = TileBuckets(Grid(3.0, 15))
     for place, terrain in enumerate(terrains):
-        points = survey_terrain(terrain, effects, rng)
-        buckets.add(points.easting + 3.0 * place, points.northing, points.upward, np.zeros(len(points.easting), bool))
+        x, y, z = survey_terrain(terrain, effects, rng)
+        buckets.add(x + 3.0 * place, y, z, np.zeros(len(z), bool))
     (block,) = buckets.blocks()
     return measure(block, FeatureSettings(), ground_only=False)
 

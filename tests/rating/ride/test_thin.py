@@ -7,7 +7,8 @@ import pytest
 
 from bumpymap.core.errors import BadInputError, UsageError
 from bumpymap.core.types import NO_CLASS, Reason
-from bumpymap.lab.simulate.ride_fit import relief_and_slope, survey_columns
+from bumpymap.lab.simulate.ride_fit import survey_columns
+from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, make_terrain
 from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
@@ -26,7 +27,7 @@ LEVEL = [Terrain("level", np.zeros((15 * FINE, 15 * FINE)), 3.0)] * 60
 def unseen():
     """Terrain that no model was fitted to, and ln of its true C_r."""
     terrains = [make_terrain(kind, 77, index) for kind in KINDS for index in range(12)]
-    relief, slope = relief_and_slope(terrains)
+    relief, slope = relief_and_slope([terrain.heights for terrain in terrains], 3.0)
     none = np.zeros(len(terrains))
     truth = RIDE.correction.predict(roll_over(relief, RIDE.operator), slope, none, none + 1e3)
     return terrains, truth.log_c_r

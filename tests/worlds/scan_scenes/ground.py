@@ -92,8 +92,7 @@ class Road:
 
     def across(self, x: Floats, y: Floats) -> Floats:
         """Signed distance from the centreline, m."""
-        along = x * self.bearing[0] + y * self.bearing[1]
-        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
+        along, side = beside(x, y, self.bearing, self.offset_m)
         slope = np.zeros_like(x)
         for amplitude, number, phase in self.bends:
             side = side - amplitude * np.sin(number * along + phase)
@@ -161,14 +160,18 @@ class Bank:
 
     def rise(self, x: Floats, y: Floats) -> Floats:
         """Return what the bank adds to the height of the ground, m."""
-        along = x * self.bearing[0] + y * self.bearing[1]
+        along, side = beside(x, y, self.bearing, self.offset_m)
         amplitude, number, phase = self.wave
-        side = y * self.bearing[0] - x * self.bearing[1] - self.offset_m
         side = side - amplitude * np.sin(number * along + phase)
         return self.height_m * smoothstep(side / self.width_m)
 
 
 Region = Blob | Road
+
+
+def beside(x: Floats, y: Floats, bearing: tuple[float, float], offset_m: float) -> tuple[Floats, Floats]:
+    """Return the distances along a straight line and to the left of it, m."""
+    return x * bearing[0] + y * bearing[1], y * bearing[0] - x * bearing[1] - offset_m
 
 
 def ruts(across: Floats, depth_m: float, width_m: float) -> Floats:
@@ -233,16 +236,6 @@ STEP = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class GroundSample:
-    """Height and label of the ground at some positions."""
-
-    z: Floats
-    """(n,) m; height of the soil, without grass."""
-    label: NDArray[np.uint8]
-    """(n,) RELLIS-3D id."""
-
-
-@dataclass(frozen=True, slots=True)
 class SceneGround:
     """Hills, bumps and fine relief, overlaid by regions of other ground in order."""
 
@@ -267,8 +260,12 @@ class SceneGround:
     """Rise per metre eastwards and northwards of the hillside around the origin."""
     banks: tuple[Bank, ...] = ()
 
-    def sample(self, x: Floats, y: Floats) -> GroundSample:
-        """Return heights and labels at positions in metres from the origin."""
+    def height(self, x: Floats, y: Floats) -> Floats:
+        """Return the heights of the soil, without grass, at positions (n,) in metres from the origin."""
+        return self.sample(x, y)[0]
+
+    def sample(self, x: Floats, y: Floats) -> tuple[Floats, NDArray[np.uint8]]:
+        """Return heights of the soil [m] and RELLIS-3D ids at positions in metres from the origin, (n,) each."""
         bumps = self.bumps_m * self.bumps.at(x, y)
         z = self.hills_m * self.hills.at(x, y) + bumps
         away = np.hypot(x, y)
@@ -297,7 +294,7 @@ class SceneGround:
             if isinstance(region, Road) and region.kerb_m > 0:
                 kerb = region.on_kerb(region.across(x, y)) > 0
                 label[kerb], rough[kerb] = Label.CONCRETE, 0.002
-        return GroundSample(z + np.maximum(relief + rough * self.fine.at(x, y), floor), label)
+        return z + np.maximum(relief + rough * self.fine.at(x, y), floor), label
 
     def grass_height(self, x: Floats, y: Floats) -> Floats:
         """Return the height of grass at each position, m."""
@@ -317,7 +314,7 @@ def ground_mesh(
     radius = _START_M * np.exp(STEP * (np.arange(rings)[:, None] + rng.uniform(-0.2, 0.2, (rings, around))))
     angle = 2 * np.pi / around * (np.arange(around)[None, :] + rng.uniform(-0.2, 0.2, (rings, around)))
     x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
-    corners = np.stack([x, y, ground.sample(x, y).z], axis=1).astype(np.float32)
+    corners = np.stack([x, y, ground.height(x, y)], axis=1).astype(np.float32)
     here = np.arange(rings * around).reshape(rings, around)
     right = np.roll(here, -1, axis=1)
     quads = (here[:-1], right[:-1], here[1:], right[1:])

@@ -7,7 +7,7 @@ image appears below the ground; a few pulses return from anywhere.
 """
 
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import open3d
@@ -19,8 +19,6 @@ from scan_scenes.ground import ground_mesh
 from scan_scenes.scene import Scene, make_scene
 from scan_scenes.things import REFLECTIONS, Floats, Label
 
-Pattern = Literal["lines", "rosette"]
-"""Horizontal lines, or loops through the middle of the view, as two rotating prisms make them."""
 _LOOP_TURN = 0.2199
 """Turns of a rosette for one oscillation between its margins."""
 _LOOP_POINTS = 500
@@ -49,7 +47,8 @@ class Sensor:
     """Share of the pulses that are lost independently of the scene."""
     tilt_deg: tuple[float, float] = (0.0, 0.0)
     """Roll about the x axis, then pitch about the y axis (nose down above 0), of the sensor on its robot."""
-    pattern: Pattern = "lines"
+    is_rosette: bool = False
+    """Loops through the middle of the view, as two rotating prisms make them, and not horizontal lines."""
     view_deg: float = 360.0
     """Horizontal field of view, its middle ahead."""
     dense_deg: tuple[float, float] = (-90.0, 90.0)
@@ -61,7 +60,7 @@ class Sensor:
 
     def directions(self) -> NDArray[np.float64]:
         """Return unit vectors in the sensor's frame, (lines * columns, 3): lines from the lowest, loops in time."""
-        if self.pattern == "rosette":
+        if self.is_rosette:
             elevation, azimuth = self._loops()
         else:
             elevation = np.radians(self._elevations_deg())[:, None]
@@ -120,10 +119,10 @@ SENSORS = {
         lines=128, columns=1800, lowest_deg=-25.0, highest_deg=15.0, dense_deg=(-6.0, 2.0), dense=4.0, height_m=1.8
     ),
     "rosette_80": Sensor(
-        lines=60, columns=500, lowest_deg=-35.0, highest_deg=35.0, pattern="rosette", view_deg=80.0, reach_m=90.0
+        lines=60, columns=500, lowest_deg=-35.0, highest_deg=35.0, is_rosette=True, view_deg=80.0, reach_m=90.0
     ),
     "rosette_360": Sensor(
-        lines=40, columns=500, lowest_deg=-7.0, highest_deg=52.0, pattern="rosette", height_m=0.6, reach_m=30.0
+        lines=40, columns=500, lowest_deg=-7.0, highest_deg=52.0, is_rosette=True, height_m=0.6, reach_m=30.0
     ),
     "raster_120": Sensor(lines=125, columns=600, lowest_deg=-12.5, highest_deg=12.5, view_deg=120.0, reach_m=80.0),
 }
@@ -206,7 +205,7 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> Scan:
     rng = np.random.default_rng([*scene.seed, seed, 1])
     rays = sensor.directions()
     level = rays @ (posture(scene) @ sensor.to_level()).T
-    eye = np.array([0.0, 0.0, float(scene.ground.sample(np.zeros(1), np.zeros(1)).z[0]) + sensor.height_m])
+    eye = np.array([0.0, 0.0, float(scene.ground.height(np.zeros(1), np.zeros(1))[0]) + sensor.height_m])
     world = _World(scene, sensor, rng)
     hits = _in_grass(scene, world.cast(scene, eye, level), eye, level, rng)
     seen, away, intensity = _returns(hits, scene, sensor, rng)
@@ -227,7 +226,7 @@ def simulate_scan(scene: Scene, sensor: Sensor, seed: int) -> Scan:
 def posture(scene: Scene) -> Floats:
     """Return the rotation (3, 3) from a robot that stands on the ground at the origin to a level frame."""
     around = _FOOTPRINT_M * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    z = scene.ground.sample(around[:, 0], around[:, 1]).z
+    z = scene.ground.height(around[:, 0], around[:, 1])
     rise = np.clip([(z[0] - z[1]), (z[2] - z[3])], -1.0, 1.0) / (2 * _FOOTPRINT_M)
     up = np.array([-rise[0], -rise[1], 1.0]) / np.hypot(1.0, np.hypot(*rise))
     ahead = np.array([1.0, 0.0, rise[0]]) / np.hypot(1.0, rise[0])
@@ -272,7 +271,7 @@ class _World:
         label[hit] = self._labels[which[hit]]
         on_ground = hit & (which == 0)
         place = eye + np.where(hit, distance, 0.0)[:, None] * level
-        label[on_ground] = scene.ground.sample(place[on_ground, 0], place[on_ground, 1]).label
+        label[on_ground] = scene.ground.sample(place[on_ground, 0], place[on_ground, 1])[1]
         normal = found["primitive_normals"].numpy().astype(np.float64)
         cosine = np.clip(np.abs((normal * level).sum(axis=1)), 0.0, 1.0)
         return _Hits(distance, cosine, normal, label, on_ground & (label == Label.GRASS))
@@ -348,17 +347,17 @@ def overhead_scan(scene: Scene, seed: int) -> Scan:
     count = int(log_uniform(rng, 2e4, 1.2e5))
     away, turn = rng.uniform(_START_M, rng.uniform(25.0, 60.0), count), rng.uniform(-np.pi, np.pi, count)
     x, y = away * np.cos(turn), away * np.sin(turn)
-    ground = scene.ground.sample(x, y)
+    soil, found = scene.ground.sample(x, y)
     above = scene.ground.grass_height(x, y) - rng.exponential(scene.ground.grass_path_m, count)
-    z = ground.z + np.where(ground.label == Label.GRASS, np.maximum(above, 0.0), 0.0)
+    z = soil + np.where(found == Label.GRASS, np.maximum(above, 0.0), 0.0)
     wide, high, bearing = log_uniform(rng, 0.2, 0.8), log_uniform(rng, 0.25, 0.9), rng.uniform(0, 2 * np.pi)
     across = x * np.cos(bearing) + y * np.sin(bearing)
     along = y * np.cos(bearing) - x * np.sin(bearing)
     column, row = (np.floor(way / wide).astype(np.int64) % _TABLE for way in (across, along))
-    wet = np.isin(ground.label, (Label.WATER, Label.PUDDLE))
+    wet = np.isin(found, (Label.WATER, Label.PUDDLE))
     heap = across > rng.uniform(-10.0, 10.0)
     z += np.where(heap, rng.uniform(0.0, high, (_TABLE, _TABLE))[row, column], 0.0)
     z += rng.uniform(0.005, 0.03) * rng.standard_normal(count)
-    here = scene.ground.sample(np.zeros(1), np.zeros(1)).z[0] + rng.uniform(0.6, 4.0)
-    label = np.where(heap, Label.RUBBLE, np.where(wet, Label.VOID, ground.label)).astype(np.uint16)
+    here = scene.ground.height(np.zeros(1), np.zeros(1))[0] + rng.uniform(0.6, 4.0)
+    label = np.where(heap, Label.RUBBLE, np.where(wet, Label.VOID, found)).astype(np.uint16)
     return Scan(np.column_stack([x, y, z - here]).astype(np.float32), np.full(count, 0.3, np.float32), label)

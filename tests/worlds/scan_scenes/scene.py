@@ -259,7 +259,7 @@ def make_scene(seed: int, index: int, theme: str | None = None) -> Scene:
     things = tuple(_draw_things(rng, THEMES[name], ground))
     for region in ground.regions:
         if THEMES[name].street and isinstance(region, Road):
-            things += tuple(roadside_things(rng, ROADSIDES[name], region, lambda x, y: ground.sample(x, y).z))
+            things += tuple(roadside_things(rng, ROADSIDES[name], region, ground.height))
     wet = float(rng.uniform(0.1, 0.8)) if rng.uniform() < _WET else 0.0
     mirror = log_uniform(rng, 0.01, 0.5) if rng.uniform() < _MIRRORS else 0.0
     return Scene(name, ground, things, (seed, index), wet, mirror)
@@ -347,7 +347,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
         radius = rng.uniform(*sizes)
         blob = make_blob(rng, label, _place(rng, *places), radius, log_uniform(rng, 0.001, 0.012), 0.0)
         bearing = np.linspace(0, 2 * np.pi, 16, endpoint=False)
-        bank = bare.sample(blob.centre[0] + radius * np.cos(bearing), blob.centre[1] + radius * np.sin(bearing)).z
+        bank = bare.height(blob.centre[0] + radius * np.cos(bearing), blob.centre[1] + radius * np.sin(bearing))
         if blob.reach(origin, origin)[0] < 1.5:
             continue
         level = float(bank.min()) - rng.uniform(0.0, 0.25 if label == Label.WATER else 0.05)
@@ -356,9 +356,7 @@ def _draw_water(rng: np.random.Generator, theme: Theme, bare: SceneGround) -> li
 
 
 def _draw_things(rng: np.random.Generator, theme: Theme, ground: SceneGround) -> list[tuple[Label, Triangles]]:
-    def height(x: Floats, y: Floats) -> Floats:
-        return ground.sample(x, y).z
-
+    height = ground.height
     things: list[tuple[Label, Triangles]] = []
     for label, places in (
         (Label.GRASS, _spots(rng, _up_to(rng, theme.herbs), 2.0, 40.0)),
@@ -411,5 +409,5 @@ def _inside(rng: np.random.Generator, blob: Blob, ground: SceneGround) -> Floats
     count = int(4 * blob.radius_m**2 * rng.uniform(1.0, 2.5))
     places = np.array(blob.centre) + rng.uniform(-1.4, 1.4, (count, 2)) * blob.radius_m
     x, y = places[:, 0], places[:, 1]
-    free = (blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y).label == Label.RUBBLE)
+    free = (blob.reach(x, y) < 1.0) & (np.hypot(x, y) > 2.0) & (ground.sample(x, y)[1] == Label.RUBBLE)
     return places[free]

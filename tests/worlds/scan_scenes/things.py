@@ -161,16 +161,18 @@ def tube(start: Floats, end: Floats, start_radius: float, end_radius: float, sid
     angle = 2 * np.pi * np.arange(sides + 1) / sides
     circle = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
     low, high = start + start_radius * circle, end + end_radius * circle
-    first = np.stack([low[:-1], low[1:], high[:-1]], axis=1)
-    second = np.stack([low[1:], high[1:], high[:-1]], axis=1)
-    return np.concatenate([first, second]).astype(np.float32)
+    return _band(low, high)
 
 
 def ribbon(points: Floats, height_m: float) -> Triangles:
     """Make an upright band along ``points`` (n, 3), which form its lower edge."""
-    top = points + np.array([0.0, 0.0, height_m])
-    first = np.stack([points[:-1], points[1:], top[:-1]], axis=1)
-    second = np.stack([points[1:], top[1:], top[:-1]], axis=1)
+    return _band(points, points + np.array([0.0, 0.0, height_m]))
+
+
+def _band(low: Floats, high: Floats) -> Triangles:
+    """Fill the band between two rows of points, (n, 3) each."""
+    first = np.stack([low[:-1], low[1:], high[:-1]], axis=1)
+    second = np.stack([low[1:], high[1:], high[:-1]], axis=1)
     return np.concatenate([first, second]).astype(np.float32)
 
 

@@ -39,14 +39,13 @@ def _sectors(seed, each=60):
 
 def test_a_short_training_learns():
     reports = []
-    net = train(ScanTrainSettings(epochs=4, sectors_per_class=300, batch=32), _sectors(1, 200), None, reports.append)
+    net = train(ScanTrainSettings(epochs=4, sectors_per_class=150, batch=24), _sectors(1, 150), None, reports.append)
     assert [report.epoch for report in reports] == [1, 2, 3, 4]
     assert reports[-1].loss < 0.6 * reports[0].loss
     scores = evaluate(net, _sectors(2), 7)
     assert scores.every.accuracy > 0.9
     assert (scores.every.count, scores.scans, set(scores.labels)) == (180, 7, {3, 4, 19})
     assert sum(map(sum, scores.labels.values())) == 180
-    assert net.parameter_count() < 100_000
 
 
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):
