@@ -33,10 +33,8 @@ from bumpymap.layers import (
     read_features,
     read_manifest,
     require_format,
-    require_map_written,
     require_tiles,
-    sheet_folders,
-    virtual_name,
+    require_written,
 )
 from bumpymap.survey import MapSettings, folder_of_call, map_settings
 
@@ -79,7 +77,7 @@ class Layers:
     Parameters
     ----------
     folder : path
-        The output folder of a complete run; if its layers are in sheets, they are read as one map.
+        The output folder of a complete run.
     in_memory : bool
         Delete the folder together with this object. Datasets are then loaded at once instead of lazily, and a pickle
         holds the files, up to 256 MB, instead of the path.
@@ -89,7 +87,6 @@ class Layers:
         self._folder = Path(path_of_call("the folder of the layers", folder))
         self._in_memory = in_memory
         self._manifest = read_manifest(self._folder)
-        self._sheets = sheet_folders(self._folder)
         self._checked: set[str] = set()
         if in_memory:
             # Unlike weakref.finalize, this runs at the end of the workers of multiprocessing too; in no other process.
@@ -116,11 +113,6 @@ class Layers:
     def folder(self) -> Path:
         """The folder that holds the files."""
         return self._folder
-
-    @property
-    def sheets(self) -> list[Path]:
-        """The folders of the sheets, each a map that can be opened by itself; without sheets, the one folder."""
-        return list(self._sheets)
 
     @property
     def manifest(self) -> dict[str, Any]:
@@ -251,8 +243,8 @@ class Layers:
         Returns
         -------
         geopandas.GeoDataFrame
-            One row for each region, a group of adjacent tiles of one class in one sheet; the geometry is its outline,
-            in the survey's CRS.
+            One row for each region, a group of adjacent tiles of one class; the geometry is its outline, in the
+            survey's CRS.
 
         Raises
         ------
@@ -303,7 +295,7 @@ class Layers:
 
         own = ExportSettings(**settings_of_call(settings, ExportSettings, "Layers.export"))
         target = Path(path_of_call("out", out))
-        return export_map(open_map([self.folder]), target, own, overwrite=overwrite)
+        return export_map(open_map(self.folder), target, own, overwrite=overwrite)
 
     def report(
         self,
@@ -368,7 +360,7 @@ class Layers:
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """West, south, east and north of the layers in units of their CRS; None if class.tif cannot be read."""
         try:
-            with open_layer(self._folder / self._raster("class.tif")) as file:
+            with open_layer(self._folder / "class.tif") as file:
                 return tuple(file.bounds)
         except BadInputError:
             return None
@@ -377,7 +369,7 @@ class Layers:
         """Yield the bands of a raster as named variables with units."""
         self._require_written(name)
         rioxarray = import_notebook("rioxarray")
-        with self._file(self._folder / self._raster(name)) as path:
+        with self._file(self._folder / name) as path:
             with open_layer(path) as checked, rioxarray.open_rasterio(path, cache=False, driver=checked.driver) as file:
                 from bumpymap.layers import lazy_values  # needs the extra
 
@@ -404,21 +396,13 @@ class Layers:
     def _require_written(self, name: str) -> None:
         """Raise BadInputError if a layer is not the one that run.json lists; looked at once."""
         if name not in self._checked and not self._in_memory:
-            require_map_written(self._folder, self._manifest, (name,))
+            require_written(self._folder, self._manifest, (name,))
             self._checked.add(name)
 
-    def _raster(self, name: str) -> str:
-        """Return the name of a raster in the folder: that of the virtual one if there are sheets."""
-        return name if self._sheets == [self._folder] else virtual_name(name)
-
     def _table(self, name: str) -> "geopandas.GeoDataFrame":
-        """Read a table of every sheet, joined in the order of the sheets."""
-        parts = []
         self._require_written(name)
-        for sheet in self._sheets:
-            with self._file(sheet / name) as path:
-                parts.append(_read_tiles(path) if name.endswith(".parquet") else _read_features(path))
-        return parts[0] if len(parts) == 1 else import_notebook("pandas").concat(parts, ignore_index=True)
+        with self._file(self._folder / name) as path:
+            return _read_tiles(path) if name.endswith(".parquet") else _read_features(path)
 
     @contextmanager
     def _file(self, path: Path) -> Iterator[Path]:
@@ -500,7 +484,7 @@ def map_survey(
         Those of ``bumpymap map``, with underscores: ``tile_size`` [m], ``pixels``, ``ground``,
         ``ground_classes``, ``align``, ``rating``,
         ``compat``, ``vehicle``, ``calibration``, ``speed`` [m/s], ``speeds`` [m/s], ``model``, ``crs``, ``force_crs``,
-        ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``sheets`` [km], ``overwrite``,
+        ``z_unit``, ``local``, ``trust_points``, ``skip_bad``, ``max_unknown``, ``overwrite``,
         ``threads``, ``memory``, ``scratch``, ``scheduler``; ``features`` and ``csf`` are dicts, the tables
         of a settings file.
 
@@ -528,11 +512,6 @@ def map_survey(
         target = folder_of_call("out", out)
         _map(MapConfig(surveys=places, out=target, **own))
         return Layers(target)
-    if own.get("sheets") is not None:
-        raise UsageError(
-            f"`sheets={own['sheets']:g}` cuts a large map into folders, and layers without `out` are temporary: give "
-            "`out='DIR'`, or leave sheets out"
-        )
     folder = tempfile.mkdtemp(prefix="bumpymap-layers-")
     try:
         _map(MapConfig(surveys=places, out=Path(folder), **own))

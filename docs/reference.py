@@ -8,7 +8,6 @@
 
 import csv
 import re
-import shlex
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -47,11 +46,11 @@ def _filled(marker: re.Match[str]) -> str:
         return _included(Path(__file__).parent / name)
     if kind == "columns":
         return _columns(sector_schema() if name == "sectors.parquet" else tile_fields(15, ()))
-    words, language = ([*shlex.split(name), "--help"], "text") if kind == "help" else (["settings", name], "toml")
+    words = [*name.split(), "--help"] if kind == "help" else ["settings", *name.split()]
     printed = CliRunner().invoke(main, words, prog_name="bumpymap")
     if printed.exit_code:
         raise ValueError(f"{marker[0]}: {printed.output}")
-    return f"```{language}\n{printed.stdout.strip()}\n```"
+    return f"```{'text' if kind == 'help' else 'toml'}\n{printed.stdout.strip()}\n```"
 
 
 def _included(path: Path) -> str:

@@ -212,6 +212,8 @@ def test_a_caller_of_the_classifier_reads_arguments(settings, words):
     [
         (["--crs", "EPSG:1"], "--crs EPSG:1 is not a coordinate reference system"),
         (["--resume"], "--resume is gone: the same command continues an interrupted run"),
+        (["--sheets", "5"], "--sheets is gone: all files and folders of one command make one map"),
+        (["--sheets=5"], "--sheets is gone: all files and folders of one command make one map"),
         (["--tile-size", "5"], "Use --tile-size 3, --set pixels=15"),
         (["--crs", "EPSG:32632", "--local"], "--crs and --local contradict"),
     ],

@@ -245,7 +245,7 @@ def find_changes(config: DiffConfig, progress: Progress | None = None) -> Change
     taken = offset if config.offset is None else config.offset
     ground = ground_changes(pair, cell, 0.0 if np.isnan(taken) else taken)
     # Both have one calibration, or they could not be compared; one may be of an earlier version, and say nothing of it.
-    first, second = (CommonError.of(site.manifests[0]) for site in (pair.before, pair.after))
+    first, second = (CommonError.of(site.manifest) for site in (pair.before, pair.after))
     before, after = ((side.c_r, side.c_r_low, side.c_r_high) for side in surveys)
     ride = ride_z(before, after, first if first == second else CommonError())
     decision = decide(ground, ride, config.fdr)
@@ -314,7 +314,7 @@ def _fit(
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio = after.c_r[shared] / before.c_r[shared]
     known = ratio[np.isfinite(ratio)]
-    versions = [site.manifests[0].get("versions", {}).get("bumpymap") for site in (pair.before, pair.after)]
+    versions = [site.manifest.get("versions", {}).get("bumpymap") for site in (pair.before, pair.after)]
     return {
         "widened": {name: round(factor, 3) for name, factor in decision.widened.items()},
         "median_ratio_c_r": round(float(np.median(known)), 4) if len(known) else None,
@@ -354,8 +354,8 @@ def _manifest(
     kept = "survey", "inputs", "files"  # what identifies the layers of a run
     sources = {
         name: {
-            "folders": list(site.folders),
-            "runs": [{key: manifest.get(key) for key in kept} for manifest in site.manifests],
+            "folders": [site.folder],
+            "runs": [{key: site.manifest.get(key) for key in kept}],
         }
         for name, site in (("before", pair.before), ("after", pair.after))
     }

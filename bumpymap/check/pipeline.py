@@ -300,7 +300,7 @@ def run_check(config: CheckConfig, progress: Progress | None = None) -> tuple[Ch
         The files cannot be written.
     """
     progress = progress or SilentProgress()
-    site = None if config.layers is None else open_map([config.layers])
+    site = None if config.layers is None else open_map(config.layers)
     _usable(((place, partial(drive_files, place)) for place in config.drives), {})
     if config.out is not None:
         check_check_out(config.out, overwrite=config.overwrite)
@@ -415,15 +415,15 @@ def _compared(done: list[_Done], site: MapReader | None) -> CheckResult:
 
 
 def _ground(site: MapReader) -> CheckedMap:
-    manifest = site.manifests[0]
+    manifest = site.manifest
     survey = manifest.get("survey", {})
     limits = manifest.get("calibration", {}).get("class_limits", ())
     if len(limits) != 3:
-        raise BadInputError(f"{site.folders[0]} does not state its class limits. Map the survey again")
+        raise BadInputError(f"{site.folder} does not state its class limits. Map the survey again")
     first, second, third = map(float, limits)
     return CheckedMap(
-        name=str(survey.get("name", site.folders[0].name)),
-        folder=site.folders[0],
+        name=str(survey.get("name", site.folder.name)),
+        folder=site.folder,
         vehicle=site.vehicle.name,
         calibration_id=site.calibration_id,
         speed_mps=site.vehicle.speed_mps,
@@ -555,13 +555,10 @@ def write_check(
 
 
 def _describe_ground(ground: CheckGround | None, places: CheckPlaces | None) -> dict[str, Any]:
-    """Return the layers that drives were checked against: their folders, checksums, place and calibration."""
+    """Return the layers that drives were checked against: their folder, checksum, place and calibration."""
     if ground is None:
         return {}
-    folders = [
-        {"path": str(folder), "run_sha256": describe_file(folder / MANIFEST_NAME)["sha256"]}
-        for folder in ground.folders
-    ]
-    first: Mapping[str, Any] = next(iter(ground.manifests), {})
-    known = {name: first[name] for name in ("vehicle", "calibration") if name in first}
-    return {"layers": folders, **known, **({} if places is None else place_entries(places.placement))}
+    layers = {"path": str(ground.folder), "run_sha256": describe_file(ground.folder / MANIFEST_NAME)["sha256"]}
+    known = [name for name in ("vehicle", "calibration") if name in ground.manifest]
+    place = {} if places is None else place_entries(places.placement)
+    return {"layers": [layers], **{name: ground.manifest[name] for name in known}, **place}

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from bumpymap.cli._exit_code import RunInterrupted, exit_code_of
+from bumpymap.cli._options import COMMON_OPTIONS
 from bumpymap.core import Terminated, interruptible
 
 __all__ = ["main"]
@@ -76,6 +77,8 @@ class _LazyGroup(click.Group):
         """List the commands without importing them."""
         with formatter.section("Commands"):
             formatter.write_dl(list(_COMMANDS.items()))
+        with formatter.section("Options of each command"):
+            formatter.write_dl([record for each in COMMON_OPTIONS if (record := each.get_help_record(ctx))])
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command; Ctrl-C and SIGTERM become one message and its exit code."""

@@ -1,8 +1,9 @@
 """The report of ``bumpymap info`` about one survey, and the estimate of a run."""
 
+import math
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from bumpymap.core import (
     unit_name,
     vertical_of,
 )
-from bumpymap.layers import MAX_TILES, fits_one_map, suggested_sheets
+from bumpymap.layers import check_extent
 from bumpymap.readers import PointSummary, PointSummaryBuilder, SurveyInfo
 from bumpymap.survey import (
     Budget,
@@ -38,13 +39,11 @@ from bumpymap.survey import (
     describe_lines,
     enough_points,
     estimate,
+    file_doubts,
 )
 from bumpytiles import Bounds, Grid, TileWindow
 
 __all__ = ["FileReport", "Report"]
-
-_FAR_APART = 100_000.0
-"""Longest plausible side of a survey by drone, or of a tile of an airborne survey, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,14 +112,14 @@ class Report:
             yield ""
         together = self._why_not_together() or self._one_map()
         yield from (Styled(line if number else f"together: {line}", "bold") for number, line in enumerate(together))
+        yield from (Styled(as_options(doubt), "yellow", "  doubtful: ") for doubt in self._doubts())
         forecast = self._estimate()
         if forecast is not None:
             threads = count_text(self.budget.threads, "thread")
             yield Styled(f"a run with --memory {self.memory} on {threads}", "bold")
             yield Table(_run_rows(forecast, self.grid))
-            if (side := self._sheets(self.files)) is not None:
-                text = f"it spans more than the {MAX_TILES:,} tiles of one map: --sheets {side:g} writes it in several"
-                yield Styled(f"{text} folders", "yellow", "  sheets: ")
+            if why := self._too_large():
+                yield Styled(as_options(why), "yellow", "  too large: ")
 
     def record(self) -> dict[str, Any]:
         """Return everything about the files and a run over them, for ``--json``."""
@@ -128,7 +127,8 @@ class Report:
         return {
             "files": [self._record(file) for file in self.files],
             "together": " ".join(self._why_not_together()),
-            "sheets_km": self._sheets(self.files),
+            "doubts": [as_options(doubt) for doubt in self._doubts()],
+            "too_large": as_options(self._too_large()),
             "run": forecast
             and {
                 "memory_option_bytes": self.budget.memory,
@@ -151,10 +151,6 @@ class Report:
             lines.append("no CRS: pass --crs EPSG:CODE, or --local to map it in its own coordinates")
         if file.dropped is not None and file.summary is None:
             lines.append("no usable points (all are withheld, noise or without return): nothing to map")
-        box = file.bounds
-        if box and (side := max(box.east - box.west, box.north - box.south)) > _FAR_APART:
-            spread = f"its points are spread over {side / 1000:,.0f} km"
-            lines.append(f"{spread}: there may be stray coordinates, or the CRS may be wrong")
         lines += self._unknown(file)
         grid = self.grid
         if grid != Grid():
@@ -202,20 +198,27 @@ class Report:
     def _command(self, surveys: Sequence[Path | str], files: Sequence[FileReport]) -> str:
         """Return the command that maps files; ``--crs`` only for surveys that have none."""
         place = next((file.info.georeference for file in files if file.info), None)
-        side = self._sheets(files)
-        sheets = [] if side is None else ["--sheets", f"{side:g}"]
-        words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), *sheets, "--out", "DIR"]
+        words = ["bumpymap", "map", *map(str, surveys), *_map_options(self.config, place), "--out", "DIR"]
         return shlex.join(words)
 
-    def _sheets(self, files: Sequence[FileReport]) -> float | None:
-        """Return the side of sheets for files, km; None if one map can hold them, or no bounds are known."""
-        known, size = [file.bounds for file in files if file.bounds is not None], self.grid.tile_size
+    def _too_large(self) -> str:
+        """Return why one map cannot hold the files; empty if it can, or no bounds are known."""
+        known, size = [file.bounds for file in self.files if file.bounds is not None], self.grid.tile_size
         if not known:
-            return None
+            return ""
         west, south = (int(min(sides) // size) for sides in ([b.west for b in known], [b.south for b in known]))
         east, north = (int(max(sides) // size) for sides in ([b.east for b in known], [b.north for b in known]))
         window = TileWindow(west, south, east - west + 1, north - south + 1)
-        return None if fits_one_map(self.grid, window) else suggested_sheets(self.grid)
+        try:
+            check_extent(self.grid, window)
+        except BadInputError as error:
+            return str(error)
+        return ""
+
+    def _doubts(self) -> list[str]:
+        """Return what the extents and heights of the files make doubtful."""
+        infos = [replace(file.info, bounds=file.bounds) for file in self.files if file.info is not None]
+        return file_doubts(infos)
 
     def _why_not_together(self) -> list[str]:
         """Return why the files cannot be mapped in one run, in lines; empty if they can."""
@@ -273,7 +276,7 @@ class Report:
             "density_per_m2": file.density,
             "has_classes": file.has_ground or info.has_classes,
             "classes": {str(code): count for code, count in file.classes.items()},
-            "sheets_km": self._sheets([file]),
+            "class_names": {str(code): name for code, name in info.class_names.items()},
             "notes": list(info.notes),
             "needs": self._needs(file),
         }
@@ -289,6 +292,11 @@ class Report:
                 "ground_points": summary.ground_share,
                 "ground_tiles": summary.ground_tiles / summary.tiles,
                 "unknown_tiles_about": unknown,
+                "class_tiles": {str(code): round(found.tiles, 4) for code, found in summary.classes.items()},
+                "class_heights_m": {
+                    str(code): None if math.isnan(found.height) else round(found.height, 3)
+                    for code, found in summary.classes.items()
+                },
                 "flight_lines": file.lines.to_record(),
             }
         return record if file.dropped is None else record | {"dropped": file.dropped}
@@ -363,23 +371,33 @@ _CLASS_NAMES = (
 """Of LAS classes 0 to 18."""
 
 
-def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> list[tuple[str, str]]:
-    """Return whether points have classes, and those of a classified survey by what `map` takes their points for."""
-    if not file.has_ground or file.summary is None:
+_LOW_M, _MANY = 0.3, 0.01
+"""Median height above the ground, m, up to which points lie on it, and the share of tiles from which that is said."""
+
+
+def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> Iterator[tuple[str, str]]:
+    """Yield whether points have classes; of a classified survey each class, and what `map` takes its points for."""
+    if not file.has_ground or file.summary is None or file.info is None:
         none = file.info is not None and file.info.has_classes is False
         why = "the file has no classes" if none else "no point has a ground class"
-        return [("classified", f"no: {why}; all points will be measured, so what stands on the ground is relief")]
-    points, taken = file.summary.points, {6: "as obstacles"} | dict.fromkeys(ground_classes, "as ground")
-    rows = {"classified": f"yes: {file.summary.ground_share:.0%} of the points are ground"}
-    for code, count in file.classes.items():
-        name, text = (
-            taken.get(code, "by height"),
-            " ".join((str(code), *_CLASS_NAMES[code : code + 1], f"{count / points:.1%}")),
-        )
-        rows[name] = f"{rows[name]}, {text}" if name in rows else text
-    if "by height" in rows:
-        rows["by height"] += ": obstacle or canopy, and if no ground is seen beneath, obstacle"
-    return list(rows.items())
+        yield "classified", f"no: {why}; all points will be measured, so what stands on the ground is relief"
+        return
+    yield "classified", f"yes: {file.summary.ground_share:.0%} of the points are ground"
+    missed = []
+    for code, found in file.summary.classes.items():
+        name = file.info.class_names.get(code, "".join(_CLASS_NAMES[code : code + 1]))
+        taken = "ground" if code in ground_classes else "obstacle" if code == 6 else "by height"
+        above = "" if math.isnan(found.height) else f", {found.height:.2f} m above the ground (median)"
+        share = f"{found.points / file.summary.points:.1%} of the points, in {found.tiles:.0%} of the tiles{above}"
+        yield f"class {code}", f"{f'{name}: ' if name else ''}{share}; {taken}"
+        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY:
+            missed.append(code)
+    if any(code != 6 and code not in ground_classes for code in file.summary.classes):
+        yield "by height", "obstacle or canopy, and if no ground is seen beneath, obstacle"
+    if missed:
+        codes, listed = (",".join(map(str, sorted(each))) for each in (missed, {*ground_classes, *missed}))
+        text = f"points of class {codes} lie on the ground. If they are ground (roads, tracks), map them as such with"
+        yield "left out", f"{text} --ground-classes {listed}"
 
 
 def _run_rows(forecast: Estimate, grid: Grid) -> list[tuple[str, str]]:

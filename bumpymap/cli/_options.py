@@ -38,11 +38,14 @@ from bumpymap.core import (
 )
 
 __all__ = [
+    "COMMON_OPTIONS",
     "FILE",
     "JOBS",
     "LOCATION",
+    "NO_SHEETS",
     "PATH",
     "RESUME",
+    "CommandGroup",
     "Run",
     "gone_option",
     "grouped_option",
@@ -88,9 +91,17 @@ LOCATION = _Location(path_type=Path)
 class GroupedOption(click.Option):
     """An option that the help page shows under the heading of its group."""
 
-    def __init__(self, *names: Any, group: str = "Run", key: str = "", declared: bool = False, **more: Any) -> None:
+    def __init__(
+        self,
+        *names: Any,
+        group: str = "Run",
+        key: str = "",
+        declared: bool = False,
+        common: bool = False,
+        **more: Any,
+    ) -> None:
         super().__init__(*names, **more)
-        self.group, self.key, self.declared = group, key, declared
+        self.group, self.key, self.declared, self.common = group, key, declared, common
 
 
 def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> None:
@@ -99,7 +110,7 @@ def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> No
         shown = option.metavar if value is True else value
         raise UsageError(
             f"{option.opts[0]} is no option: write --set {option.key}={shown}, or put it into a file for --config "
-            f"(bumpymap settings {ctx.info_name} prints one)"
+            f"(bumpymap settings {' '.join(ctx.command_path.split()[1:])} prints one)"
         )
 
 
@@ -123,18 +134,37 @@ class GroupedCommand(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under the headings of their groups."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
-        shown = [each for each in self.get_params(ctx) if isinstance(each, click.Option)]
-        records = [(getattr(each, "group", "Run"), each.get_help_record(ctx)) for each in shown]
-        width = max(len(record[0]) for _, record in records if record)
+        shown = [each for each in self.params if isinstance(each, GroupedOption) and not each.common]
+        records = [(each.group, each.get_help_record(ctx)) for each in shown]
+        width = max((len(record[0]) for _, record in records if record), default=0)
+        if width:
+            formatter.write_paragraph()
         for group, record in records:
             if record:
                 rows[group].append((record[0].ljust(width), record[1]))
-        formatter.write_paragraph()
         for group, options in rows.items():
             if options:
                 formatter.write_heading(group)
                 with formatter.indentation():
                     formatter.write_dl(options, col_max=24)
+        common = [each for each in COMMON_OPTIONS if each in self.params]
+        formatter.write_paragraph()
+        formatter.write_text(f"Also {', '.join(' '.join(_names(each)) for each in common)}: see bumpymap --help.")
+
+
+def _names(option: click.Option) -> tuple[str, ...]:
+    return (option.opts[0], option.metavar) if option.metavar else (option.opts[0],)
+
+
+class CommandGroup(click.Group):
+    """A command of which there are several, each with its own options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Parse the arguments; raise UsageError if the first is none of the commands."""
+        if args and args[0] not in (*self.commands, *ctx.help_option_names):
+            ways = " or ".join(f"bumpymap {ctx.info_name} {name}" for name in self.commands)
+            raise UsageError(f"{args[0]} is no command: give {ways}")
+        return super().parse_args(ctx, args)
 
 
 GROUPS = ("Input", "Way", "Ground", "Vehicle", "Output", "Run")
@@ -237,7 +267,6 @@ def job(
     *parts: type | Iterable[click.Parameter],
     owners: tuple[type, ...] | None = None,
     clashes: Sequence[Clash] = (),
-    quiet: str = "Print no progress and no summary.",
 ) -> Callable[[Callable[..., None]], click.Command]:
     """Make a command of a function, which gets a `Run`, and its own options and arguments by their names.
 
@@ -251,8 +280,6 @@ def job(
         Empty: the command has no such options.
     clashes : sequence of Clash
         Settings that exclude each other.
-    quiet : str
-        Help text of ``--quiet``.
     """
     known = tuple(part for part in parts if isinstance(part, type)) if owners is None else owners
     fields_known = {field.name for owner in known for field in fields(owner)}
@@ -273,8 +300,8 @@ def job(
         command = click.command(name, cls=GroupedCommand)(run)
         command.owners = known
         declared = [settings_options(part) if isinstance(part, type) else part for part in parts]
-        last = [*(_CONFIG if known else []), GroupedOption(["--quiet"], is_flag=True, help=quiet), *_JSON]
-        command.params = [*chain.from_iterable(declared), *command.params, *last]
+        common = COMMON_OPTIONS if known else COMMON_OPTIONS[2:]
+        command.params = [*chain.from_iterable(declared), *command.params, *common, _LOG_JSON]
         return command
 
     return make
@@ -283,24 +310,30 @@ def job(
 def gone_option(name: str, instead: str) -> GroupedOption:
     """Return an option that there was, which only says what to do ``instead``."""
 
-    def refuse(_ctx: click.Context, _option: click.Parameter, value: bool) -> None:
-        if value:
+    def refuse(_ctx: click.Context, _option: click.Parameter, value: str | None) -> None:
+        if value is not None:
             raise UsageError(f"{name} is gone: {instead}")
 
     dest = "gone" + name.replace("-", "_")
-    return GroupedOption([name, dest], is_flag=True, hidden=True, expose_value=False, callback=refuse)
+    # with a flag_value, a value may follow or not
+    return GroupedOption([name, dest], is_flag=False, flag_value="", hidden=True, expose_value=False, callback=refuse)
 
 
 RESUME = gone_option("--resume", "the same command continues an interrupted run, so leave it out")
+NO_SHEETS = gone_option(
+    "--sheets",
+    "all files and folders of one command make one map in one folder; map parts of a larger site separately: they lie "
+    "on one grid, and gdalbuildvrt joins their rasters",
+)
 _HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
-_CONFIG = (
-    GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),
-    GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", help=_HELP_OF_SET),
+COMMON_OPTIONS = (
+    GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", common=True, help="TOML file with settings."),
+    GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", common=True, help=_HELP_OF_SET),
+    GroupedOption(["--quiet"], is_flag=True, common=True, help="Print no progress and no summary."),
+    GroupedOption(["--json", "log_json"], is_flag=True, common=True, help="Print result, events and errors as JSON."),
 )
-_JSON = (
-    GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),
-    gone_option("--log-json", "give --json, as to every command"),
-)
+"""Options of all commands; the first two of those that have settings. The help page of bumpymap lists them."""
+_LOG_JSON = gone_option("--log-json", "give --json, as to every command")
 JOBS = GroupedOption(
     ["--jobs"], type=click.IntRange(min=1), metavar="N", help="Drives at a time, each a process [one per core]."
 )

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from bumpymap.cli._text import ALREADY_DONE, Table, as_options
 from bumpymap.core import CLASS_NAMES, MapConfig, count_text, share_text, shares_text
-from bumpymap.layers import SHEET_FOLDER, MapSummary
+from bumpymap.layers import MapSummary
 from bumpymap.survey import MapResult, describe_lines, ground_line, outcome_of_run, unknown_line
 from bumpymap.views import degrees_line
 
@@ -28,17 +28,19 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
     yield Table(_rows(summary), _TITLES)
     degrees, lines = degrees_line(summary.median_c_r[: len(CLASS_NAMES)]), _steps(result, config)
     yield from filter(None, [degrees, _passable_line(summary)])
+    if summary.by_holes:
+        share = share_text(summary.by_holes / summary.tiles, 1)
+        yield (
+            f"compat='paper': {share} of the tiles are class 3 because they have too few points, or more than 30 % of "
+            "their pixels hold none, which says nothing of the ground: leave compat out on sparse surveys"
+        )
     yield unknown_line(result, config)
     yield from filter(None, [ground_line(result), lines])
     if result.skipped:
         were = "was" if len(result.skipped) == 1 else "were"
         yield f"{count_text(len(result.skipped), 'input')} {were} skipped; run.json lists the reasons"
     names = ", ".join(path.name for path in result.files if path.suffix != ".qml")  # a style belongs to a layer
-    if result.sheets:
-        sheets = f"{count_text(result.sheets, 'sheet')} in {config.out / SHEET_FOLDER}"
-        yield f"Layers of {sheets}; over all of them, in {config.out}: {names}"
-    else:
-        yield f"Layers in {config.out}: {names}"
+    yield f"Layers in {config.out}: {names}"
 
 
 def _passable_line(summary: MapSummary) -> str:
@@ -58,13 +60,19 @@ def _rows(summary: MapSummary) -> Iterator[tuple[str, ...]]:
     medians = zip(summary.median_c_r, summary.median_slope, strict=True)
     for name, count, share, (c_r, slope) in zip(names, counts, shares, medians, strict=True):
         if name == "unknown" and summary.failing:
-            fails = share_text(summary.failing / summary.tiles, 1)
-            yield "  only too steep or drives fail", f"{summary.failing:,}", fails, "", ""
+            yield "  only too steep or drives fail", *_part(summary.failing, summary)
+        if name == "unknown" and summary.by_holes:
+            yield "  only by the paper's rule of holes", *_part(summary.by_holes, summary)
         yield name, f"{count:,}", share, _number(c_r, 3), _number(slope, 1)
     reasons = summary.reasons
     shares = shares_text([*reasons.values(), summary.tiles - summary.unknown], (len(reasons),), 1)
     for (reason, count), share in zip(reasons.items(), shares, strict=False):
         yield f"  {reason}", f"{count:,}", share, "", ""
+
+
+def _part(count: int, summary: MapSummary) -> tuple[str, str, str, str]:
+    """Return the cells of a part of class 3: tiles and their share of all."""
+    return f"{count:,}", share_text(count / summary.tiles, 1), "", ""
 
 
 def _number(value: float, decimals: int) -> str:
@@ -80,7 +88,6 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
     """Return the result of a run as an object of JSON."""
     return {
         "out": str(config.out),
-        "sheets": result.sheets,
         "files": [path.name for path in result.files],
         "points": result.points,
         "tiles": result.summary.tiles,

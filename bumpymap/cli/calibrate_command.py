@@ -9,8 +9,6 @@ from math import degrees
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from bumpymap.cli._options import FILE, JOBS, Run, gone_option, grouped_option, job
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, print_line
@@ -30,7 +28,7 @@ if TYPE_CHECKING:
 @grouped_option(
     "--out", required=True, type=FILE, metavar="FILE", help="Calibration file to write (JSON).", group="Output"
 )
-@click.option("--quick", is_flag=True, help="Rough calibration in minutes: fewer drives and z ranges.")
+@grouped_option("--quick", group="Run", is_flag=True, help="Rough calibration in minutes: fewer drives and z ranges.")
 @grouped_option("--overwrite", is_flag=True, help="Replace the file, and drives of other settings.", group="Output")
 def command(run: Run, vehicle: str | None, out: Path, jobs: int | None, quick: bool, overwrite: bool) -> None:
     """Calibrate the ride cost of a vehicle by driving a model of it over simulated terrain.

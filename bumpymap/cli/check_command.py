@@ -176,7 +176,7 @@ def prepare_refit(layers: Path | None, calibration: Path | None, out: Path, *, o
     if layers is None:
         raise UsageError("`refit` moves the calibration of a map to drives over it: give the folder of the map")
     _refuse_replacing(out, overwrite)
-    return Refit(_calibration_of(open_map([layers]), calibration), out, overwrite)
+    return Refit(_calibration_of(open_map(layers), calibration), out, overwrite)
 
 
 def _make_folder(out: Path) -> None:
@@ -222,7 +222,7 @@ def _calibration_of(site: "MapReader", given: Path | None) -> "Calibration":
     """Return the calibration that a map was made with."""
     from bumpymap.rating import find_calibration
 
-    settings = site.manifests[0].get("settings", {})
+    settings = site.manifest.get("settings", {})
     named = given or settings.get("calibration")
     try:
         vehicle = settings.get("vehicle") or site.vehicle.name

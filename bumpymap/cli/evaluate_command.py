@@ -1,106 +1,102 @@
 """``bumpymap evaluate``: compare a map with simulated drives over the same ground, or classes of scans with labels."""
 
 import os
-from collections.abc import Iterator
-from dataclasses import fields
+from collections.abc import Callable, Iterator
+from dataclasses import field, fields, make_dataclass
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import JOBS, LOCATION, PATH, Run, grouped_option, job, settings_options
-from bumpymap.cli._text import DRIVES_KEPT, interrupt_note, option_name
-from bumpymap.core import OF_CRS, MapConfig, OutputError, UsageError, locked, refuse_clashes
+from bumpymap.cli._options import JOBS, LOCATION, PATH, CommandGroup, Run, grouped_option, job, settings_options
+from bumpymap.cli._text import DRIVES_KEPT, interrupt_note
+from bumpymap.core import OF_CRS, VEHICLE_OR_CALIBRATION, MapConfig, OutputError, locked
 from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
 
 if TYPE_CHECKING:
-    from bumpymap.lab import Findings, ScanFindings, Subject
+    from bumpymap.lab import Findings, ScanFindings
 
-_OF_SCANS = ("labels", "model")
-_OF_READING = ("ground", "crs", "z_unit", "local")
-_OF_SURVEYS = {field.name for field in fields(EvaluateSettings)}
-_OF_SURVEYS |= {*_OF_READING, "force_crs", "vehicle", "calibration", "jobs"}
+Reading = make_dataclass(
+    "Reading",
+    [
+        (each.name, each.type, field(default=each.default))
+        for each in fields(MapConfig)
+        if each.name in {"crs", "force_crs", "z_unit", "local", "ground", "vehicle", "calibration"}
+    ],
+)
+"""Settings of a map that say how its survey is read, and who drives."""
+
+
+@click.group("evaluate", cls=CommandGroup)
+def command() -> None:
+    """Compare what a map or a scan says with simulated drives, or with labels.
+
+    \b
+    bumpymap evaluate survey site.laz --out trust
+    bumpymap evaluate scans drive --labels kitti --out trust
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+
+
+def _out(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of the report's folder."""
+    function = grouped_option(
+        "--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output"
+    )(function)
+    return grouped_option(
+        "--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output"
+    )(function)
 
 
 @job(
-    "evaluate",
-    settings_options(MapConfig, *_OF_READING),
+    "survey",
     EvaluateSettings,
-    ScanEvaluateSettings,
+    settings_options(Reading, moved=("crs", "force_crs", "z_unit", "local", "ground")),
     [JOBS],
-    owners=(EvaluateSettings, ScanEvaluateSettings),
+    owners=(EvaluateSettings, Reading),
+    clashes=(VEHICLE_OR_CALIBRATION, *OF_CRS),
 )
-@click.argument("surveys", nargs=-1, type=LOCATION, metavar="SURVEY...")
-@grouped_option("--scans", is_flag=True, help="Evaluate the classes of scans: SURVEY are frames.", group="Input")
-@grouped_option("--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output")
-@grouped_option("--force-crs", metavar="CRS", help="CRS of all surveys, whatever they state.", group="Input")
-@grouped_option(
-    "--vehicle", default="warthog", metavar="NAME|FILE", help="An included vehicle, or a TOML file.", group="Vehicle"
-)
-@grouped_option(
-    "--calibration", type=PATH, metavar="FILE", help="Calibration file of your own vehicle.", group="Vehicle"
-)
-@grouped_option("--labels", metavar="NAME|FILE", help="With --scans: label set [by the ids].", group="Input")
-@grouped_option("--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output")
-def command(run: Run, surveys: tuple[Any, ...], scans: bool, out: Path, **given: Any) -> None:
-    """Compare the predictions for SURVEY files or folders with simulated drives over the same ground.
+@click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
+@_out
+def survey_command(run: Run, surveys: tuple[Any, ...], out: Path, jobs: int | None, overwrite: bool) -> None:
+    """Compare the map of SURVEY with simulated drives.
 
-    To resume an interrupted run, give the same command again. With --scans, compare the classes of scans with labels
-    instead.
+    SURVEY are files or folders; drives go over the same ground.
+
+    The same command continues an interrupted run.
 
     \b
-    bumpymap evaluate site.laz --out trust
-    bumpymap evaluate site.laz --out trust --calibration my_vehicle.json
-    bumpymap evaluate --scans drive --labels kitti --out trust
+    bumpymap evaluate survey site.laz --out trust
+    bumpymap evaluate survey site.laz --out trust --calibration my_vehicle.json
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    _refuse_other_options(run.named(), scans=scans)
-    if not surveys:
-        raise UsageError("evaluate takes surveys, such as site.laz, or with --scans frames, such as the folder drive")
-    if scans:
-        _evaluate_scans(run, surveys, out, given)
-        return
-    forced = {} if given["force_crs"] is None else {"force_crs": given["force_crs"]}
-    refuse_clashes(run.given | forced, OF_CRS, option_name)
     settings = EvaluateSettings(**_chosen(run, EvaluateSettings))
-    subject = _subject(given)
-    from bumpymap.lab import (
-        TrialOptions,
-        evaluate_survey,
-        open_readers,
-        require_dart,
-        write_report,
-    )
+    reading = Reading(**_chosen(run, Reading))
+    from bumpymap.lab import Subject, TrialOptions, evaluate_survey, open_readers, require_dart, write_report
+    from bumpymap.rating import TextureModel, find_calibration
     from bumpymap.readers import ReadOptions
 
     require_dart()
-    reading = run.given
-    options = ReadOptions(reading.get("crs"), reading.get("z_unit"), force_crs=given["force_crs"])
-    readers = open_readers(surveys, options, local=reading.get("local", False))
+    subject = Subject.of(find_calibration(reading.vehicle, reading.calibration), TextureModel.shipped())
+    options = ReadOptions(reading.crs, reading.z_unit, force_crs=reading.force_crs)
+    readers = open_readers(surveys, options, local=reading.local)
     with locked(out), interrupt_note(DRIVES_KEPT), run.progress() as progress:
-        _check_place(out, overwrite=given["overwrite"])
-        trial = TrialOptions(out, given["jobs"] or os.cpu_count() or 1, given["overwrite"], progress)
-        findings = evaluate_survey(readers, options, reading.get("ground") or "auto", subject, settings, trial)
+        _check_place(out, overwrite=overwrite)
+        trial = TrialOptions(out, jobs or os.cpu_count() or 1, overwrite, progress)
+        findings = evaluate_survey(readers, options, reading.ground, subject, settings, trial)
         files = write_report(findings, out)
     run.show(_record(out, files), _lines(findings, files))
 
 
-def _refuse_other_options(given: list[str], *, scans: bool) -> None:
-    """Raise UsageError for settings of the other evaluation, which would have no effect."""
-    for name in given:
-        if scans and name in _OF_SURVEYS:
-            raise UsageError(
-                f"{option_name(name)} applies to surveys and vehicles and has no effect with --scans: leave it out"
-            )
-        if not scans and name in _OF_SCANS:
-            raise UsageError(f"{option_name(name)} applies to scans: add --scans, or leave it out")
+@job("scans", ScanEvaluateSettings, owners=(ScanEvaluateSettings,))
+@click.argument("frames", nargs=-1, required=True, type=PATH, metavar="FRAME...")
+@grouped_option("--labels", metavar="NAME|FILE", help="Label set [by the ids].", group="Input")
+@_out
+def scans_command(run: Run, frames: tuple[Path, ...], labels: str | None, out: Path, overwrite: bool) -> None:
+    """Compare the classes of FRAME files or folders with labels.
 
-
-def _record(out: Path, files: list[Path]) -> dict[str, Any]:
-    return {"out": str(out), "files": [path.name for path in files]}
-
-
-def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[str, Any]) -> None:
+    \b
+    bumpymap evaluate scans drive --labels kitti --out trust
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
     from bumpymap.lab import ScanMethods, evaluate_scans, labels_of, write_scan_report
     from bumpymap.readers import find_frames, read_scan
     from bumpymap.scan import ScanModel, load_stripes
@@ -108,28 +104,27 @@ def _evaluate_scans(run: Run, places: tuple[Any, ...], out: Path, given: dict[st
     settings = ScanEvaluateSettings(**_chosen(run, ScanEvaluateSettings))
     network = ScanModel.load(settings.model) if settings.model else ScanModel.shipped()
     methods = ScanMethods(load_stripes(), network)
-    frames = find_frames([Path(place) for place in places])
-    labels = labels_of(frames, given["labels"])
+    found = find_frames(list(frames))
+    label_set = labels_of(found, labels)
     with locked(out), run.progress() as progress:
-        _check_place(out, overwrite=given["overwrite"])
-        findings = evaluate_scans(map(read_scan, frames), len(frames), settings, methods, progress, labels)
+        _check_place(out, overwrite=overwrite)
+        findings = evaluate_scans(map(read_scan, found), len(found), settings, methods, progress, label_set)
         files = write_scan_report(findings, out)
     run.show(_record(out, files), chain(_scan_lines(findings), [f"wrote {files[0]}"]))
+
+
+command.add_command(survey_command)
+command.add_command(scans_command)
+
+
+def _record(out: Path, files: list[Path]) -> dict[str, Any]:
+    return {"out": str(out), "files": [path.name for path in files]}
 
 
 def _chosen(run: Run, owner: type) -> dict[str, Any]:
     """Return the settings of one class that differ from their defaults."""
     names = {field.name for field in fields(owner)}
     return {name: value for name, value in run.changed().items() if name in names}
-
-
-def _subject(given: dict[str, Any]) -> "Subject":
-    """Return the vehicle with the ratings that are held against its drives."""
-    from bumpymap.lab import Subject
-    from bumpymap.rating import TextureModel, find_calibration
-
-    calibration = find_calibration(given["vehicle"], given["calibration"])
-    return Subject.of(calibration, TextureModel.shipped())
 
 
 def _check_place(out: Path, *, overwrite: bool) -> None:

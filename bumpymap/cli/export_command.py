@@ -37,16 +37,16 @@ _LOCAL_DATUM_M = 1e6
 """The same for a map without a CRS, whose frame may begin anywhere."""
 
 
-@job("export", settings_options(ExportSettings, required=("to",)), owners=(ExportSettings,), quiet="Print no summary.")
-@click.argument("layers", nargs=-1, required=True, type=PATH, metavar="LAYERS...")
+@job("export", settings_options(ExportSettings, required=("to",)), owners=(ExportSettings,))
+@click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", required=True, type=PATH, metavar="DIR", help="Folder for the files.", group="Output")
 @grouped_option(
     "--around", metavar="POINT", help="Tiles around lon,lat or x,y in the survey's CRS [all].", group="Input"
 )
 @grouped_option("--datum", metavar="POINT", help="Origin of the frame [a corner of a middle tile].", group="Output")
 @grouped_option("--overwrite", is_flag=True, help="Replace an earlier export in the same format.", group="Output")
-def command(run: Run, layers: tuple[Path, ...], out: Path, overwrite: bool) -> None:
-    """Write the map in LAYERS, folders of `bumpymap map`, in a format that robots read.
+def command(run: Run, layers: Path, out: Path, overwrite: bool) -> None:
+    """Write the map in LAYERS, the folder that `bumpymap map` wrote, in a format that robots read.
 
     \b
     nav2     maps with cost, keepout and speed limits for Nav2, and the parameters that load them

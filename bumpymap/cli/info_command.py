@@ -19,19 +19,13 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _BAD_INPUT = 3
-_OF_MAP = ("crs", "force_crs", "z_unit", "trust_points", "ground_classes", "tile_size", "pixels", "memory", "threads")
+_TYPED = ("tile_size", "ground", "crs")
+_MOVED = ("ground_classes", "force_crs", "z_unit", "trust_points", "pixels", "memory", "threads")
 
 
-@job("info", settings_options(MapConfig, *_OF_MAP), owners=(MapConfig,), clashes=OF_CRS, quiet="Print no progress.")
+@job("info", settings_options(MapConfig, *_TYPED, *_MOVED, moved=_MOVED), owners=(MapConfig,), clashes=OF_CRS)
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@grouped_option(
-    "--ground",
-    type=click.Choice(["auto", "all", "class"]),
-    metavar="KIND",
-    help="Points to use: auto, all or class [auto].",
-    group="Ground",
-)
-@click.option("--quick", is_flag=True, help="Read only the headers, no points.")
+@grouped_option("--quick", group="Run", is_flag=True, help="Read only the headers, no points.")
 def command(run: Run, quick: bool) -> None:
     """Report what SURVEY files or folders contain, and what `bumpymap map` needs: memory, disk space, time.
 
@@ -60,10 +54,11 @@ def command(run: Run, quick: bool) -> None:
         lines=True,
         force_crs=config.force_crs,
         ground_classes=config.ground_classes,
+        keep_classes=True,
     )
     paths = find_surveys(config.surveys)
     with show_progress(quiet=run.quiet or run.as_json, as_json=run.as_json) as progress:
-        whole = None if quick else PointSummaryBuilder(grid, FeatureSettings())
+        whole = None if quick else PointSummaryBuilder(grid, FeatureSettings(), config.ground_classes)
         files = [_inspect(path, options, grid, progress, whole) for path in paths]
     memory = config.memory if limited.memory == config.memory else f"{config.memory} ({limited.memory} now)"
     report = Report(files, config, budget, memory, whole)
@@ -93,7 +88,8 @@ def _inspect(
         if whole is None:
             return FileReport(path, reader.info)
         progress.start(f"reading {Path(path).name}", reader.info.point_count)
-        builder = PointSummaryBuilder(grid, FeatureSettings()).read(reader, progress.advance)
+        ground = options.ground_classes
+        builder = PointSummaryBuilder(grid, FeatureSettings(), ground).read(reader, progress.advance)
         whole.merge(builder)
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped

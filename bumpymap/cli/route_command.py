@@ -94,6 +94,8 @@ def _remarks(result: "RouteResult", config: RouteConfig) -> Iterator[str]:
                 f"{route.name} turns by {route.figures.tight_turns_deg:,.0f} degrees in all close to what stops the "
                 "vehicle, where its corners may touch; arrives counts each degree as failing once in a hundred times"
             )
+    if (straight := result.routes[0].straight) and straight.words:
+        yield straight.words
     yield "arrives: if failures on different metres are independent; errors of neighbouring tiles go together"
 
 
@@ -135,7 +137,7 @@ def _record(result: "RouteResult", config: RouteConfig) -> dict[str, Any]:
     settings_options(CostSettings, table="cost"),
     [gone_option("--compare", "plan once on the layers of each vehicle")],
 )
-@click.argument("layers", nargs=-1, type=PATH, metavar="LAYERS...")
+@click.argument("layers", type=PATH, metavar="LAYERS", required=False)
 def command(run: Run) -> None:
     """Find the cheapest way over the ground that `bumpymap map` wrote to LAYERS.
 

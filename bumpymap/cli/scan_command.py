@@ -122,7 +122,7 @@ class _EveryNth(click.types.IntParamType):
     ScanConfig,
     settings_options(PolarSettings, table="polar"),
     settings_options(Robot, table="robot"),
-    [RESUME, gone_option("--fit", "train a network of your own with: bumpymap train --scans DIR --out FILE.onnx")],
+    [RESUME, gone_option("--fit", "train a network of your own with: bumpymap train scans DIR --out FILE.onnx")],
     clashes=[VEHICLE_OR_CALIBRATION],
 )
 @click.argument("frames", nargs=-1, type=PATH, metavar="FRAME...")

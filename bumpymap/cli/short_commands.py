@@ -12,7 +12,7 @@ import click
 
 from bumpymap.cli._options import PATH, Run, gone_option, grouped_option, job
 from bumpymap.cli._text import print_line
-from bumpymap.core import BadInputError, MapConfig, OutputError, atomic, settings_template
+from bumpymap.core import BadInputError, MapConfig, OutputError, UsageError, atomic, settings_template
 
 if TYPE_CHECKING:
     from bumpymap.rating import Vehicle
@@ -21,7 +21,11 @@ __all__ = ["compile_command", "demo_command", "report_command", "settings_comman
 
 _SAMPLE = Path("sample_data") / "quarry.laz"
 """In an installed package it lies inside, in the sources beside it."""
-_WITH_SETTINGS = ("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate", "evaluate", "train")
+_WITH_SETTINGS = (
+    *("map", "batch", "info", "scan", "route", "check", "diff", "export", "calibrate"),
+    *("evaluate survey", "evaluate scans", "train textures", "train scans"),
+)
+"""Commands that have settings."""
 
 
 @job("compile")
@@ -39,8 +43,9 @@ def compile_command(run: Run) -> None:
 
 
 @job("demo", [gone_option("--survey", "map your own with: bumpymap map FILE --out DIR")])
-@click.option(
+@grouped_option(
     "--out",
+    group="Output",
     default="demo_out",
     type=PATH,
     metavar="DIR",
@@ -77,11 +82,7 @@ def _copy_sample(survey: Path) -> Path:
     return survey
 
 
-@job(
-    "report",
-    [gone_option("--check", "open check.html, which bumpymap check leaves")],
-    quiet="Print nothing.",
-)
+@job("report", [gone_option("--check", "open check.html, which bumpymap check leaves")])
 @click.argument("layers", type=PATH, metavar="LAYERS")
 @grouped_option("--out", group="Output", type=PATH, metavar="FILE", help="File to write [LAYERS/report.html].")
 @grouped_option(
@@ -107,8 +108,8 @@ def report_command(run: Run, layers: Path, **settings: Any) -> None:
 
 
 @click.command("settings")
-@click.argument("command_name", type=click.Choice(_WITH_SETTINGS), metavar="COMMAND")
-def settings_command(command_name: str) -> None:
+@click.argument("words", nargs=-1, required=True, metavar="COMMAND")
+def settings_command(words: tuple[str, ...]) -> None:
     """Print a settings file of COMMAND: every setting with its description and default, commented out.
 
     Remove the # before a line to set it, and give the file with --config. One setting alone is given with --set
@@ -119,13 +120,16 @@ def settings_command(command_name: str) -> None:
     bumpymap map site.laz --out layers --config map.toml
     bumpymap map site.laz --out layers --set pixels=21 --set csf.rigidness=2
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    print_line(
-        f"# Settings of `bumpymap {command_name}`, with their defaults. Remove the # before a line to set it, and give"
-    )
+    name = " ".join(words)
+    if name not in _WITH_SETTINGS:
+        raise UsageError(f"{name} is no command with settings; these are {', '.join(_WITH_SETTINGS)}")
+    print_line(f"# Settings of `bumpymap {name}`, with their defaults. Remove the # before a line to set it, and give")
     print_line("# the file with --config. Options override it; paths are relative to this file.")
     print_line()
-    owners = import_module(f"bumpymap.cli.{command_name}_command").command.owners
-    for line in settings_template(owners).splitlines():
+    command = import_module(f"bumpymap.cli.{words[0]}_command").command
+    for word in words[1:]:
+        command = command.commands[word]
+    for line in settings_template(command.owners).splitlines():
         print_line(line)
 
 

@@ -1,16 +1,18 @@
-"""``bumpymap train``: train the texture network, or with ``--scans`` the network for the sectors of scans."""
+"""``bumpymap train``: train the texture network, or the network for the sectors of scans."""
 
 from collections.abc import Callable
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bumpymap.cli._options import FILE, Run, grouped_option, job, settings_options
+import click
+
+from bumpymap.cli._options import FILE, PATH, CommandGroup, Run, grouped_option, job, settings_options
 from bumpymap.cli._progress import CommandProgress
-from bumpymap.cli._text import interrupt_note, option_name
+from bumpymap.cli._text import interrupt_note
 from bumpymap.core import OutputError, Progress, UsageError
-from bumpymap.lab import LoopSettings, NetworkSettings, ScanTrainSettings, TrainSettings
+from bumpymap.lab import NetworkSettings, ScanTrainSettings, TrainSettings
 
 if TYPE_CHECKING:
     from bumpymap.lab import EpochReport, TrainedModel
@@ -18,34 +20,69 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 
-@job(
-    "train",
-    settings_options(LoopSettings),
-    settings_options(TrainSettings, "patches_per_texture", "tile_size"),
-    settings_options(NetworkSettings, "pixels", table="network"),
-    settings_options(ScanTrainSettings, "sectors_per_class"),
-    owners=(TrainSettings, ScanTrainSettings),
-)
-@grouped_option("--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output")
-@grouped_option(
-    "--scans",
-    metavar="DIR",
-    help="Train the network of `bumpymap scan` on labelled frames: a folder in the layout of RELLIS-3D.",
-    group="Input",
-)
-@grouped_option("--overwrite", is_flag=True, help="Replace the network of an earlier training.", group="Output")
-def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
-    """Train the texture network on synthetic terrain and write it as ONNX; no survey is needed.
-
-    With --scans, train the scan network instead. To resume an interrupted training after its last complete epoch, give
-    the same command again.
+@click.group("train", cls=CommandGroup)
+def command() -> None:
+    """Train the texture network of maps, or the network of scans.
 
     \b
-    bumpymap train --out textures.onnx
-    bumpymap train --scans Rellis-3D --out scan.onnx
+    bumpymap train textures --out textures.onnx
+    bumpymap train scans Rellis-3D --out scan.onnx
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    options = run.changed(TrainSettings if scans is None else ScanTrainSettings, *run.owners)
-    _refuse_other_options(options, scans)
+
+
+def _out(function: Callable[..., None]) -> Callable[..., None]:
+    """Add the options of the file."""
+    help_text = "Replace the network of an earlier training."
+    function = grouped_option("--overwrite", is_flag=True, help=help_text, group="Output")(function)
+    return grouped_option(
+        "--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output"
+    )(function)
+
+
+@job(
+    "textures",
+    TrainSettings,
+    settings_options(NetworkSettings, table="network"),
+    owners=(TrainSettings,),
+)
+@_out
+def textures_command(run: Run, out: Path, overwrite: bool) -> None:
+    """Train the texture network on synthetic terrain.
+
+    No survey is needed. To resume an interrupted training after its last complete epoch, give the same command again.
+
+    \b
+    bumpymap train textures --out textures.onnx
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    _train(run, out, overwrite, lambda progress: _train_textures(run.changed(), out, progress))
+
+
+@job("scans", ScanTrainSettings, owners=(ScanTrainSettings,))
+@click.argument("folder", type=PATH, metavar="FOLDER")
+@_out
+def scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> None:
+    """Train the scan network on labelled frames.
+
+    FOLDER has the layout of RELLIS-3D. To resume an interrupted training after its last complete epoch, give the same
+    command again.
+
+    \b
+    bumpymap train scans Rellis-3D --out scan.onnx
+    """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
+    _train(run, out, overwrite, lambda progress: _train_scans(run.changed(), out, folder, progress))
+
+
+command.add_command(textures_command)
+command.add_command(scans_command)
+
+
+def _train(
+    run: Run,
+    out: Path,
+    overwrite: bool,
+    work: Callable[[CommandProgress], "tuple[list[str], TrainedModel[Any]]"],
+) -> None:
+    """Train a network, unless ``out`` is taken, and print its accuracy."""
     _require_libraries()
     if out.suffix != ".onnx":
         raise UsageError(f"--out is {out}; its name must end in .onnx")
@@ -53,24 +90,8 @@ def command(run: Run, out: Path, scans: str | None, overwrite: bool) -> None:
         raise OutputError(f"{out} exists; give --overwrite to replace it, or another --out")
     note = "Give the same command again to continue after the last complete epoch."
     with interrupt_note(note), run.progress() as progress:
-        if scans is None:
-            lines, made = _train_textures(options, out, progress)
-        else:
-            lines, made = _train_scans(options, out, Path(scans), progress)
+        lines, made = work(progress)
     run.show({"out": str(made.model), "card": str(made.card), "parameters": made.parameters}, lines)
-
-
-def _refuse_other_options(options: dict[str, Any], scans: str | None) -> None:
-    """Raise UsageError for options of the other network, which would have no effect."""
-    names = {field.name for field in fields(TrainSettings if scans is None else ScanTrainSettings)}
-    own = names if scans is None else names - {"network"}  # the file's table is that of the texture network
-    foreign = [option_name(name) for name in options if name not in own]
-    if foreign and scans is None:
-        raise UsageError(f"{foreign[0]} applies to scans: add --scans DIR, or leave it out")
-    if foreign:
-        raise UsageError(f"{foreign[0]} applies to the texture network and has no effect with --scans: leave it out")
-    if scans is not None and not scans.strip():
-        raise UsageError("--scans is empty; is a variable unset? Give a folder in the layout of RELLIS-3D")
 
 
 def _train_textures(

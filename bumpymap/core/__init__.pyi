@@ -32,9 +32,9 @@ from .crs import (
     horizontal_of as horizontal_of,
     linear_unit as linear_unit,
     parse_crs as parse_crs,
+    place_notes as place_notes,
     reproject_command as reproject_command,
     same_crs as same_crs,
-    scale_note as scale_note,
     stated_crs as stated_crs,
     statement_from_wkt as statement_from_wkt,
     unit_name as unit_name,
@@ -140,8 +140,10 @@ from .route_types import (
     RouteFigures as RouteFigures,
     RouteProfile as RouteProfile,
     RouteVehicle as RouteVehicle,
+    StraightLine as StraightLine,
     TileField as TileField,
     TracedLine as TracedLine,
+    Turn as Turn,
 )
 from .run_folder import (
     Holder as Holder,

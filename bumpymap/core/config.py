@@ -178,12 +178,6 @@ class MapConfig:
     ] = None
     """Largest share of unknown tiles, 0..1, among those with points, with which a run succeeds. The layers are written
     anyway."""
-    sheets: Annotated[
-        float | None,
-        Setting("Write square sheets of this side, in km", "KM", 0.001, 10_000.0, "km", group="Output"),
-    ] = None
-    """Side of the sheets that the layers are written in, km, each sheet to a folder of its own; None: one map. It is
-    rounded to whole blocks of 16 x 16 tiles."""
     overwrite: Annotated[bool, Setting("Replace the layers of an earlier run", group="Output")] = False
     threads: Annotated[int, Setting("Number of threads", "N", 1, default="all cores")] = field(
         default_factory=lambda: os.cpu_count() or 1

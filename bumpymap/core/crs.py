@@ -32,9 +32,9 @@ __all__ = [
     "horizontal_of",
     "linear_unit",
     "parse_crs",
+    "place_notes",
     "reproject_command",
     "same_crs",
-    "scale_note",
     "stated_crs",
     "statement_from_wkt",
     "unit_name",
@@ -341,8 +341,8 @@ def georeference(
     horizontal = horizontal_of(crs) if crs is not None else None
     if horizontal is None and crs is not None:
         notes.append(f"its CRS '{crs.name}' is a local one: bumpymap treats it as no CRS")
-    elif horizontal is not None and place.middle is not None:
-        notes += scale_note(horizontal, place.middle)
+    elif horizontal is not None:
+        notes += place_notes(place, horizontal)
     vertical = None if horizontal is None else _vertical_crs(user, statement.crs)
     if horizontal is None or vertical is None:
         return Georeference(horizontal, unit, unit_z), tuple(notes)
@@ -471,14 +471,36 @@ def horizontal_of(crs: CRS) -> CRS | None:
     return crs if len(crs.axis_info) == 2 else crs.to_2d()
 
 
-def scale_note(crs: CRS, middle: tuple[float, float, float]) -> list[str]:
-    """Return a note if a metre of the CRS is not a metre on the ground (Web Mercator: 1.4 m at 45 degrees)."""
+def place_notes(place: Place, crs: CRS) -> list[str]:
+    """Return a note if a horizontal CRS is doubtful for the middle of a file, or its metre is not one on the ground.
+
+    A metre of Web Mercator, for example, is 1.4 m at 45 degrees.
+
+    Raises
+    ------
+    BadInputError
+        The middle is no place on Earth in this CRS.
+    """
+    if place.middle is None:
+        return []
+    x, y, _ = place.middle
     try:
         proj = Proj(crs)
-        longitude, latitude = proj(middle[0], middle[1], inverse=True, errcheck=True)
+        longitude, latitude = proj(x, y, inverse=True, errcheck=True)
         scale = proj.get_factors(longitude, latitude, errcheck=True).meridional_scale
-    except (ProjError, CRSError):
-        return [f"its coordinates lie outside the area where {crs.name} can be used: is the CRS right?"]
+    except (ProjError, CRSError) as error:
+        raise BadInputError(
+            f"the middle of {place.path}, {x:.10g}, {y:.10g}, is no place on Earth in {describe_crs(crs)}. "
+            f"{_other_reading(crs, x, y)}{FORCE_CRS}"
+        ) from error
+    outside = _degrees_outside(crs, x, y)
+    if outside > _NEAR_DEGREES:
+        note = (
+            f"its middle, {x:.10g}, {y:.10g}, lies {outside:.1f} degrees outside the area of use of "
+            f"{describe_crs(crs)}. {_other_reading(crs, x, y)}If the CRS is wrong, give the right one with "
+            "`force_crs='EPSG:CODE'`"
+        )
+        return [note]
     if abs(scale - 1) <= _SCALE_TOLERANCE:
         return []
     note = (
@@ -486,6 +508,44 @@ def scale_note(crs: CRS, middle: tuple[float, float, float]) -> list[str]:
         "steeper than they seem. Reproject to the local UTM zone for a true map"
     )
     return [note]
+
+
+_NEAR_DEGREES = 0.5
+"""So far beyond the area of use of a CRS nothing is said: surveys cross the borders of zones."""
+_READINGS = {
+    "eastings and northings seem to be swapped": ((0.0, 1.0), (1.0, 0.0)),
+    "feet seem to have been read as metres": ((0.3048, 0.0), (0.0, 0.3048)),
+    "metres seem to have been read as feet": ((1 / 0.3048, 0.0), (0.0, 1 / 0.3048)),
+}
+"""Faults of coordinates, and the matrix that takes them out."""
+_LOCAL_FRAME = 10_000.0
+"""Coordinates that are smaller than this look like those of a local frame."""
+
+
+def _degrees_outside(crs: CRS, x: float, y: float) -> float:
+    """Return how far a point lies outside the area of use of a CRS, degrees; 0 inside, inf if it is no place."""
+    area = crs.area_of_use
+    if area is None:
+        return 0.0
+    longitude, latitude = Transformer.from_crs(crs, 4326, always_xy=True).transform(x, y)
+    if not (math.isfinite(longitude) and math.isfinite(latitude)):
+        return math.inf
+    width = (area.east - area.west) % 360.0 or 360.0
+    east_of = (longitude - area.west) % 360.0
+    aside = 0.0 if east_of <= width else min(east_of - width, 360.0 - east_of)
+    return float(max(aside, area.south - latitude, latitude - area.north, 0.0))
+
+
+def _other_reading(crs: CRS, x: float, y: float) -> str:
+    """Return in a sentence how coordinates would lie in the area of use; empty if nobody knows."""
+    found = [
+        fault
+        for fault, ((a, b), (c, d)) in _READINGS.items()
+        if _degrees_outside(crs, a * x + b * y, c * x + d * y) == 0.0
+    ]
+    if max(abs(x), abs(y)) < _LOCAL_FRAME:
+        found = ["they look like coordinates of a local frame, which map takes with `local=True` and without a CRS"]
+    return f"{found[0][0].upper()}{found[0][1:]}. " if found else ""
 
 
 def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:

@@ -169,7 +169,7 @@ _SIDECAR = ".aux.xml"
 
 
 _MOST_READ = 1 << 28
-"""Bytes; the manifest of the largest map in sheets has a tenth of them."""
+"""Bytes of the largest file that `read_regular` reads."""
 
 
 def open_regular(path: Path, flags: int = 0) -> BinaryIO:

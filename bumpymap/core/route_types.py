@@ -5,6 +5,7 @@ Arrays of a window are (rows, cols), north row first. Lengths and coordinates ar
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +19,10 @@ __all__ = [
     "RouteFigures",
     "RouteProfile",
     "RouteVehicle",
+    "StraightLine",
     "TileField",
     "TracedLine",
+    "Turn",
 ]
 
 NO_TILE = 255
@@ -150,6 +153,34 @@ class RouteFigures:
         return self.length_m / self.straight_m if self.straight_m > 0 else 1.0
 
 
+class Turn(NamedTuple):
+    """A stretch of the straight line for which a way turns: closed tiles one after another, or one costly tile."""
+
+    easting: float
+    """Of the tile in its middle, m, as the northing."""
+    northing: float
+    closed_m: float
+    """Length that is closed, m."""
+    length_m: float
+    """Its length, m."""
+    why: str
+    """The reasons."""
+
+
+@dataclass(frozen=True, slots=True)
+class StraightLine:
+    """The straight line between the stops of a way, which says why the way turns."""
+
+    cost_m: float
+    """Of its open part, m."""
+    closed_m: float
+    """Length on which the vehicle cannot be, m."""
+    turns: tuple[Turn, ...]
+    """The stretches of it for which the way turns, at most three, the worst first."""
+    words: str
+    """All this in sentences; empty if start and goal are one place."""
+
+
 @dataclass(frozen=True, slots=True)
 class Route:
     """A way over a map."""
@@ -167,3 +198,5 @@ class Route:
     vehicle: RouteVehicle
     risk_m: float
     """Weight of the hazard that it was planned with, m."""
+    straight: StraightLine | None = None
+    """The line between its stops; None if it was not looked at."""

@@ -134,7 +134,7 @@ class EvaluateSettings:
 class ScanEvaluateSettings:
     """All settings that affect the numbers, apart from the scans."""
 
-    model: Annotated[Path | None, Setting("With --scans: your own scan network", "FILE", rare=True)] = None
+    model: Annotated[Path | None, Setting("Your own scan network", "FILE", rare=True)] = None
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -145,11 +145,11 @@ class LoopSettings:
     """Settings of the training loop."""
 
     seed: Annotated[int, Setting("Random seed of the training data and initial weights", "N", 0, rare=True)] = 1
-    epochs: Annotated[int, Setting("Number of epochs", "N", 1, default="30; with --scans 20", rare=True)]
+    epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)]
     learning_rate: float
     """Peak, after the warm-up."""
     weight_decay: float
-    threads: Annotated[int, Setting("CPU threads; last bits of the result depend on it", "N", 1)] = 1
+    threads: Annotated[int, Setting("CPU threads; last bits of the result depend on it", "N", 1, rare=True)] = 1
 
     def __post_init__(self) -> None:
         check_settings(self)
@@ -159,7 +159,7 @@ class LoopSettings:
 class NetworkSettings:
     """Architecture of the network."""
 
-    pixels: Annotated[int, Setting("Texture network: pixels along a side of a tile", "N", 9, rare=True)] = 15
+    pixels: Annotated[int, Setting("Pixels along a side of a tile", "N", 9, rare=True)] = 15
     channels: tuple[int, int, int, int] = (16, 32, 64, 96)
     """Filters of the four convolutions."""
     hidden: int = 128
@@ -175,16 +175,14 @@ class TrainSettings(LoopSettings):
     """All settings that affect a training."""
 
     epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)] = 30
-    patches_per_texture: Annotated[int, Setting("Texture network: training patches per texture", "N", 1, rare=True)] = (
-        6534
-    )
+    patches_per_texture: Annotated[int, Setting("Training patches per texture", "N", 1, rare=True)] = 6534
     """As in the paper: 26,136 patches in total."""
     batch: Annotated[int, Setting(low=2)] = 256
     """Minimum number of patches per optimizer step; batches are as equal in size as possible."""
     learning_rate: float = 5e-3
     weight_decay: float = 1e-2
     tile_size: Annotated[
-        float, Setting("Texture network: tile size in metres", "M", 0.0, unit="m", exclusive=True, group="Ground")
+        float, Setting("Tile size in metres", "M", 0.0, unit="m", exclusive=True, group="Ground", rare=True)
     ] = 3.0
     """Side of the tiles the network is for, m. It is metadata only: texture sizes are relative to the side."""
     network: NetworkSettings = field(default_factory=NetworkSettings)
@@ -197,9 +195,10 @@ class TrainSettings(LoopSettings):
             "epochs": self.epochs,
             "patches_per_texture": self.patches_per_texture,
             "network.pixels": self.network.pixels,
+            "tile_size": f"{self.tile_size:g}",
+            "threads": self.threads,
         }
-        options = " ".join(f"--set {key}={value}" for key, value in rare.items())
-        return f"bumpymap train --tile-size {self.tile_size:g} --threads {self.threads} {options}"
+        return "bumpymap train textures " + " ".join(f"--set {key}={value}" for key, value in rare.items())
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +224,7 @@ class ScanTrainSettings(LoopSettings):
     epochs: Annotated[int, Setting("Number of epochs", "N", 1, rare=True)] = 20
     turns: Annotated[int, Setting(low=0)] = 2
     """Number of additional cuts of each scan, each after a random rotation."""
-    sectors_per_class: Annotated[int, Setting("With --scans: sectors per class and epoch", "N", 1, rare=True)] = 10_000
+    sectors_per_class: Annotated[int, Setting("Sectors per class and epoch", "N", 1, rare=True)] = 10_000
     batch: Annotated[int, Setting(low=1)] = 128
     learning_rate: float = 4e-3
     weight_decay: float = 2e-2
@@ -236,5 +235,5 @@ class ScanTrainSettings(LoopSettings):
     @property
     def options(self) -> str:
         """The options of the command that repeats this training."""
-        names = ("seed", "epochs", "sectors_per_class")
-        return " ".join(f"--set {name}={getattr(self, name)}" for name in names) + f" --threads {self.threads}"
+        names = ("seed", "epochs", "sectors_per_class", "threads")
+        return " ".join(f"--set {name}={getattr(self, name)}" for name in names)

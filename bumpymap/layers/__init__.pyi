@@ -85,7 +85,6 @@ from .map_files import (
     read_averaged as read_averaged,
     read_features as read_features,
     require_format as require_format,
-    require_map_written as require_map_written,
     require_written as require_written,
 )
 from .map_reader import (
@@ -93,20 +92,17 @@ from .map_reader import (
     open_map as open_map,
 )
 from .placement import (
-    MAX_TILES as MAX_TILES,
     BandSpec as BandSpec,
     Placement as Placement,
     RasterSpec as RasterSpec,
     RasterWindow as RasterWindow,
     check_extent as check_extent,
-    fits_one_map as fits_one_map,
 )
 from .products import (
     EVERY_VIEW_NAME as EVERY_VIEW_NAME,
     OTHER_FILES as OTHER_FILES,
+    PRODUCT_NAMES as PRODUCT_NAMES,
     REPORT_NAME as REPORT_NAME,
-    SHEET_FOLDER as SHEET_FOLDER,
-    SHEET_TABLE_NAME as SHEET_TABLE_NAME,
     OutputFolder as OutputFolder,
     check_folder as check_folder,
     refuse_present as refuse_present,
@@ -179,24 +175,6 @@ from .scan_table import (
     open_accumulated as open_accumulated,
     open_table as open_table,
     sector_rows as sector_rows,
-)
-from .sheet_paths import (
-    raster_in as raster_in,
-    remove_sheets as remove_sheets,
-    sheet_folders as sheet_folders,
-    sheets_of as sheets_of,
-    virtual_name as virtual_name,
-)
-from .sheet_reader import (
-    common_window as common_window,
-)
-from .sheets import (
-    SheetLayout as SheetLayout,
-    SheetRun as SheetRun,
-    made_names as made_names,
-    require_whole as require_whole,
-    suggested_sheets as suggested_sheets,
-    write_sheets as write_sheets,
 )
 from .stac import (
     write_catalog as write_catalog,

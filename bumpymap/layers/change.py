@@ -14,10 +14,9 @@ from bumpymap.core import BadInputError, Georeference
 from bumpymap.layers._cog import write_array
 from bumpymap.layers._imports import import_notebook
 from bumpymap.layers.map_files import require_written
-from bumpymap.layers.map_reader import MapReader, map_differences, open_map
+from bumpymap.layers.map_reader import MapReader, common_window, open_map
 from bumpymap.layers.placement import BandSpec, Placement, RasterSpec, check_extent
 from bumpymap.layers.regions import trace_labels
-from bumpymap.layers.sheet_reader import common_window
 from bumpymap.layers.vector import GeoJsonCoordinates, feature, write_features
 from bumpytiles import Grid, TileWindow
 
@@ -85,21 +84,50 @@ def open_pair(before: Path, after: Path) -> SurveyPair:
     ------
     BadInputError
         A folder holds no complete run; the surveys differ in CRS, grid, vehicle, calibration, rating or in which points
-        are ground; or they have no place in common, or more than one map may span.
+        are ground; or they have no place in common.
     """
-    first, second = open_map([before]), open_map([after])
-    (one, *_), (other, *_) = first.sheets, second.sheets
-    if found := map_differences(one, other, ground=True):  # they would not be differences between the surveys
-        raise BadInputError(f"{one.folder} and {other.folder} cannot be compared: {found}. {_MUST_AGREE}")
-    for sheet in (*first.sheets, *second.sheets):
-        require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
+    first, second = open_map(before), open_map(after)
+    if found := _differences(first, second):  # they would not be differences between the surveys
+        raise BadInputError(f"{before} and {after} cannot be compared: {found}. {_MUST_AGREE}")
+    for site in (first, second):
+        require_written(site.folder, site.manifest, ("class.tif",))  # `open_map` does not look at it
     window = common_window(first.window, second.window)
     if window is None:
         raise BadInputError(
             f"{before} and {after} have no place in common: they are surveys of two sites. Give two surveys of one site"
         )
-    check_extent(first.grid, window, "Compare one sheet of both at a time, by its folder in OUT/sheets. ")
     return SurveyPair(first, second, window)
+
+
+def _differences(first: MapReader, second: MapReader) -> str:
+    """Return how the settings and places of two maps differ, or nothing."""
+    own, other = _identity(first), _identity(second)
+    found = [f"{name} is {own[name]} and {other[name]}" for name in own if own[name] != other[name]]
+    if not found and first.georeference.crs != second.georeference.crs:
+        found = ["the definition of the CRS differs"]
+    return "; ".join(found)
+
+
+def _identity(site: MapReader) -> dict[str, Any]:
+    """Return settings and place that maps must have in common to be compared, by the words that a message uses."""
+    settings, crs = site.manifest.get("settings", {}), site.manifest.get("crs")
+    return {
+        "tile size [m]": site.grid.tile_size,
+        "pixels along a tile": site.grid.pixels,
+        "CRS": None if crs is None else crs["name"],
+        "metres per unit of the CRS": site.georeference.metres_per_unit,
+        "vehicle": site.vehicle.name,
+        "calibration": site.calibration_id,
+        "rating": settings.get("rating"),
+        "compat": settings.get("compat"),
+        "ride weight [m/rad]": site.rule.ride_weight,
+        "fail weight [m]": site.rule.fail_weight,
+        "length of a calibration drive [m]": site.rule.drive_m,
+        "slope limit [deg]": site.rule.slope_limit_deg,
+        "width of the vehicle [m]": site.vehicle.width_m,
+        "speed of the vehicle [m/s]": site.vehicle.speed_mps,
+        "ground points only": site.manifest.get("ground_only"),
+    }
 
 
 def _heightmaps(site: MapReader, window: TileWindow) -> NDArray[np.float32]:

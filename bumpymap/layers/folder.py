@@ -21,21 +21,29 @@ from bumpymap.core import (
     SilentProgress,
     describe_crs,
     read_record,
+    remove_path,
     vertical_of,
     write_together,
+    writing_to,
 )
 from bumpymap.layers.colours import class_limits
 from bumpymap.layers.geotiff import write_raster
 from bumpymap.layers.manifest import MANIFEST_NAME, complete_manifest, describe_file, software_versions, write_manifest
 from bumpymap.layers.placement import Placement
-from bumpymap.layers.products import EVERY_NAME, EVERY_VIEW_NAME, ITEM_NAME, PRODUCT_NAMES, SPEEDS_NAME, VIEW_NAMES
+from bumpymap.layers.products import (
+    EVERY_NAME,
+    EVERY_VIEW_NAME,
+    ITEM_NAME,
+    PRODUCT_NAMES,
+    SPEEDS_NAME,
+    SPEEDS_STYLE_NAME,
+    VIEW_NAMES,
+)
 from bumpymap.layers.regions import dissolve
-from bumpymap.layers.sheet_paths import SPEEDS_FILES, remove_files
 from bumpymap.layers.stac import write_item
 from bumpymap.layers.summary import MapSummary, summarise
 from bumpymap.layers.tile_table import write_tiles
 from bumpymap.layers.vector import GeoJsonCoordinates, flatgeobuf_writer, geojson_writer
-from bumpytiles import TileTable
 
 __all__ = [
     "ViewWriter",
@@ -193,7 +201,6 @@ def write_products(
     manifest: Mapping[str, Any],
     views: ViewWriter,
     progress: Progress | None = None,
-    around: TileTable | None = None,
 ) -> tuple[list[Path], MapSummary]:
     """Write all files of a run, or none; run.json is written last, so a folder that has one is complete.
 
@@ -214,8 +221,6 @@ def write_products(
         Writes what shows the layers: it is given the folder and the content of run.json.
     progress : Progress, optional
         Counts the layers as they are written.
-    around : TileTable, optional
-        See `write_raster`.
 
     Returns
     -------
@@ -240,7 +245,7 @@ def write_products(
     with write_together(folder, MANIFEST_NAME) as staged, ThreadPoolExecutor(1) as background:
         counting = background.submit(summarise, table, class_limits(manifest))
         try:
-            layers = _write_layers(_layers(table, coordinates, staged, metadata, around), staged, progress)
+            layers = _write_layers(_layers(table, coordinates, staged, metadata), staged, progress)
             summary = counting.result()
         finally:
             background.shutdown(wait=False, cancel_futures=True)
@@ -252,9 +257,17 @@ def write_products(
         write_manifest(record, staged / MANIFEST_NAME)
     _log.info("wrote %d tiles to %s", summary.tiles, folder)
     if not table.speeds:
-        remove_files(folder, SPEEDS_FILES)
+        _remove_speeds(folder)
     names = (*EVERY_NAME, *EVERY_VIEW_NAME) if table.speeds else (*PRODUCT_NAMES, *VIEW_NAMES)
     return [folder / name for name in names], summary
+
+
+def _remove_speeds(folder: Path) -> None:
+    """Remove the layer of other speeds and its style, which an earlier run left."""
+    with writing_to(folder):
+        for name in (SPEEDS_NAME, f"{SPEEDS_NAME}.aux.xml", SPEEDS_STYLE_NAME):
+            if lexists(folder / name):
+                remove_path(folder / name)
 
 
 def _layers(
@@ -262,7 +275,6 @@ def _layers(
     coordinates: GeoJsonCoordinates,
     folder: Path,
     metadata: Mapping[str, Any],
-    around: TileTable | None,
 ) -> list[dict[tuple[str, ...], Callable[[], None]]]:
     """Return groups of functions that write layers, keyed by file names; a group is written one by one.
 
@@ -280,7 +292,7 @@ def _layers(
     )
 
     def rasters(names: tuple[str, ...]) -> dict[tuple[str, ...], Callable[[], None]]:
-        return {(name,): partial(write_raster, name, table, folder / name, tags, around) for name in names}
+        return {(name,): partial(write_raster, name, table, folder / name, tags) for name in names}
 
     return [
         rasters(fine),

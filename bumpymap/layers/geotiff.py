@@ -139,9 +139,9 @@ class _Layer:
     """Fields of its `RasterSpec`."""
 
 
-def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
+def _layers(table: CostTable) -> dict[str, _Layer]:
     """Return the rasters of a map, by file name."""
-    rule, names, source = table.rule, tuple(band.name for band in BANDS), around or table.tiles
+    rule, names = table.rule, tuple(band.name for band in BANDS)
     pixels: dict[str, Any] = {"pixels": table.tiles.grid.pixels, "block": HEIGHT_BLOCK}
     # On 56 million pixels of heightmap.tif, level 6 took twice the time of level 1 and saved 4 % of the bytes.
     pixels["level"] = 1
@@ -218,7 +218,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
             "relief for looking at: holes are filled; measure on heightmap.tif",
             [BandSpec("height", "m", "mean height, holes filled from around them; measure on heightmap.tif")],
             (),
-            lambda found, window: _filled(source, window.tiles, found["row"], found["col"]),
+            lambda found, window: _filled(table.tiles, window.tiles, found["row"], found["col"]),
             is_fine=True,
             has_heights=True,
             options={"pixels": _PIXELS, "block": HEIGHT_BLOCK},
@@ -246,9 +246,7 @@ def _layers(table: CostTable, around: TileTable | None) -> dict[str, _Layer]:
     }
 
 
-def write_raster(
-    name: str, table: CostTable, path: Path, about: Mapping[str, str] | None = None, around: TileTable | None = None
-) -> None:
+def write_raster(name: str, table: CostTable, path: Path, about: Mapping[str, str] | None = None) -> None:
     """Write a raster of a map as a COG.
 
     Parameters
@@ -277,8 +275,6 @@ def write_raster(
         The file to write.
     about : mapping, optional
         Metadata of the file, such as vehicle and calibration.
-    around : TileTable, optional
-        The tiles of the whole map if ``table`` is a part of it: the relief at the edge is filled from both sides.
 
     Raises
     ------
@@ -287,7 +283,7 @@ def write_raster(
     BadInputError
         The extent is too large for a raster.
     """
-    place, tiles, layer = Placement.of(table), table.tiles, _layers(table, around)[name]
+    place, tiles, layer = Placement.of(table), table.tiles, _layers(table)[name]
     tags = {"title": layer.title, "tile_size_m": f"{tiles.grid.tile_size:g}"}
     tags |= {"ride_weight_m_per_rad": f"{table.rule.ride_weight:g}", **layer.tags, **(about or {})}
     crs = place.height_crs if layer.has_heights else place.horizontal_crs

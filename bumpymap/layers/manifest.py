@@ -48,7 +48,7 @@ __all__ = [
 MANIFEST_NAME = "run.json"
 MANIFEST_FORMAT = "bumpymap-run"
 SHEETS_FORMAT = "bumpymap-sheets"
-"""Format of the run.json of a map in sheets, which each have one of their own."""
+"""Format of earlier versions: several folders of layers, which each have a run.json of their own, made one map."""
 COUNT = Number(0, 1e15, whole=True)
 PLACE_SHAPE: dict[str, Any] = {
     "crs": Nullable({"name": str, "code": Nullable(str), "wkt": str}),
@@ -90,8 +90,6 @@ _SHAPE: dict[str, Any] = PLACE_SHAPE | {
         "median_count?": Nullable(_POSITIVE),
         "objects?": Each(COUNT),
     },
-    "sheet?": {"name": str},
-    "sheets?": [{"folder": str}],
 }
 _VERSION = 1
 _PACKAGES = (
@@ -170,6 +168,7 @@ def complete_manifest(
                 "by_class": summary.classes,
                 "by_reason": summary.reasons,
                 "failing": summary.failing,
+                **({"by_holes": summary.by_holes} if summary.by_holes else {}),
                 "median_c_r": summary.median_c_r,
                 "median_slope": summary.median_slope,
                 "median_count": summary.median_count,
@@ -289,18 +288,20 @@ def _plain(value: Any) -> Any:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of a complete map, in one folder or in sheets. Raises BadInputError if there is none."""
+    """Read the manifest of a complete map. Raises BadInputError if there is none, or one in sheets."""
     remedy = "Give the folder that `bumpymap map` wrote"
     if not folder.is_dir():
         what = f"{folder} is a file" if folder.exists() else f"there is no folder {folder}"
         raise BadInputError(f"{what}. {remedy}")
     record = read_record(folder / MANIFEST_NAME)
-    if record is None or record.get("format") not in (MANIFEST_FORMAT, SHEETS_FORMAT):
-        hint = remedy
-        if (folder / "scan.json").exists():
-            hint = f"The map of this drive is in {folder / 'map'}"
-        elif record is None and (folder / "sheets").is_dir():
-            hint = "Its sheets are not complete: run the same map command again to complete them"
+    if record is not None and record.get("format") == SHEETS_FORMAT:
+        raise BadInputError(
+            f"{folder} holds a map in sheets, which an earlier version wrote. Give one of the folders in "
+            f"{folder / 'sheets'}, each of which is a map, or map the survey again"
+        )
+    if record is None or record.get("format") != MANIFEST_FORMAT:
+        is_scan = (folder / "scan.json").exists()
+        hint = f"The map of this drive is in {folder / 'map'}" if is_scan else remedy
         raise BadInputError(f"{folder} holds no complete run: {MANIFEST_NAME} is missing or not that of a map. {hint}")
     if fault := shape_fault(record, _SHAPE):
         raise BadInputError(f"{folder / MANIFEST_NAME} is damaged: {fault}. Map the survey again")

@@ -2,23 +2,20 @@
 
 A folder of layers may come from anybody. GDAL chooses a driver by what a file holds, and several formats (VRT first)
 are instructions to read other files or to fetch URLs. So rasters are opened by the GeoTIFF driver alone, without the
-files that GDAL looks for beside them; a virtual raster only if it is one that bumpymap wrote, over GeoTIFFs. Vector
-files are read in a process whose GDAL has no drivers but those of their formats, under limits of time and memory.
+files that GDAL looks for beside them. Vector files are read in a process whose GDAL has no drivers but those of their
+formats, under limits of time and memory.
 
 A folder on a server, such as ``s3://bucket/maps/site``, is uploaded whole, run.json last.
 """
 
 import math
-import re
 import threading
-from collections import OrderedDict
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree import ElementTree as ET
 
 from bumpymap.core import (
     BadInputError,
@@ -29,8 +26,7 @@ from bumpymap.core import (
     open_regular,
     utf8_path,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, read_manifest
-from bumpymap.layers.sheet_paths import raster_in, sheets_of, virtual_name
+from bumpymap.layers.manifest import MANIFEST_NAME, describe_file
 
 if TYPE_CHECKING:
     import numpy as np
@@ -50,14 +46,13 @@ __all__ = [
     "read_averaged",
     "read_features",
     "require_format",
-    "require_map_written",
     "require_written",
 ]
 
 
 @contextmanager
 def open_raster(folder: Path, name: str) -> Iterator[Any]:
-    """Open a raster of a map, the virtual one if it is in sheets.
+    """Open a raster of a map.
 
     Raises
     ------
@@ -65,7 +60,7 @@ def open_raster(folder: Path, name: str) -> Iterator[Any]:
         It is missing or damaged.
     """
     try:
-        with utf8_path(folder) as path, open_layer(raster_in(path, name)) as raster:
+        with utf8_path(folder) as path, open_layer(path / name) as raster:
             yield raster
     except OSError as error:
         raise BadInputError(f"{folder}/{name} cannot be read: {gdal_text(error)}") from error
@@ -105,12 +100,6 @@ _STARTS = {
     ".shp": (b"\0\0\x27\x0a",),
     ".gpkg": (b"SQLite format 3\0",),
 }
-_VIRTUAL = re.compile(
-    "VRTDataset|SRS|GeoTransform|Metadata|MDI|VRTRasterBand|Description|NoDataValue|ColorInterp|CategoryNames|Category|"
-    "ColorTable|Entry|GDALRasterAttributeTable|FieldDefn|Name|Type|Usage|Row|F|UnitType|SimpleSource|"
-    "SourceFilename|SourceBand|SourceProperties|SrcRect|DstRect"
-)
-"""Elements of the virtual rasters that bumpymap writes. None leads to another file but SourceFilename."""
 
 
 def gdal_text(error: Exception) -> str:
@@ -127,7 +116,7 @@ def closed_gdal(**options: Any) -> "rasterio.Env":
 
 @contextmanager
 def open_layer(path: Path, *, remedy: str = _AGAIN, **options: Any) -> "Iterator[DatasetReader]":
-    """Open a raster of a map, a GeoTIFF or the virtual raster over those of its sheets; nothing else is read.
+    """Open a raster of a map, a GeoTIFF; nothing else is read.
 
     Parameters
     ----------
@@ -163,10 +152,7 @@ def _opened(path: Path, remedy: str = _AGAIN) -> "DatasetReader":
     """Open a raster inside `_reading`; for errors see `open_layer`."""
     import rasterio
 
-    virtual = path.suffix == ".vrt"
-    if virtual:
-        _require_virtual(path)
-    file = rasterio.open(path, driver="VRT" if virtual else "GTiff")
+    file = rasterio.open(path, driver="GTiff")
     if file.tags(ns="OVERVIEWS") or file.tags(ns="SUBDATASETS"):
         file.close()
         raise BadInputError(f"{path} keeps a part of its pixels in other files, which are not read. {remedy}")
@@ -185,12 +171,9 @@ class KeptRasters:
         Of GDAL, while a raster is read.
     """
 
-    MOST_OPEN = 16
-    """Rasters that are open at once; each holds a decoded block, of about 1 MB."""
-
     def __init__(self, **options: Any) -> None:
         self._options, self._lock, self._keepers = options, threading.RLock(), 0
-        self._open: OrderedDict[Path, DatasetReader] = OrderedDict()
+        self._open: dict[Path, DatasetReader] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _kept_rasters, (self._options,)
@@ -205,7 +188,7 @@ class KeptRasters:
         finally:
             with self._lock:
                 self._keepers -= 1
-                self._close_more_than(self.MOST_OPEN if self._keepers else 0)
+                self._close_unkept()
 
     @contextmanager
     def opened(self, path: Path) -> "Iterator[DatasetReader]":
@@ -215,53 +198,20 @@ class KeptRasters:
                 yield file
             return
         with self._lock, _reading(path, self._options):
-            file = self._open[path] if path in self._open else _opened(path)
-            self._open[path] = file
-            self._open.move_to_end(path)
+            if path not in self._open:
+                self._open[path] = _opened(path)
             try:
-                yield file
+                yield self._open[path]
             finally:  # the last body of `keep` may have ended in another thread meanwhile
-                self._close_more_than(self.MOST_OPEN if self._keepers else 0)
+                self._close_unkept()
 
-    def _close_more_than(self, count: int) -> None:
-        """Close rasters, the longest unread first, until so many are open."""
-        while len(self._open) > count:
-            self._open.popitem(last=False)[1].close()
+    def _close_unkept(self) -> None:
+        while self._open and not self._keepers:
+            self._open.popitem()[1].close()
 
 
 def _kept_rasters(options: dict[str, Any]) -> KeptRasters:
     return KeptRasters(**options)
-
-
-def _require_virtual(path: Path) -> None:
-    """Raise BadInputError if a virtual raster is not one that bumpymap wrote: over GeoTIFFs of the map's own sheets."""
-    own = re.compile(rf"sheets/(?!\.\.?/)[^/]+/{re.escape(path.stem)}\.tif")
-    refused = BadInputError(f"{path} is no virtual raster over the sheets of this map, and is not read. {_AGAIN}")
-    try:
-        tree = ET.parse(path).getroot()  # noqa: S314 (of a local file; expat limits what entities grow to)
-    except (OSError, ET.ParseError) as error:
-        raise refused from error
-    for element in tree.iter():
-        if not _VIRTUAL.fullmatch(element.tag) or "subClass" in element.attrib:
-            raise refused
-        if element.tag == "SourceFilename":
-            name = element.text or ""
-            if element.get("relativeToVRT") != "1" or element.get("shared", "1") != "1" or not own.fullmatch(name):
-                raise refused
-            _require_alone(path.parent / name)
-
-
-def _require_alone(path: Path) -> None:
-    """Raise BadInputError if a raster is no GeoTIFF, or one for which GDAL, not held back, would read other files."""
-    beside = [path.with_name(path.name + suffix) for suffix in (".ovr", ".msk") if Path(f"{path}{suffix}").exists()]
-    sidecar = path.with_name(f"{path.name}.aux.xml")
-    if sidecar.is_file() and b"OVERVIEW" in sidecar.read_bytes():
-        beside.append(sidecar)
-    if beside:
-        raise BadInputError(f"{beside[0]} is not of the map, and would change how it is read. Remove it")
-    require_format(path)
-    with open_layer(path):
-        pass
 
 
 def require_format(path: Path) -> None:
@@ -388,14 +338,3 @@ def require_written(
             )
         if size <= most and describe_file(path)["sha256"] != written[name]["sha256"]:
             raise BadInputError(f"{path} is damaged: its checksum is not that of {record}. {_AGAIN}")
-
-
-def require_map_written(folder: Path, manifest: Mapping[str, Any], names: Collection[str]) -> None:
-    """Do what `require_written` does for layers of a map, and for those of each of its sheets if it is in sheets."""
-    sheets = sheets_of(folder, manifest)
-    if sheets == [folder]:
-        require_written(folder, manifest, names)
-        return
-    require_written(folder, manifest, [virtual_name(name) for name in names if name.endswith(".tif")])
-    for sheet in sheets:
-        require_written(sheet, read_manifest(sheet), names)

@@ -1,17 +1,19 @@
-"""The layers of one run, or of several that are sheets of one map, read by window."""
+"""The layers of one run: checked when they are opened, then read window by window."""
 
+import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import pairwise, product
 from pathlib import Path
-from typing import Any, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
-from pyproj.exceptions import ProjError
+from pyproj.exceptions import CRSError, ProjError
 
 from bumpymap.core import (
     NO_CLASS,
@@ -20,81 +22,83 @@ from bumpymap.core import (
     Barred,
     CostRule,
     Georeference,
+    Number,
     RouteVehicle,
     TileField,
-    UsageError,
     describe_crs,
+    shape_fault,
+    stated_crs,
 )
-from bumpymap.layers.sheet_paths import sheet_folders
-from bumpymap.layers.sheet_reader import (
-    SheetReader,
-    common_window,
-    kept_rasters,
-    sheet_choice,
-    window_slices,
-    worse_objects,
-)
+from bumpymap.layers.manifest import read_manifest
+from bumpymap.layers.map_files import KeptRasters, read_averaged, require_written
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["MapReader", "map_differences", "open_map"]
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
 
+__all__ = ["MapReader", "common_window", "open_map"]
 
 Coordinate = TypeVar("Coordinate", float, NDArray[np.float64])
-_Merge: TypeAlias = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 
 _BANDS = ("c_r", "c_r_low", "c_r_high", "p_fail", "obstacle")
+
+_DTYPES = {
+    "barred.tif": "uint8",
+    "roughness.tif": "float32",
+    "cost.tif": "float32",
+    "heightmap.tif": "float32",
+    "obstacle.tif": "uint8",
+    "passage.tif": "uint8",
+    "class.tif": "uint8",
+}
+_RASTERS = tuple(name for name in _DTYPES if name != "class.tif")
+"""Rasters of a route; a comparison of surveys reads the classes too."""
+_VEHICLE = {"name": str, "width_m": Number(), "speed_mps": Number()}
+_PER_PIXEL = ("heightmap.tif", "obstacle.tif", "passage.tif")
+CHECKED_BYTES = 64 << 20
+"""The checksum of a larger raster, which takes a second for 1.4 GB, is compared when it is first read."""
+_OFF = 1e-3
+"""Greatest distance of a raster's corner from a corner of the grid of tiles, in tiles."""
+_PIECE = 512
+"""Side of the pieces that are read at once, raster pixels: roughness.tif keeps 17 bands together, which GDAL decodes
+for one; a piece of all of them fits into its cache."""
+_CACHE = 32 << 20
+"""Decoded blocks that GDAL keeps of all rasters together, bytes."""
+_AGAIN = "Map the survey again"
+
+
+def _kept_rasters() -> KeptRasters:
+    return KeptRasters(GDAL_CACHEMAX=_CACHE)
 
 
 @dataclass(frozen=True)
 class MapReader:
-    """The layers of one map, in one folder or several; from `open_map`.
+    """The layers of one map in its folder; from `open_map`."""
 
-    Where sheets overlap, what is known counts before what is unknown, a barred tile before a passable one, and of two
-    tiles alike the larger value of each band. So the order of the folders does not matter.
-    """
-
-    sheets: tuple[SheetReader, ...]
+    folder: Path
+    manifest: dict[str, Any]
+    """The content of run.json."""
+    grid: Grid
+    """The grid of tiles."""
     window: TileWindow
-    """The smallest window around the tiles of all sheets."""
-
-    @property
-    def grid(self) -> Grid:
-        """The grid of tiles."""
-        return self.sheets[0].grid
-
-    @property
-    def georeference(self) -> Georeference:
-        """CRS and units of the survey."""
-        return self.sheets[0].georeference
-
-    @property
-    def rule(self) -> CostRule:
-        """How ride and risk became the cost of the layers."""
-        return self.sheets[0].rule
-
-    @property
-    def vehicle(self) -> RouteVehicle:
-        """The vehicle that the map was made for."""
-        return self.sheets[0].vehicle
-
-    @property
-    def manifests(self) -> tuple[dict[str, Any], ...]:
-        """The content of each run.json."""
-        return tuple(sheet.manifest for sheet in self.sheets)
-
-    @property
-    def folders(self) -> tuple[Path, ...]:
-        """The folder of each sheet."""
-        return tuple(sheet.folder for sheet in self.sheets)
+    """The tiles that its rasters span."""
+    georeference: Georeference
+    """CRS and units of the survey."""
+    rule: CostRule
+    """How ride and risk became the cost of the layers."""
+    vehicle: RouteVehicle
+    """The vehicle that the map was made for."""
+    rasters: KeptRasters = field(default_factory=_kept_rasters, repr=False, compare=False)
+    """Its rasters as they are opened."""
 
     @property
     def calibration_id(self) -> str:
-        """Id of the calibration."""
-        return self.sheets[0].calibration_id
+        """Id of the calibration; empty if the manifest has none."""
+        return str(self.manifest.get("calibration", {}).get("id", ""))
 
     def kept_open(self) -> AbstractContextManager[None]:
         """Keep its files open from read to read in the body of a ``with``, and close them at its end."""
-        return self.sheets[0].rasters.keep()
+        return self.rasters.keep()
 
     def read(self, window: TileWindow, bands: Sequence[str] = _BANDS) -> TileField:
         """Read the tiles of a window, which may extend beyond the map.
@@ -136,41 +140,24 @@ class MapReader:
         out: dict[str, NDArray[Any]] = {"barred": np.full(shape, NO_TILE, np.uint8)}
         out |= {"class_id": np.full(shape, NO_CLASS, np.uint8)} if classes else {}
         out |= {band: np.full(shape, np.nan, np.float32) for band in bands}
-        rasters = {
-            "barred.tif": (),
-            **({"class.tif": ()} if classes else {}),
-            **({"roughness.tif": bands} if bands else {}),
-        }
-        overlapping = any(common_window(window, shared) is not None for shared in self._shared)
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is None:
-                continue
-            place, choice = window_slices(window, part), None
-            arrays = iter(out.values())
-            for raster, names in rasters.items():
-                own = [next(arrays)[place] for _ in names or (0,)]
-                if not overlapping:
-                    sheet.read_into(own, raster, part, names)
-                    continue
-                found = [np.empty_like(array) for array in own]
-                sheet.read_into(found, raster, part, names)
-                choice = choice or sheet_choice(own[0], found[0])  # what bars tiles is read first
-                for old, new in zip(own, found, strict=True):
-                    old[...] = choice(old, new)
+        part = common_window(window, self.window)
+        if part is not None:
+            place = _slices(window, part)
+            self._read_into([out["barred"][place]], "barred.tif", part)
+            if classes:
+                self._read_into([out["class_id"][place]], "class.tif", part)
+            if bands:
+                self._read_into([out[band][place] for band in bands], "roughness.tif", part, bands)
         barred = out["barred"]
         if ((barred > max(Barred)) & (barred != NO_TILE)).any():
-            raise BadInputError(f"barred.tif of {self.folders[0]} holds unknown codes. Map the survey again")
+            raise BadInputError(f"barred.tif of {self.folder} holds unknown codes. Map the survey again")
         for band in set(bands) & {"c_r", "c_r_high", "p_fail"}:
             if (out[band] < 0.0).any() or (band == "p_fail" and (out[band] > 1.0).any()):
-                raise BadInputError(f"roughness.tif of {self.folders[0]} is damaged: {band}. Map the survey again")
+                raise BadInputError(f"roughness.tif of {self.folder} is damaged: {band}. Map the survey again")
         return out
 
     def heights(self, window: TileWindow) -> NDArray[np.float32]:
-        """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none.
-
-        Of two sheets the higher value counts.
-        """
+        """Read heights of the ground, m, float32 (rows * pixels, cols * pixels); NaN where there is none."""
         return self.relief(window, self._shape(window))
 
     def relief(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.float32]:
@@ -186,55 +173,106 @@ class MapReader:
         Returns
         -------
         float32 of that shape
-            m, north row first; NaN where there is none. A sheet is placed to the nearest pixel; of two sheets the
-            higher value counts.
+            m, north row first; NaN where there is none. The map is placed to the nearest pixel.
 
         Raises
         ------
         BadInputError
             A file is missing or damaged.
         """
-        return self._pixels("heightmap.tif", window, np.full(shape, np.nan, np.float32), np.fmax)
+        return self._pixels("heightmap.tif", window, np.full(shape, np.nan, np.float32))
 
     def objects(self, window: TileWindow) -> NDArray[np.uint8]:
         """Read what stands on the ground, uint8 (rows * pixels, cols * pixels).
 
-        0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points. Of two sheets, an obstacle counts
-        first, then canopy, free, unknown.
+        0 free, 1 obstacle, 2 canopy, 3 unknown; 255 outside the tiles with points.
         """
-        return self._pixels("obstacle.tif", window, np.full(self._shape(window), NO_TILE, np.uint8), worse_objects)
+        return self._pixels("obstacle.tif", window, np.full(self._shape(window), NO_TILE, np.uint8))
 
     def passage(self, window: TileWindow) -> NDArray[np.bool_]:
-        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map.
-
-        Where sheets overlap, what is closed in one of those that know the pixel is closed.
-        """
+        """Read where the middle of the vehicle can be, (rows * pixels, cols * pixels); nowhere outside the map."""
         return self.passage_shown(window, self._shape(window))
 
     def passage_shown(self, window: TileWindow, shape: tuple[int, int]) -> NDArray[np.bool_]:
         """Read `passage` in ``shape`` pixels that span a window; one of an overview is closed where one of four is."""
-        # NO_TILE is the largest code, so the smaller of two is the known one, or the closed one of two that are known.
-        out = self._pixels("passage.tif", window, np.full(shape, NO_TILE, np.uint8), np.minimum)
+        out = self._pixels("passage.tif", window, np.full(shape, NO_TILE, np.uint8))
         return np.asarray((out > 0) & (out != NO_TILE))
 
     def _shape(self, window: TileWindow) -> tuple[int, int]:
         return window.rows * self.grid.pixels, window.cols * self.grid.pixels
 
-    def _pixels(self, raster: str, window: TileWindow, out: NDArray[Any], merge: _Merge) -> NDArray[Any]:
-        """Fill pixels that span a window; ``merge`` says which of two sheets counts."""
+    def _pixels(self, raster: str, window: TileWindow, out: NDArray[Any]) -> NDArray[Any]:
+        """Fill those of the pixels that span a window which lie on the map."""
         rows, cols = out.shape[0] / window.rows, out.shape[1] / window.cols
-        for sheet in self.sheets:
-            part = common_window(window, sheet.window)
-            if part is None:
-                continue
+        part = common_window(window, self.window)
+        if part is not None:
             place = tuple(
                 slice(*np.rint(np.array([tiles.start, tiles.stop]) * scale).astype(int).tolist())
-                for tiles, scale in zip(window_slices(window, part), (rows, cols), strict=True)
+                for tiles, scale in zip(_slices(window, part), (rows, cols), strict=True)
             )
             shape = place[0].stop - place[0].start, place[1].stop - place[1].start
             if min(shape) > 0:
-                out[place] = merge(out[place], sheet.read_pixels(raster, part, shape))
+                out[place] = self._read_pixels(raster, part, shape)
         return out
+
+    def _read_into(self, out: Sequence[NDArray[Any]], name: str, window: TileWindow, bands: Sequence[str] = ()) -> None:
+        """Read a window that lies inside the map into arrays, which may be parts of larger ones.
+
+        Parameters
+        ----------
+        out : sequence of arrays
+            One for each band, (rows * p, cols * p), north row first; p is the number of pixels along a tile in rasters
+            of pixels, else 1.
+        name : str
+            Name of the raster.
+        window : TileWindow
+        bands : sequence of str
+            Names of the bands; none: the first.
+
+        Raises
+        ------
+        BadInputError
+            The file is missing or damaged.
+        """
+        top, left, rows, cols = self._place(name, window)
+        self._require_whole(name)
+        with self.rasters.opened(self.folder / name) as file:
+            numbers = _numbers(self.folder / name, file, bands)
+            # Cut at multiples of a piece, so that no block of the file is decoded twice.
+            for lines, columns in product(_cut(top, top + rows), _cut(left, left + cols)):
+                part = ((lines.start, lines.stop), (columns.start, columns.stop))
+                for array, values in zip(out, file.read(numbers, window=part), strict=True):
+                    array[_moved(lines, top), _moved(columns, left)] = values
+
+    def _read_pixels(self, name: str, window: TileWindow, shape: tuple[int, int]) -> NDArray[Any]:
+        """Read a window of the map of a raster with several pixels a tile, in ``shape`` pixels.
+
+        With fewer pixels than the file has they come from the overviews: numbers as means. For errors see `_read_into`.
+        """
+        top, left, rows, cols = self._place(name, window)
+        if shape == (rows, cols):
+            whole = np.empty(shape, _DTYPES[name])
+            self._read_into([whole], name, window)
+            return whole
+        part = ((top, top + rows), (left, left + cols))
+        self._require_whole(name)
+        with self.rasters.opened(self.folder / name) as file:
+            if _DTYPES[name] == "float32":
+                return read_averaged(file, shape, part)
+            found: NDArray[Any] = file.read(1, window=part, out_shape=shape)
+            return found
+
+    def _place(self, name: str, window: TileWindow) -> tuple[int, int, int, int]:
+        """Return top, left, rows and columns of a window in a raster, pixels."""
+        own, scale = self.window, self.grid.pixels if name in _PER_PIXEL else 1
+        top = own.row + own.rows - window.row - window.rows
+        return top * scale, (window.col - own.col) * scale, window.rows * scale, window.cols * scale
+
+    def _require_whole(self, name: str) -> None:
+        """Raise BadInputError if a raster whose checksum was not compared when the map was opened is damaged."""
+        written = {str(file["path"]): file for file in self.manifest["files"]}
+        if name in _RASTERS and int(written[name]["bytes"]) > CHECKED_BYTES:
+            _compare(self.folder, name, int(written[name]["bytes"]), str(written[name]["sha256"]))
 
     def to_grid(self, x: Coordinate, y: Coordinate) -> tuple[Coordinate, Coordinate]:
         """Convert coordinates of the CRS to easting and northing on the grid, m."""
@@ -292,61 +330,111 @@ class MapReader:
                 "points in the survey's own coordinates (crs:X,Y)"
             ) from error
 
-    @cached_property
-    def _shared(self) -> list[TileWindow]:
-        """The windows that two sheets have in common; none in a map that was written in sheets."""
-        sides = np.array([(w.col, w.row, w.col + w.cols, w.row + w.rows) for w in (s.window for s in self.sheets)])
-        shared: list[TileWindow | None] = []
-        for number, (west, south, east, north) in enumerate(sides[:-1].tolist()):
-            later = sides[number + 1 :]
-            meets = (later[:, 0] < east) & (later[:, 2] > west) & (later[:, 1] < north) & (later[:, 3] > south)
-            others = [self.sheets[other].window for other in (np.flatnonzero(meets) + number + 1).tolist()]
-            shared += [common_window(self.sheets[number].window, other) for other in others]
-        return [window for window in shared if window is not None]
 
-
-def open_map(folders: Sequence[str | os.PathLike[str]]) -> MapReader:
-    """Open the layers of one map: the folder of a run, in sheets or not, or several that are sheets of one map.
-
-    Parameters
-    ----------
-    folders : sequence of path
-        Each holds a complete run.
+def open_map(folder: str | os.PathLike[str]) -> MapReader:
+    """Open the layers of a complete run.
 
     Raises
     ------
     BadInputError
-        A folder holds no complete run, or one that cannot be read; or the folders differ in grid, CRS, vehicle,
-        calibration or weights.
-    UsageError
-        There is no folder.
+        The folder holds no complete run, or one of an earlier version; or a raster is missing, cut off, or does not
+        fit to the others.
     """
-    if not folders:
-        raise UsageError("no folder of layers is given. Give the output folder of a run of bumpymap map")
-    paths = [sheet for folder in folders for sheet in sheet_folders(folder)]
-    rasters = kept_rasters()
-    opened = {path.resolve(): SheetReader.open(path, rasters) for path in paths}
-    first, *others = sheets = tuple(opened.values())
-    for other in others:
-        if found := map_differences(first, other):
-            raise BadInputError(
-                f"{first.folder} and {other.folder} are not sheets of one map: {found}. "
-                "Give folders that were mapped with the same vehicle and settings, or one folder only"
-            )
-    windows = [sheet.window for sheet in sheets]
-    west, south = min(window.col for window in windows), min(window.row for window in windows)
-    east = max(window.col + window.cols for window in windows)
-    north = max(window.row + window.rows for window in windows)
-    return MapReader(sheets, TileWindow(west, south, east - west, north - south))
+    folder, rasters = Path(folder), _kept_rasters()
+    manifest = read_manifest(folder)
+    try:
+        require_written(folder, manifest, _RASTERS, most=CHECKED_BYTES)
+        crs, unit = manifest["crs"], manifest["metres_per_unit"]
+        known = None if crs is None else stated_crs(crs["wkt"])
+        cost = manifest["cost"]
+        names = ("ride_weight_m_per_rad", "fail_weight_m", "drive_m", "slope_limit_deg")
+        parts = (
+            Grid(float(manifest["grid"]["tile_size_m"]), int(manifest["grid"]["pixels"])),
+            Georeference(known, float(unit["horizontal"]), float(unit["vertical"])),
+            CostRule(*(float(cost[name]) for name in names)),
+            _vehicle(folder, manifest),
+        )
+    except (LookupError, TypeError, ValueError, AttributeError, CRSError) as error:
+        raise BadInputError(f"{folder / 'run.json'} is damaged: {error!r}. {_AGAIN}") from error
+    grid, georeference, rule, vehicle = parts
+    window = _common_raster(folder, grid, georeference, rasters)
+    return MapReader(folder, manifest, grid, window, georeference, rule, vehicle, rasters)
 
 
-def map_differences(first: SheetReader, second: SheetReader, *, ground: bool = False) -> str:
-    """Return how the settings and places of two runs differ, and with ``ground`` which points they took; or nothing."""
-    own, other = (
-        sheet.identity | ({"ground points only": sheet.manifest.get("ground_only")} if ground else {})
-        for sheet in (first, second)
-    )
-    found = [f"{name} is {own[name]} and {other[name]}" for name in own if own[name] != other[name]]
-    if not found and first.georeference.crs != second.georeference.crs:
-        found = ["the definition of the CRS differs"]
-    return "; ".join(found)
+@lru_cache(maxsize=1024)
+def _compare(folder: Path, name: str, size: int, sha256: str) -> None:
+    """Compare the checksum of a raster once."""
+    require_written(folder, {"files": [{"path": name, "bytes": size, "sha256": sha256}]}, [name])
+
+
+def common_window(first: TileWindow, second: TileWindow) -> TileWindow | None:
+    """Return the tiles that two windows share; None if there are none."""
+    west, south = max(first.col, second.col), max(first.row, second.row)
+    cols = min(first.col + first.cols, second.col + second.cols) - west
+    rows = min(first.row + first.rows, second.row + second.rows) - south
+    return TileWindow(west, south, cols, rows) if cols > 0 and rows > 0 else None
+
+
+def _numbers(path: Path, file: "DatasetReader", bands: Sequence[str]) -> list[int]:
+    if not bands:
+        return [1]
+    names = file.descriptions
+    missing = [band for band in bands if band not in names]
+    if missing:
+        raise BadInputError(f"{path} has no band {missing[0]}: it was made by an earlier version. {_AGAIN}")
+    return [names.index(band) + 1 for band in bands]
+
+
+def _cut(start: int, stop: int) -> list[slice]:
+    edges = [start, *range((start // _PIECE + 1) * _PIECE, stop, _PIECE), stop]
+    return [slice(low, high) for low, high in pairwise(edges)]
+
+
+def _moved(part: slice, by: int) -> slice:
+    return slice(part.start - by, part.stop - by)
+
+
+def _common_raster(folder: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
+    """Return the tiles that all rasters of a folder span. Raises BadInputError if they do not agree."""
+    windows = {name: _window_of(folder / name, grid, georeference, rasters) for name in _RASTERS}
+    for name, window in windows.items():
+        if window != windows[_RASTERS[0]]:
+            raise BadInputError(f"{folder / name} spans other tiles than {folder / _RASTERS[0]}. {_AGAIN}")
+    return windows[_RASTERS[0]]
+
+
+def _window_of(path: Path, grid: Grid, georeference: Georeference, rasters: KeptRasters) -> TileWindow:
+    pixels = grid.pixels if path.name in _PER_PIXEL else 1
+    tile = grid.tile_size / georeference.metres_per_unit
+    with rasters.opened(path) as file:
+        place, width, height = file.transform, file.width, file.height
+    sides = (place.c / tile, place.f / tile - height / pixels, width / pixels, height / pixels)
+    if not all(map(math.isfinite, sides)):
+        raise BadInputError(f"{path} has no place. {_AGAIN}")
+    whole = [round(side) for side in sides]
+    steps = (place.a * pixels / tile, place.b, place.d, -place.e * pixels / tile)
+    fits = all(math.isclose(side, near, abs_tol=_OFF) for side, near in zip(sides, whole, strict=True))
+    if not fits or not np.allclose(steps, (1.0, 0.0, 0.0, 1.0), rtol=0.0, atol=1e-9):
+        raise BadInputError(
+            f"{path} does not lie on the grid of tiles of {grid.tile_size:g} m that run.json states. {_AGAIN}"
+        )
+    return TileWindow(*whole)
+
+
+def _vehicle(folder: Path, manifest: Mapping[str, Any]) -> RouteVehicle:
+    vehicle = manifest.get("vehicle")
+    if vehicle is None:
+        raise BadInputError(
+            f"{folder} was made by an earlier version, which did not store the width and speed of the vehicle. Map the "
+            "survey again, with `overwrite=True` to replace these layers"
+        )
+    if fault := shape_fault(vehicle, _VEHICLE, "vehicle"):
+        raise BadInputError(f"{folder / 'run.json'} is damaged: {fault}. {_AGAIN}")
+    return RouteVehicle(vehicle["name"], float(vehicle["width_m"]), float(vehicle["speed_mps"]))
+
+
+def _slices(window: TileWindow, part: TileWindow) -> tuple[slice, slice]:
+    """Return where a part of a window lies in its arrays."""
+    top = window.row + window.rows - part.row - part.rows
+    left = part.col - window.col
+    return slice(top, top + part.rows), slice(left, left + part.cols)

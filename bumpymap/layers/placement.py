@@ -28,7 +28,6 @@ __all__ = [
     "RasterWindow",
     "check_extent",
     "create_raster",
-    "fits_one_map",
 ]
 
 MAX_TILES = 100_000_000
@@ -39,18 +38,10 @@ MAX_PIXELS = 25_000_000_000
 """Most pixels in heightmap.tif."""
 
 
-def fits_one_map(grid: Grid, window: TileWindow) -> bool:
-    """Return whether one map may span a window; larger ones are written in sheets."""
-    tiles = window.cols * window.rows
-    along = max(window.cols, window.rows)
-    return tiles <= MAX_TILES and along <= MAX_SIDE and tiles * grid.pixels**2 <= MAX_PIXELS
-
-
-def check_extent(grid: Grid, window: TileWindow, remedy: str = "") -> None:
+def check_extent(grid: Grid, window: TileWindow) -> None:
     """Refuse a window that is too large for a raster, as for two sites far apart or an outlying point.
 
-    Gaps take almost no disk space or memory, but GDAL visits every pixel of most rasters, empty or not. The message
-    names a ``remedy``, a sentence, if there is one.
+    Gaps take almost no disk space or memory, but GDAL visits every pixel of most rasters, empty or not.
 
     Raises
     ------
@@ -58,14 +49,15 @@ def check_extent(grid: Grid, window: TileWindow, remedy: str = "") -> None:
         More than ``MAX_TILES`` tiles, ``MAX_SIDE`` of them along a side, or ``MAX_PIXELS`` pixels.
     """
     tiles = window.cols * window.rows
-    if fits_one_map(grid, window):
+    along = max(window.cols, window.rows)
+    if tiles <= MAX_TILES and along <= MAX_SIDE and tiles * grid.pixels**2 <= MAX_PIXELS:
         return
     width, height = (side * grid.tile_size / 1000 for side in (window.cols, window.rows))
     raise BadInputError(
         f"the survey spans {width:,.1f} km x {height:,.1f} km: {tiles:,} tiles of {grid.tile_size:g} m, or "
         f"{tiles * grid.pixels**2:,} heightmap pixels. One map may span {MAX_TILES:,} tiles, {MAX_SIDE:,} along a "
-        f"side, and {MAX_PIXELS:,} pixels. "
-        f"{remedy}Map sites that lie far apart in separate runs; if it is one site, look for points far outside it"
+        f"side, and {MAX_PIXELS:,} pixels. If it is smaller, look for points far outside it. Else map parts of it in "
+        "separate runs, whose rasters lie on one grid, or give larger tiles with `tile_size`, or fewer `pixels`"
     )
 
 

@@ -3,7 +3,6 @@
 Nothing here needs GDAL or Arrow, whose import takes a fifth of a second: a run checks its folder before it reads.
 """
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os.path import lexists
@@ -16,12 +15,13 @@ from bumpymap.core import (
     OutputError,
     UsageError,
     locked,
+    read_record,
     remove_empty_on_error,
     remove_path,
     write_together,
     writing_to,
 )
-from bumpymap.layers.manifest import MANIFEST_NAME, describe_file, write_manifest
+from bumpymap.layers.manifest import MANIFEST_NAME, SHEETS_FORMAT, describe_file, write_manifest
 
 __all__ = [
     "CATALOG_NAME",
@@ -32,19 +32,14 @@ __all__ = [
     "OTHER_FILES",
     "PRODUCT_NAMES",
     "REPORT_NAME",
-    "SHEET_FOLDER",
-    "SHEET_TABLE_NAME",
     "SPEEDS_NAME",
     "SPEEDS_STYLE_NAME",
-    "SPEEDS_VIRTUAL_NAME",
     "VIEW_NAMES",
-    "VIRTUAL_NAMES",
     "OutputFolder",
     "check_folder",
     "refuse_blocked",
     "refuse_present",
     "require_folder",
-    "sheets_in",
 ]
 
 
@@ -118,30 +113,6 @@ EVERY_VIEW_NAME = (*VIEW_NAMES, SPEEDS_STYLE_NAME)
 """The files to look at the others with that a run may write."""
 NAMED_RASTERS = ("class.tif", "reason.tif", "barred.tif", "obstacle.tif")
 """Rasters with names, colours and counts of their values beside them, in ``class.tif.aux.xml`` and so on."""
-SHEET_FOLDER = "sheets"
-"""Folder of the sheets of a map that is written in sheets, each a folder with the files above."""
-SHEET_TABLE_NAME = "sheets.csv"
-"""One row a sheet."""
-VIRTUAL_NAMES = tuple(name.replace(".tif", ".vrt") for name in PRODUCT_NAMES if name.endswith(".tif"))
-"""Virtual rasters over the rasters of all sheets."""
-SPEEDS_VIRTUAL_NAME = SPEEDS_NAME.replace(".tif", ".vrt")
-"""One more, over sheets with other speeds."""
-_SHEET_NAME = re.compile(r"[ew]\d{4,}_[ns]\d{4,}")
-
-
-def sheets_in(folder: Path) -> list[str]:
-    """Return the names of the sheets, complete or not, in an output folder; links are none.
-
-    Raises
-    ------
-    OSError
-        The folder cannot be listed.
-    """
-    inside = folder / SHEET_FOLDER
-    if inside.is_symlink() or not inside.is_dir():
-        return []
-    found = (path for path in inside.iterdir() if _SHEET_NAME.fullmatch(path.name))
-    return sorted(path.name for path in found if path.is_dir() and not path.is_symlink())
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
@@ -171,17 +142,18 @@ def check_folder(folder: Path, *, overwrite: bool) -> None:
         probe.unlink()
         for left in folder.glob(f"{STAGED}*"):  # of a run that was killed
             remove_path(left)
-        names = (*EVERY_NAME, *EVERY_VIEW_NAME, *VIRTUAL_NAMES, SPEEDS_VIRTUAL_NAME, SHEET_TABLE_NAME)
-        present = [name for name in names if lexists(folder / name)]
-        sheets = sheets_in(folder)
+        present = [name for name in (*EVERY_NAME, *EVERY_VIEW_NAME) if lexists(folder / name)]
     except OSError as error:
         raise OutputError(
             f"cannot write to the folder {folder}: {error.strerror or error}. "
             "Choose one that can be written, with `out`"
         ) from error
+    if (read_record(folder / MANIFEST_NAME) or {}).get("format") == SHEETS_FORMAT:
+        raise OutputError(
+            f"{folder} holds a map in sheets, which an earlier version wrote. Choose another `out`, or remove it"
+        )
     refuse_blocked(folder, present)
     finished = MANIFEST_NAME in present
-    present += [f"{len(sheets)} {SHEET_FOLDER}"] if sheets else []
     if present and not overwrite:
         unfinished = "" if finished else " of a run that did not end"
         raise OutputError(

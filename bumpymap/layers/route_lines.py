@@ -68,6 +68,7 @@ def route_properties(route: Route) -> dict[str, Any]:
         **figures,
         "p_arrives_note": P_ARRIVES_NOTE,
         "risk_m": round(route.risk_m, 3) if math.isfinite(route.risk_m) else None,
+        "why": route.straight.words if route.straight else "",
     }
 
 
@@ -75,13 +76,13 @@ class MapSource(Protocol):
     """A map whose windows can be read."""
 
     @property
-    def folders(self) -> tuple[Path, ...]:
-        """The folders with its layers; none if it was made up."""
+    def folder(self) -> Path:
+        """The folder with its layers."""
         ...
 
     @property
-    def manifests(self) -> tuple[dict[str, Any], ...]:
-        """The content of run.json in each folder."""
+    def manifest(self) -> dict[str, Any]:
+        """The content of run.json."""
         ...
 
     def read(self, window: TileWindow, bands: Sequence[str] = ...) -> TileField:

@@ -148,9 +148,7 @@ _ESCAPED = re.compile("[#?%\\x00-\\x1f\ud800-\udfff]")
 
 
 def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
-    """Write catalog.json: a STAC catalogue with a link to the item of each complete map, or to its own catalogue.
-
-    A map in sheets has a catalogue with an item for each sheet.
+    """Write catalog.json: a STAC catalogue with a link to the item of each complete map.
 
     Items do not link back: they are the same whether a map was made alone or with others.
 
@@ -172,19 +170,14 @@ def write_catalog(root: Path, folders: Sequence[str], *, title: str) -> None:
     if lexists(place) and (place.is_symlink() or not place.is_file()):
         raise OutputError(f"{place} is a link or no file, and was not touched. Remove it")
     items = [_link("item", f"./{_quoted(name)}/{ITEM_NAME}", name) for name in folders if _has(root / name, ITEM_NAME)]
-    children = [
-        _link("child", f"./{_quoted(name)}/{CATALOG_NAME}", name) | {"type": "application/json"}
-        for name in folders
-        if _has(root / name, CATALOG_NAME) and not _has(root / name, ITEM_NAME)
-    ]
     name = valid_text(title)
     document = {
         "type": "Catalog",
         "stac_version": STAC_VERSION,
         "id": identifier(name),
         "title": name,
-        "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey or sheet",
-        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items, *children],
+        "description": "Roughness and ride cost of the ground, from point clouds: one item for each survey",
+        "links": [_link("root", f"./{CATALOG_NAME}", title) | {"type": "application/json"}, *items],
     }
     write_document(document, place)
 
@@ -266,11 +259,9 @@ def write_item(folder: Path, record: Mapping[str, Any]) -> None:
 
 
 def _identity(name: str, record: Mapping[str, Any]) -> str:
-    """Return the id: the name, what tells surveys of one name apart, and the place of a sheet."""
-    sheet = record.get("sheet") or {}
+    """Return the id: the name, and what tells surveys of one name apart."""
     digits = str(_survey(record).get("checksum") or "").rpartition(":")[2][:_DIGITS]
-    place = [f"column{sheet['column']}", f"row{sheet['row']}"] if sheet else []
-    return "_".join([identifier(name), *([digits] if digits else []), *place])
+    return "_".join([identifier(name), *([digits] if digits else [])])
 
 
 def _description(record: Mapping[str, Any]) -> str:

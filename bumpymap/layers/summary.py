@@ -25,7 +25,7 @@ __all__ = ["LITTLE_SEEN", "MapSummary", "summarise"]
 LITTLE_SEEN = "too little seen"
 """Reason why a tile with a class is not passable: too little of it was seen to tell whether there is a way."""
 
-STRIP = 65_536
+_STRIP = 65_536
 _OBJECT_STRIP = 4_096
 """Most tiles to read at a time with their heights."""
 _OBJECTS = ("judged", "layered", "tall")
@@ -64,6 +64,9 @@ class MapSummary:
     failing: int = 0
     """Tiles of class 3 although their C_r is below its limit, because they are too steep or drives fail: their C_r is
     that of the drives that got through."""
+    by_holes: int = 0
+    """Tiles of class 3 because too few of their pixels hold a point, by the rule of the paper, not by what was measured
+    (``compat = "paper"``)."""
     judged: int = 0
     """Tiles with at least 15 points, for the next two."""
     layered: int = 0
@@ -89,6 +92,7 @@ class MapSummary:
             median_c_r=medians["median_c_r"],
             median_slope=medians["median_slope"],
             failing=counts.get("failing", 0),
+            by_holes=counts.get("by_holes", 0),
             judged=objects.get("judged", 0),
             layered=objects.get("layered", 0),
             tall=objects.get("tall", 0),
@@ -140,13 +144,14 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
     reasons = np.zeros(len(Reason), dtype=np.int64)
     classes = np.zeros(groups, dtype=np.int64)
     barred = np.zeros(len(Barred), dtype=np.int64)
-    points = failing = 0
-    for strip in table.tiles.strips(STRIP):
-        found = table.tiles.read(("class_id", "barred", "reason", "count", "p_fail", *_STEPS), strip)
+    points = failing = by_holes = 0
+    for strip in table.tiles.strips(_STRIP):
+        found = table.tiles.read(("class_id", "barred", "reason", "count", "p_fail", "confidence", *_STEPS), strip)
         barred += np.bincount(found["barred"], minlength=len(Barred))
         group = np.where(found["class_id"] == NO_CLASS, groups - 1, found["class_id"]).astype(np.int64)
         classes += np.bincount(group, minlength=groups)
         reasons += np.bincount(found["reason"][group == groups - 1], minlength=len(Reason))
+        by_holes += int(((found["class_id"] != NO_CLASS) & np.isnan(found["confidence"])).sum())
         points += int(found["count"].sum())
         _count(counts, np.zeros_like(group), found["count"].astype(np.float64))
         if limits is not None:
@@ -166,6 +171,7 @@ def summarise(table: CostTable, limits: Sequence[float] | None = None) -> MapSum
         median_slope=slope,
         median_count=_median(counts[0]),
         failing=failing,
+        by_holes=by_holes,
         **_count_objects(table),
     )
 

@@ -249,7 +249,7 @@ def _require_memory(path: Path, about: pq.FileMetaData, groups: Iterable[int], n
     if free is not None and size > free:
         raise BadInputError(
             f"{path} takes {size / 1e6:,.0f} MB of memory, and {free / 1e6:,.0f} MB are free. Read it on another "
-            "machine, or map the survey in sheets"
+            "machine, or map the survey in parts"
         )
 
 

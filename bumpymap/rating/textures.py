@@ -313,7 +313,7 @@ _NETWORK_BATCH = 16
 _FORMAT = "bumpymap-textures"
 _INPUT = "patches"
 _KIND = "texture network"
-_REMEDY = "Train one with: bumpymap train --out MODEL.onnx"
+_REMEDY = "Train one with: bumpymap train textures --out MODEL.onnx"
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,7 +340,8 @@ class TextureModel:
             raise UsageError(
                 f"tiles are {tile_size:g} m with {pixels} pixels; the texture network {self.id} was trained for "
                 f"{self.tile_size:g} m with {self.pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
-                f"or train one: bumpymap train --tile-size {tile_size:g} --set network.pixels={pixels} --out MODEL.onnx"
+                f"or train one: bumpymap train textures --set tile_size={tile_size:g} --set network.pixels={pixels} "
+                "--out MODEL.onnx"
             )
 
     @classmethod

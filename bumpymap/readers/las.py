@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import GROUND_CLASSES, BadInputError, Georeference, Place, PointCloud, georeference
+from bumpymap.core import BadInputError, Georeference, Place, PointCloud, georeference
 from bumpymap.readers._kernels import (
     LinedPoints,
     RecordCounts,
@@ -26,7 +26,7 @@ from bumpymap.readers.copc import (
 )
 from bumpymap.readers.decoder import decoder
 from bumpymap.readers.las_header import LAYERED, RawHeader, read_raw_header, statement_of_las
-from bumpymap.readers.point_stats import OUTSIDE, LineRules, PointStats, kinds_of
+from bumpymap.readers.point_stats import OUTSIDE, LineRules, PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -98,7 +98,7 @@ def record_rules(
     line: int,
     scaling: Scaling,
     bounds: Bounds | None,
-    ground_classes: tuple[int, ...] = GROUND_CLASSES,
+    kinds: NDArray[np.uint8],
 ) -> RecordRules:
     """Return what records are held to: LAS 1.4 R15, tables 7 and 10.
 
@@ -111,8 +111,8 @@ def record_rules(
     scaling : Scaling
     bounds : Bounds or None
         Extent in the header, m; points more than ``OUTSIDE`` beyond it are counted.
-    ground_classes : tuple of int
-        LAS classes that are ground.
+    kinds : array (256,)
+        The kind of the points of each class, see `ReadOptions.kinds`.
     """
     fields = [16, 255, 15, 4, 20, line] if layered else [15, 31, 15, 128, 18, line]
     limits = ((-math.inf, math.inf), (-math.inf, math.inf))
@@ -122,7 +122,7 @@ def record_rules(
             (bounds.south - OUTSIDE, bounds.north + OUTSIDE),
         )
     box = [_integers_between(scaling, axis, low, high) for axis, (low, high) in enumerate(limits)]
-    return RecordRules(np.array(fields), np.array(box).reshape(-1), kinds_of(ground_classes))
+    return RecordRules(np.array(fields), np.array(box).reshape(-1), kinds)
 
 
 def _integers_between(scaling: Scaling, axis: int, low: float, high: float) -> tuple[int, int]:
@@ -223,14 +223,18 @@ class LasSurvey(SurveyReader):
             line=raw.source_id,
             scaling=self._scaling,
             bounds=bounds,
-            ground_classes=options.ground_classes,
+            kinds=options.kinds,
         )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
         kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
         info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
-        return replace(info, parallel=raw.compressed, header_date=raw.created)
+        low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
+        heights = None if bounds is None else (low, high)
+        return replace(
+            info, parallel=raw.compressed, header_date=raw.created, heights=heights, class_names=raw.class_names
+        )
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""

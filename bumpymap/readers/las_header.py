@@ -39,6 +39,9 @@ _FIELDS_1_4 = struct.Struct("<QIQ")
 """Offset to the extended records, their number; point count."""
 _RECORD, _EXTENDED_RECORD = struct.Struct("<2x16sHH32x"), struct.Struct("<2x16sHQ32x")
 _NEEDED = {b"LASF_Projection", b"laszip encoded", b"copc"}
+_CLASS_LOOKUP = (b"LASF_Spec", 0)
+_CLASS_NAME = struct.Struct("<B15s")
+"""Entries of the lookup of classes: class, name."""
 _LONGEST_RECORD = 1 << 20
 """Limit for the records that are needed, bytes."""
 _POINT_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
@@ -75,7 +78,7 @@ class RawHeader:
     maxs: Numbers
     """Extent of the points as declared in the header."""
     records: dict[tuple[bytes, int], bytes]
-    """By user id and record id: those of the projection (extended ones too), of LASzip and of COPC."""
+    """By user id and record id: those of the projection (extended ones too), of LASzip, of COPC, and class names."""
     source_id: int = 0
     """The flight line of the file, if it holds one; 0: none is given."""
     created: date | None = None
@@ -86,6 +89,14 @@ class RawHeader:
     def extra_bytes(self) -> int:
         """Bytes of a point beyond those of its format."""
         return self.point_size - _POINT_SIZES[self.point_format]
+
+    @property
+    def class_names(self) -> dict[int, str]:
+        """Names of classes that the file gives; what is no text is left out."""
+        data = self.records.get(_CLASS_LOOKUP, b"")
+        entries = _CLASS_NAME.iter_unpack(data[: len(data) // _CLASS_NAME.size * _CLASS_NAME.size])
+        names = {code: text.split(b"\0")[0].decode("ascii", "replace").strip() for code, text in entries}
+        return {code: name for code, name in names.items() if name.isprintable() and name}
 
 
 def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
@@ -123,7 +134,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         size, f"{major}.{minor}", point_format, compressed, point_size, count, offset, bool(encoding & 0x10), is_copc,
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
-        {(user, number): data for user, number, data in reversed(plain + far) if user in _NEEDED}, source_id,
+        {(user, number): data for user, number, data in reversed(plain + far) if data}, source_id,
         _date(day, year),
     )  # fmt: skip
 
@@ -176,7 +187,7 @@ def _walk(
                 f"{index:,} exceeds the space for them. {_AGAIN}"
             )
         user = user.split(b"\0")[0]
-        needed = user in _NEEDED and length <= _LONGEST_RECORD
+        needed = (user in _NEEDED or (user, number) == _CLASS_LOOKUP) and length <= _LONGEST_RECORD
         yield user, number, stream.read(length) if needed else b""
 
 

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import GROUND_CLASSES, CrsStatement, Place, PointCloud, georeference
-from bumpymap.readers.point_stats import PointStats, kinds_of
+from bumpymap.core import CrsStatement, Place, PointCloud, georeference
+from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
     Chunk,
@@ -52,7 +52,7 @@ def convert_points(
     first: int,
     *,
     nan_is_no_return: bool,
-    ground_classes: tuple[int, ...] = GROUND_CLASSES,
+    kinds: NDArray[np.uint8],
 ) -> ChunkPoints:
     """Drop unusable points of a table, and count all of them.
 
@@ -66,8 +66,8 @@ def convert_points(
         Number of the first point in the file.
     nan_is_no_return : bool
         Whether a point with NaN is a beam without return, rather than an error.
-    ground_classes : tuple of int
-        LAS classes that are ground.
+    kinds : array (256,)
+        The kind of the points of each class, see `ReadOptions.kinds`.
     """
     size = len(axes[0])
     codes = np.zeros(size, np.uint8)
@@ -100,7 +100,7 @@ def convert_points(
     classes = np.bincount(codes, minlength=256)
     if stats.bad:
         axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-    return ChunkPoints(PointCloud(*axes, kinds_of(ground_classes)[codes]), stats, classes=classes)
+    return ChunkPoints(PointCloud(*axes, kinds[codes]), stats, classes=classes)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:
@@ -275,7 +275,7 @@ class TableSurvey(SurveyReader):
         super().__init__(path, options)
 
     def _open(self, options: ReadOptions) -> SurveyInfo:
-        self._ground_classes = options.ground_classes
+        self._kinds = options.kinds
         self._table = table = self._open_table(self._path, _CLASSES, options.memory)
         head, names = table.info, table.info.find(_CLASSES)
         self._columns, self._class_column = (names["x"], names["y"], names["z"]), names.get("class")
@@ -308,7 +308,7 @@ class TableSurvey(SurveyReader):
             class_id,
             chunk.first,
             nan_is_no_return=self._table.nan_is_no_return,
-            ground_classes=self._ground_classes,
+            kinds=self._kinds,
         )
 
     def _first(self) -> tuple[float, float, float] | None:

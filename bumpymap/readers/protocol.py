@@ -1,7 +1,7 @@
 """The readers of surveys: options, header information, chunks of points, the version and the checksum of the file."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import date
@@ -21,7 +21,7 @@ from bumpymap.core import (
     UsageError,
     ZUnit,
 )
-from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, verify
+from bumpymap.readers.point_stats import LineCorrection, LineSums, PointStats, kinds_of, verify
 from bumpymap.readers.source import Location, Version, is_url, pinned_version, read_range, require_unchanged, version_of
 from bumpytiles import Bounds, Grid, GroupedPoints, ScaledPoints, group_points, group_scaled_points
 
@@ -65,6 +65,13 @@ class ReadOptions:
     """True if a file that states another CRS than ``crs`` is refused; else its own is used, with a note."""
     ground_classes: tuple[int, ...] = GROUND_CLASSES
     """LAS classes that are ground."""
+    keep_classes: bool = False
+    """True if the kind of a point is its class."""
+
+    @property
+    def kinds(self) -> NDArray[np.uint8]:
+        """The kind of the points of each LAS class, (256,)."""
+        return np.arange(256, dtype=np.uint8) if self.keep_classes else kinds_of(self.ground_classes)
 
     @property
     def given_crs(self) -> GivenCrs:
@@ -96,6 +103,10 @@ class SurveyInfo:
     """True if the points can only be decoded sequentially from the start of the file."""
     parallel: bool = False
     """True if several threads may fetch chunks at once, because one small chunk cannot keep all cores busy."""
+    heights: tuple[float, float] | None = None
+    """Lowest and highest in the header, m; None if the format has none, or they are to be ignored."""
+    class_names: Mapping[int, str] = field(default_factory=dict)
+    """Names that the file gives to classes."""
     header_date: date | None = None
     """Date in the header of a LAS file: often that of the flight or of processing. None if there is no valid one."""
 

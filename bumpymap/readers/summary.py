@@ -4,15 +4,28 @@ All points are read once. Points are counted in every tile. Which pixels hold a 
 the tiles, chosen by a hash of their indices; the sample is halved whenever it grows too large.
 """
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
+from itertools import product
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DENSE_COVERAGE, THIN_PARTS, THIN_POINTS, THIN_SEEN, FeatureSettings, PointCloud, Reason
-from bumpymap.readers.point_stats import LineSums
+from bumpymap.core import (
+    DENSE_COVERAGE,
+    GROUND_CLASSES,
+    POINT_DECK,
+    POINT_GROUND,
+    THIN_PARTS,
+    THIN_POINTS,
+    THIN_SEEN,
+    FeatureSettings,
+    PointCloud,
+    Reason,
+)
+from bumpymap.readers.point_stats import LineSums, kinds_of
 from bumpymap.readers.protocol import SurveyReader
 from bumpytiles import Bounds, Grid
 
@@ -128,6 +141,80 @@ class TileCounts:
         return bad / tiles.size if tiles.size else 0.0
 
 
+class ClassTiles:
+    """Number and sum of heights of the points of each class in each tile; memory grows with the number of these."""
+
+    def __init__(self) -> None:
+        self._parts: list[tuple[Ints, Floats]] = []
+        self._waiting = 0
+
+    def add(self, codes: Ints, classes: NDArray[np.uint8], upward: Floats) -> None:
+        """Add points by the codes of their tiles, their classes and heights, m."""
+        keys = (codes << 8) | classes
+        order = np.argsort(keys, kind="stable")
+        keys = keys[order]
+        first = np.flatnonzero(np.diff(keys, prepend=-1))
+        counts = np.diff(first, append=len(keys)).astype(np.float64)
+        self._append(keys[first], np.column_stack([counts, np.add.reduceat(upward[order], first)]))
+
+    def merge(self, other: "ClassTiles") -> None:
+        """Add the points of another file, on the same grid."""
+        self._append(*other.total())
+
+    def total(self) -> tuple[Ints, Floats]:
+        """Return codes of tile and class, (n,) with increasing numbers, and numbers and sums of heights, (n, 2)."""
+        keys = np.concatenate([np.zeros(0, np.int64), *(keys for keys, _ in self._parts)])
+        sums = np.concatenate([np.zeros((0, 2)), *(sums for _, sums in self._parts)])
+        order = np.argsort(keys, kind="stable")
+        keys, sums = keys[order], sums[order]
+        first = np.flatnonzero(np.diff(keys, prepend=-1))
+        keys, sums = keys[first], np.add.reduceat(sums, first) if first.size else sums
+        self._parts, self._waiting = [(keys, sums)], 0
+        return keys, sums
+
+    def _append(self, keys: Ints, sums: Floats) -> None:
+        self._parts.append((keys, sums))
+        self._waiting += keys.size
+        if self._waiting > MERGE_AT:
+            self.total()
+
+    def summaries(self, tiles: int, ground_classes: Collection[int]) -> "dict[int, ClassSummary]":
+        """Summarise each class; ``tiles`` hold a point."""
+        keys, sums = self.total()
+        code, tile = keys & 0xFF, keys >> 8
+        ground_tile, place = np.unique(tile[np.isin(code, list(ground_classes))], return_inverse=True)
+        on_ground = np.isin(code, list(ground_classes))
+        total = np.stack([np.bincount(place, column[on_ground], ground_tile.size) for column in sums.T], axis=1)
+        found = {}
+        for one in np.unique(code).tolist():
+            mine = code == one
+            above = np.full(int(mine.sum()), np.nan)
+            if one not in ground_classes and ground_tile.size:
+                beside = np.zeros((above.size, 2))
+                col, row = tile[mine] >> 23, tile[mine] & _INDEX_MASK
+                for east, north in product((-1, 0, 1), repeat=2):
+                    near = (((col + east) & _INDEX_MASK) << 23) | ((row + north) & _INDEX_MASK)
+                    at = np.minimum(np.searchsorted(ground_tile, near), ground_tile.size - 1)
+                    beside += np.where((ground_tile[at] == near)[:, None], total[at], 0.0)
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    above = sums[mine, 1] / sums[mine, 0] - beside[:, 1] / beside[:, 0]
+            known = above[np.isfinite(above)]
+            height = float(np.median(known)) if known.size else math.nan
+            found[one] = ClassSummary(int(sums[mine, 0].sum()), float(mine.sum() / tiles), height)
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class ClassSummary:
+    """The points of one class."""
+
+    points: int
+    tiles: float
+    """Share of the tiles that hold such points, 0..1."""
+    height: float
+    """Median over these tiles of their mean height above the ground in and around the tile, m; NaN if there is none."""
+
+
 def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
     """Return the rule of heightmaps: enough pixels hold a point, and none is far from all of these.
 
@@ -193,6 +280,8 @@ class PointSummary:
     """Number of tiles that cannot be rated from all points, by reason; those with holes are estimated from a sample."""
     ground_unknown: dict[Reason, float]
     """The same if only ground points are measured."""
+    classes: dict[int, ClassSummary]
+    """By LAS class; empty without ground points."""
 
 
 class PointSummaryBuilder:
@@ -203,12 +292,26 @@ class PointSummaryBuilder:
     grid : Grid
     settings : FeatureSettings
         Decides when a heightmap cannot be rated.
+    ground_classes : tuple of int
+        LAS classes that are ground: readers give classes, with `ReadOptions.keep_classes`.
     thin : bool
         Thin tiles are rated from their points, as with ``rating = "ride"`` and a calibration that has ``thin``.
     """
 
-    def __init__(self, grid: Grid, settings: FeatureSettings, *, thin: bool = True) -> None:
+    def __init__(
+        self,
+        grid: Grid,
+        settings: FeatureSettings,
+        ground_classes: tuple[int, ...] = GROUND_CLASSES,
+        *,
+        thin: bool = True,
+    ) -> None:
         self._grid, self._settings, self._thin = grid, settings, thin
+        self._ground_classes, self._is_ground = (
+            ground_classes,
+            np.isin(kinds_of(ground_classes), (POINT_GROUND, POINT_DECK)),
+        )
+        self.classes = ClassTiles()
         self.all_points, self.ground = TileCounts(grid), TileCounts(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self.lines = LineSums()
@@ -226,8 +329,9 @@ class PointSummaryBuilder:
             axes = (cloud.easting, cloud.northing, cloud.upward)
             self.low = np.minimum(self.low, [axis.min() for axis in axes])
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
-            codes, ground = _tile_codes(cloud, self._grid), cloud.is_ground
+            codes, ground = _tile_codes(cloud, self._grid), self._is_ground[cloud.kind]
             self.all_points.add(codes, cloud.easting, cloud.northing)
+            self.classes.add(codes, cloud.kind, cloud.upward)
             if ground.any():
                 self.ground.add(codes[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
@@ -238,6 +342,7 @@ class PointSummaryBuilder:
         """Add the points of another file, on the same grid."""
         self.all_points.merge(other.all_points)
         self.ground.merge(other.ground)
+        self.classes.merge(other.classes)
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         self.lines = self.lines.merge(other.lines)
 
@@ -262,6 +367,7 @@ class PointSummaryBuilder:
             ground_tiles=ground_counts.size,
             unknown=self._unknown(self.all_points),
             ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
+            classes=self.classes.summaries(counts.size, self._ground_classes) if ground_counts.size else {},
         )
 
     def _unknown(self, held: TileCounts) -> dict[Reason, float]:

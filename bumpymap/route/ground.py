@@ -18,6 +18,7 @@ from bumpytiles import Grid, TileWindow
 
 __all__ = [
     "PIXEL_MARGIN",
+    "TOUCHING",
     "CostGround",
     "WornTiles",
     "points_along",
@@ -41,7 +42,7 @@ _ROOM_M, _NARROW = 0.6, 0.5
 some decimetres at the corners of a way, so the way keeps off where that costs little."""
 _TIGHT_M = 0.46
 """Distance from closed pixels, m, within which a turn is tight: there a Warthog that turns on the spot touches."""
-_TOUCHING = 100.0
+TOUCHING = 100.0
 """Cost of a metre on which the vehicle touches an obstacle, as a multiple of the ground's."""
 _STRETCH_TILES = 32
 """Longest stretch of a line that is looked at together, tiles."""
@@ -150,7 +151,7 @@ class CostGround:
         if self.only is not None:
             cost[~tiles_within(self.only, tiles.window, tiles.grid)] = np.inf
         if self.touching and not through:
-            cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= _TOUCHING
+            cost[np.isin(tiles.barred, (Barred.OBSTACLE, Barred.SPLIT))] *= TOUCHING
         if self.worn is not None:
             cost *= self.worn.factors(tiles.window)
         return cost
@@ -161,7 +162,7 @@ class CostGround:
         out = np.repeat(np.repeat(cost, pixels, 0), pixels, 1)
         free = self._free(window, np.isinf(out))
         if self.touching:
-            out[~free] *= np.float32(_TOUCHING)
+            out[~free] *= np.float32(TOUCHING)
         else:
             out[~free] = np.inf
         return out

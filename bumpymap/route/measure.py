@@ -16,7 +16,7 @@ from bumpymap.route.ground import CostGround, points_along, sample_line, stretch
 from bumpymap.route.places import in_window
 from bumpymap.route.straighten import trace
 
-__all__ = ["MeasuredWay", "measure_way", "way_cost"]
+__all__ = ["MeasuredWay", "cut_into_tiles", "measure_way", "way_cost"]
 
 Floats = NDArray[np.float64]
 
@@ -48,7 +48,8 @@ class MeasuredWay:
 
 _Pieces: TypeAlias = dict[str, NDArray[Any]]
 """The pieces of a way inside single tiles, (n,) each: ``col`` and ``row`` on the grid, ``length`` m, ``cost`` and
-``hazard`` per metre (0 if unknown), ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if unknown)."""
+``hazard`` per metre (0 if unknown), ``barred``, ``unknown``, ``c_r``, ``c_r_low``, ``c_r_high`` and ``p_fail`` (NaN if
+unknown)."""
 
 
 def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
@@ -63,7 +64,7 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
     stops : array (k, 2)
         Easting and northing of start, stops and goal, m.
     """
-    pieces = _all_pieces(ground, line)
+    pieces = cut_into_tiles(ground, line)
     profile, obstacle_m = _profile(ground.site, line, pieces), 0.0
     if ground.settings.through_obstacles:
         points, step = sample_line(line, ground.site.grid)
@@ -91,11 +92,11 @@ def measure_way(ground: CostGround, line: Floats, stops: Floats) -> MeasuredWay:
 
 def way_cost(ground: CostGround, line: Floats) -> float:
     """Return the cost of a way alone, m: ``figures.cost_m`` of `measure_way`."""
-    pieces = _all_pieces(ground, line)
+    pieces = cut_into_tiles(ground, line)
     return float((pieces["length"] * pieces["cost"]).sum())
 
 
-def _all_pieces(ground: CostGround, line: Floats) -> _Pieces:
+def cut_into_tiles(ground: CostGround, line: Floats) -> _Pieces:
     """Cut a way into pieces inside single tiles, stretch by stretch."""
     parts = [_pieces(ground, part) for part in stretches(line, ground.site.grid.tile_size * _STRETCH_TILES)]
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -118,6 +119,7 @@ def _pieces(ground: CostGround, line: Floats) -> _Pieces:
         "row": window.row + window.rows - 1 - found.row,
         "length": found.length * tiles.grid.tile_size,
         "cost": cost[at].astype(np.float64),
+        "barred": tiles.barred[at],
         "hazard": np.where(unknown | np.isnan(hazard), 0.0, hazard),
         "unknown": unknown,
         **{name: np.where(unknown, np.nan, getattr(tiles, name)[at]) for name in (*_RIDE, "p_fail")},

@@ -7,7 +7,10 @@ from os.path import lexists
 from pathlib import Path
 from typing import Any
 
-from bumpymap.core import OutputError, Route, UsageError
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import OutputError, Route, StraightLine, UsageError
 from bumpymap.layers import (
     MANIFEST_NAME,
     OTHER_FILES,
@@ -27,7 +30,7 @@ from bumpymap.layers import (
     write_reach,
     write_route_geojson,
 )
-from bumpymap.views import write_route_picture
+from bumpymap.views import write_reach_picture, write_route_picture
 
 __all__ = ["REACH_KINDS", "ROUTE_KINDS", "check_out", "write_reach_files", "write_routes"]
 
@@ -40,10 +43,10 @@ ROUTE_KINDS = {
     ".csv": "profile.csv",
     ".png": "route.png",
 }
-REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson"}
+REACH_KINDS = {".tif": "reach.tif", ".geojson": "isochrones.geojson", ".png": "reach.png"}
 """Name of the file that is written alone, by its suffix."""
 ROUTE_FILES = OutputFolder(
-    (*ROUTE_KINDS.values(), "reach.tif", "isochrones.geojson", ROUTE_MANIFEST_NAME),
+    (*ROUTE_KINDS.values(), *REACH_KINDS.values(), ROUTE_MANIFEST_NAME),
     ROUTE_MANIFEST_NAME,
 )
 
@@ -150,6 +153,7 @@ def write_routes(
 def write_reach_files(
     reach: ReachField,
     source: MapSource,
+    start: NDArray[np.float64],
     out: Path,
     *,
     levels: Sequence[float] = (),
@@ -157,17 +161,20 @@ def write_reach_files(
     manifest: Mapping[str, Any],
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write reach.tif, isochrones.geojson (with levels) and route.json to a folder.
+    """Write reach.tif, reach.png, isochrones.geojson (with levels) and route.json to a folder.
 
-    ``out`` may be one file instead, .tif for the cost or .geojson for the isochrones; ``levels`` of these: m of cost,
-    or minutes, as ``by`` says (``cost``, ``minutes``). For the other parameters, the result and errors see
-    `write_routes`.
+    ``start`` (2,): easting and northing, m. ``out`` may be one file instead, .tif for the cost, .png for the picture or
+    .geojson for the isochrones; ``levels`` of these: m of cost, or minutes, as ``by`` says (``cost``, ``minutes``). For
+    the other parameters, the result and errors see `write_routes`.
     """
     one_file = check_out(out, REACH_KINDS, overwrite=overwrite)
-    vehicle = next((entry.get("vehicle") for entry in source.manifests), None)
+    vehicle = source.manifest.get("vehicle")
     name = vehicle.get("name") if isinstance(vehicle, Mapping) else vehicle
     about = {"vehicle": name} if isinstance(name, str) else {}
-    writers: dict[str, Callable[[Path], None]] = {"reach.tif": partial(write_reach, reach, about=about)}
+    writers: dict[str, Callable[[Path], None]] = {
+        "reach.tif": partial(write_reach, reach, about=about),
+        "reach.png": partial(write_reach_picture, reach, source, start, levels=levels, by=by),
+    }
     if levels:
         writers["isochrones.geojson"] = partial(write_isochrones, reach, levels, by=by, about=about)
     if one_file is None:
@@ -196,15 +203,10 @@ def _write_folder(
 
 
 def _describe_layers(source: MapSource) -> dict[str, Any]:
-    """Return the layers that routes were planned on: their folders, the checksum of each run.json, the calibration."""
-    folders = [
-        {"path": str(folder), "run_sha256": describe_file(folder / MANIFEST_NAME)["sha256"]}
-        for folder in source.folders
-    ]
-    first = next(iter(source.manifests), {})
-    return {"layers": folders} | {
-        name: first[name] for name in ("vehicle", "calibration", "cost", "crs") if name in first
-    }
+    """Return the layers that routes were planned on: their folder, the checksum of run.json, the calibration."""
+    layers = {"path": str(source.folder), "run_sha256": describe_file(source.folder / MANIFEST_NAME)["sha256"]}
+    kept = "vehicle", "calibration", "cost", "crs"
+    return {"layers": [layers], **{name: source.manifest[name] for name in kept if name in source.manifest}}
 
 
 def _describe(route: Route, place: RouteCoordinates) -> dict[str, Any]:
@@ -217,4 +219,22 @@ def _describe(route: Route, place: RouteCoordinates) -> dict[str, Any]:
             for name, (x, y), (lon, lat) in stops
         ],
         "corners": len(route.line),
+        "straight": None if route.straight is None else _describe_straight(route.straight, place),
     }
+
+
+def _describe_straight(straight: StraightLine, place: RouteCoordinates) -> dict[str, Any]:
+    """Return what the straight line between the stops costs, and where it makes the way turn."""
+    points = np.array([(turn.easting, turn.northing) for turn in straight.turns]).reshape(-1, 2)
+    turns = [
+        {
+            "x": x,
+            "y": y,
+            **({"lon": lon, "lat": lat} if place.has_degrees else {}),
+            "closed_m": round(turn.closed_m, 3),
+            "length_m": round(turn.length_m, 3),
+            "why": turn.why,
+        }
+        for turn, (x, y), (lon, lat) in zip(straight.turns, place.in_crs(points), place.in_file(points), strict=True)
+    ]
+    return {"cost_m": round(straight.cost_m, 3), "closed_m": round(straight.closed_m, 3), "turns": turns}

@@ -36,6 +36,7 @@ from bumpymap.route.planner import Planner
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
+from bumpymap.route.why import look_straight_ahead
 
 if TYPE_CHECKING:
     import xarray
@@ -117,7 +118,7 @@ class RouteSettings(ReachSettings, total=False):
 
 
 def find_routes(
-    layers: PathLike | Iterable[PathLike],
+    layers: PathLike,
     start: Point,
     goal: Point,
     *,
@@ -129,8 +130,8 @@ def find_routes(
 
     Parameters
     ----------
-    layers : path, Layers, or several paths
-        What `map_survey` or ``bumpymap map`` wrote; several folders are sheets of one map.
+    layers : path or Layers
+        What `map_survey` or ``bumpymap map`` wrote.
     start, goal : str or (float, float)
         Longitude and latitude, or coordinates in the survey's CRS: what lies on the map decides.
     via : points, optional
@@ -168,12 +169,12 @@ def find_routes(
     checked = _settings(settings, "find_routes", RouteSettings.__annotations__)
     checked |= {"start": _text("start", start), "goal": _text("goal", goal), "via": tuple(_text("via", p) for p in via)}
     target = None if out is None else Path(path_of_call("out", out))
-    config = RouteConfig(layers=_folders(layers), out=target, **checked)
+    config = RouteConfig(layers=Path(path_of_call("layers", layers)), out=target, **checked)
     return list(plan_routes(config).routes)
 
 
 def map_reach(
-    layers: PathLike | Iterable[PathLike],
+    layers: PathLike,
     start: Point,
     *,
     minutes: float | None = None,
@@ -205,7 +206,7 @@ def map_reach(
 
     checked = _settings(settings, "map_reach", ReachSettings.__annotations__)
     checked |= settings_of_call({"isochrones": None if minutes is None else [minutes]}, RouteConfig, "map_reach")
-    config = RouteConfig(layers=_folders(layers), start=_text("start", start), **checked)
+    config = RouteConfig(layers=Path(path_of_call("layers", layers)), start=_text("start", start), **checked)
     return reach_dataset(reach_from(config))
 
 
@@ -216,12 +217,6 @@ def _settings(settings: Mapping[str, Any], function: str, known: Collection[str]
     others = {name: value for name, value in settings.items() if name not in of_cost}
     cost = CostSettings(**settings_of_call(of_cost, CostSettings, function))
     return {**settings_of_call(others, RouteConfig, function), "cost": cost}
-
-
-def _folders(layers: PathLike | Iterable[PathLike]) -> tuple[Path, ...]:
-    if isinstance(layers, str | os.PathLike) or not isinstance(layers, Iterable):
-        return (Path(path_of_call("layers", layers)),)
-    return tuple(Path(path_of_call("layers", each)) for each in layers)
 
 
 def _text(name: str, point: Point) -> str:
@@ -323,7 +318,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
         )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
-    site = ground.site
+    site, straight = ground.site, look_straight_ahead(ground, points, ways[0][0].figures)
     routes = [
         PlannedRoute(
             name=name,
@@ -335,6 +330,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
             figures=way.figures,
             vehicle=site.vehicle,
             risk_m=risk,
+            straight=straight,
         )
         for name, (way, risk) in zip(names, ways, strict=True)
     ]
@@ -379,6 +375,7 @@ def _write_reach(ground: CostGround, stops: Stops, config: RouteConfig, out: Pat
     files = write_reach_files(
         found,
         ground.site,
+        stops.points[0],
         out,
         levels=config.isochrones or config.isocosts,
         by="minutes" if config.isochrones else "cost",

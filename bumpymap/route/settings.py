@@ -41,8 +41,8 @@ class CostSettings:
 class RouteConfig:
     """All settings of a ``route`` run."""
 
-    layers: tuple[Path, ...]
-    """Folders that ``bumpymap map`` wrote; several are sheets of one map."""
+    layers: Path
+    """The folder that ``bumpymap map`` wrote."""
     start: Annotated[
         str | None, Setting("Start: lon,lat or x,y in the survey's CRS", "POINT", option="from", group="Way")
     ] = None

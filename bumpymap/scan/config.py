@@ -71,7 +71,7 @@ class ScanConfig:
         float, Setting("A picture reaches as far as this", "M", 1.0, 1000.0, "m", option="range", rare=True)
     ] = 40.0
     """Distance from the sensor to the edge of a picture, m."""
-    threads: Annotated[int, Setting("Frames to work on at a time", "N", 1, default="all cores")] = field(
+    threads: Annotated[int, Setting("Frames to work on at a time", "N", 1, default="all cores", rare=True)] = field(
         default_factory=lambda: os.cpu_count() or 1
     )
     vehicle: Annotated[

@@ -72,7 +72,7 @@ _NEIGHBOURS_WEIGHT, _LEAST_PROBABILITY = 1.5, 1e-3
 _BATCH = 32
 _FORMAT = "bumpymap-scan"
 _KIND = "scan network"
-_REMEDY = "Train one with: bumpymap train --scans DIR --out MODEL.onnx"
+_REMEDY = "Train one with: bumpymap train scans DIR --out MODEL.onnx"
 
 
 @dataclass(frozen=True, slots=True)

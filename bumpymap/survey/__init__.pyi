@@ -33,6 +33,9 @@ from .flight_lines import (
     compare_lines as compare_lines,
     describe_lines as describe_lines,
 )
+from .inputs import (
+    file_doubts as file_doubts,
+)
 from .pipeline import (
     map_surveys as map_surveys,
 )

@@ -50,7 +50,6 @@ class EachSettings(TypedDict, total=False):
     trust_points: bool
     skip_bad: bool
     max_unknown: float | None
-    sheets: float | None
     overwrite: bool
     threads: int
     memory: str

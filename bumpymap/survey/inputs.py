@@ -1,15 +1,18 @@
 """The input files of a run: opening them, skipping bad ones, refusing what cannot be mapped."""
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
+import numpy as np
+
 from bumpymap.core import BadInputError, Georeference, MapConfig, common_georeference, memory_bytes
-from bumpymap.layers import SheetLayout, check_extent, suggested_sheets
-from bumpymap.readers import ReadOptions, SurveyReader, find_surveys, open_survey
+from bumpymap.layers import check_extent
+from bumpymap.readers import ReadOptions, SurveyInfo, SurveyReader, find_surveys, open_survey
 from bumpytiles import Grid, TileWindow
 
-__all__ = ["SurveyInputs", "read_options"]
+__all__ = ["SurveyInputs", "file_doubts", "read_options"]
 
 _log = logging.getLogger(__name__)
 
@@ -43,8 +46,6 @@ class SurveyInputs:
     """True: a bad input is skipped instead of ending the run."""
     skipped: dict[str, str]
     """Path -> error message; grows while points are read."""
-    sheets: SheetLayout | None = None
-    """The sheets that the layers will be written in."""
 
     @classmethod
     def open(cls, config: MapConfig, *, crs_must_agree: bool = True) -> "SurveyInputs":
@@ -61,10 +62,8 @@ class SurveyInputs:
         BadInputError
             An input cannot be read and may not be skipped, none can be read, or they have no common CRS.
         UsageError
-            Sheets of this size cannot be made, or an input states another CRS than it must.
+            An input states another CRS than it must.
         """
-        grid = Grid(config.tile_size, config.pixels)
-        sheets = None if config.sheets is None else SheetLayout.of(grid, config.sheets)
         readers: list[SurveyReader] = []
         skipped: dict[str, str] = {}
         for path in find_surveys(config.surveys):
@@ -75,8 +74,10 @@ class SurveyInputs:
         if not readers:
             raise BadInputError("none of the inputs could be read:", *skipped.values())
         georeference = common_georeference([reader.info for reader in readers])
+        for doubt in file_doubts([reader.info for reader in readers]):
+            _log.warning("%s", doubt)
         _check_crs(georeference, readers[0].info.path, local=config.local)
-        return cls(readers, georeference, config.skip_bad, skipped, sheets)
+        return cls(readers, georeference, config.skip_bad, skipped)
 
     @property
     def paths(self) -> list[Path | str]:
@@ -94,16 +95,59 @@ class SurveyInputs:
                 self.skipped[str(reader.info.path)] = why
 
     def check_window(self, grid: Grid, window: TileWindow) -> None:
-        """Raise BadInputError, naming the files, if their tiles span more than a raster, or all sheets, may."""
+        """Raise BadInputError, naming the files, if their tiles span more than a raster may."""
         try:
-            if self.sheets is None:
-                check_extent(grid, window, f"Write a large site in sheets with `sheets={suggested_sheets(grid):g}`. ")
-            else:
-                self.sheets.check_whole(window)
+            check_extent(grid, window)
         except BadInputError as error:
             paths = [str(reader.info.path) for reader in self.readers if str(reader.info.path) not in self.skipped]
             shown = paths if len(paths) <= _NAMED else [*paths[:_NAMED], f"{len(paths) - _NAMED} more"]
             raise BadInputError(f"{error}. The files read are: {', '.join(shown)}") from error
+
+
+_FAR = 100_000.0
+"""Length, m, that no survey has, and distance that no two files of one have."""
+_BESIDE_M, _GAP_M, _LIKE = 10.0, 5.0, 0.05
+"""Files that are at most this far apart, m, lie side by side. Then the gap between their heights, m, is at most the
+second; if it is more and the ratio of the heights is this near to that of feet and metres, they may be these."""
+
+
+def file_doubts(infos: Sequence[SurveyInfo]) -> list[str]:
+    """Return what the headers of files say that cannot be true of one survey: stray places, other units of height."""
+    known = [info for info in infos if info.bounds is not None]
+    boxes = np.array([astuple(info.bounds) for info in known if info.bounds is not None]).reshape(-1, 4)
+    (west, south, east, north), doubts = boxes.T, []
+    sides = np.maximum(east - west, north - south)
+    at_origin = np.minimum(np.abs(west), np.abs(east)) + np.minimum(np.abs(south), np.abs(north)) < 1.0
+    apart = np.hypot(
+        *(
+            np.maximum(np.maximum(low[:, None] - high, low - high[:, None]), 0.0)
+            for low, high in ((west, east), (south, north))
+        )
+    )
+    np.fill_diagonal(apart, np.inf)
+    for at, info in enumerate(known):
+        if sides[at] > _FAR:
+            remove = "remove them, such as with: pdal translate IN OUT.laz range --filters.range.limits='X[1:],Y[1:]'"
+            reason = f"some lie at the origin (0, 0); {remove}" if at_origin[at] else "there may be stray coordinates"
+            doubts.append(f"the points of {info.path} are spread over {sides[at] / 1000:,.0f} km: {reason}")
+        elif np.isfinite(nearest := apart[at].min(initial=np.inf)) and nearest > _FAR:
+            place = ", at the origin (0, 0)" if at_origin[at] else ""
+            doubts.append(f"{info.path} lies {nearest / 1000:,.0f} km from all other files{place}: leave it out?")
+    low, high = np.array([info.heights or (np.nan, np.nan) for info in known]).reshape(-1, 2).T
+    gap = np.where(apart <= _BESIDE_M, low[:, None] - high, np.nan)  # of the one above, less the one below
+    pairs = np.argwhere(gap > _GAP_M)
+    for above, below in pairs[:_NAMED].tolist():
+        ratio = (low[above] + high[above]) / (low[below] + high[below])
+        in_feet = abs(0.3048 * ratio - 1.0) < _LIKE
+        why = "in feet, which `z_unit` sets?" if in_feet else "of another datum, such as ellipsoid and geoid?"
+        doubts.append(
+            f"the heights of {known[above].path}, from {low[above]:,.1f} m, lie {gap[above, below]:,.1f} m above those "
+            f"of {known[below].path} beside it, up to {high[below]:,.1f} m: is one of them {why} Bring both to one "
+            "before they are mapped together"
+        )
+    if len(pairs) > _NAMED:
+        doubts.append(f"so do those of {len(pairs) - _NAMED} more pairs of files")
+    return doubts
 
 
 def _skip(path: Path | str, error: BadInputError, skipped: dict[str, str], *, skip_bad: bool) -> None:

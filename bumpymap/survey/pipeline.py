@@ -1,10 +1,6 @@
-"""The main job, step by step: surveys in, rated tiles and their files out, in one folder or in sheets."""
+"""The main job, step by step: surveys in, rated tiles and their files out."""
 
-import hashlib
-import json
-from collections.abc import Mapping
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
@@ -18,10 +14,9 @@ from bumpymap.core import (
     locked,
     memory_bytes,
     rated_columns,
-    recorded_place,
     remove_empty_on_error,
 )
-from bumpymap.layers import MapSummary, check_folder, is_complete, remove_sheets
+from bumpymap.layers import check_folder, is_complete
 from bumpymap.patches import close_filter
 from bumpymap.survey.engine import (
     BlockWork,
@@ -47,60 +42,9 @@ from bumpymap.survey.run_record import (
 )
 from bumpymap.survey.second_pass import NeighbourRating, finish_tiles
 from bumpymap.survey.tile_rating import RatingModels, TileRating, require_cloth
-from bumpytiles import BLOCK_TILES, Bounds, Grid, TileWindow
+from bumpytiles import Grid
 
-__all__ = ["map_surveys", "write_layers"]
-
-_COMPARED = ("inputs", "settings", "made with")
-
-
-def write_layers(
-    table: CostTable,
-    config: MapConfig,
-    inputs: SurveyInputs,
-    space: Workspace,
-    manifest: Mapping[str, Any],
-    progress: Progress,
-) -> tuple[tuple[Path, ...], MapSummary, int]:
-    """Write the layers; return the files, the statistics of the map, and the number of sheets, 0 for one map.
-
-    For errors see `bumpymap.layers.write_products` and `bumpymap.layers.write_sheets`.
-    """
-    # These bring GDAL and Arrow, for which reading need not wait.
-    from bumpymap.layers import SheetRun, write_products, write_sheets
-    from bumpymap.views import write_map_views
-
-    if inputs.sheets is None:
-        files, summary = write_products(
-            table, config.out, local=config.local, manifest=manifest, views=write_map_views, progress=progress
-        )
-        remove_sheets(config.out)  # of an earlier run
-        return tuple(files), summary, 0
-
-    extents = {recorded_place(reader.info.path): reader.info.bounds for reader in inputs.readers}
-
-    def manifest_of(window: TileWindow) -> dict[str, Any]:
-        # Only the files that matter: there may be thousands of files and hundreds of sheets.
-        ring = BLOCK_TILES
-        near = table.tiles.grid.window_bounds(
-            TileWindow(window.col - ring, window.row - ring, window.cols + 2 * ring, window.rows + 2 * ring)
-        )
-        return {**manifest, "inputs": [file for file in manifest["inputs"] if _meets(extents[str(file["path"])], near)]}
-
-    compared = json.dumps({name: space.run_spec[name] for name in _COMPARED}, sort_keys=True)
-    key = hashlib.sha256(compared.encode("utf-8", "backslashreplace")).hexdigest()
-    run = SheetRun(inputs.sheets, key, space.resumed, manifest_of)
-    files, summary = write_sheets(
-        table, config.out, run, local=config.local, manifest=manifest, views=write_map_views, progress=progress
-    )
-    return tuple(files), summary, len(inputs.sheets.places(table.tiles))
-
-
-def _meets(extent: Bounds | None, box: Bounds) -> bool:
-    """Return whether a file whose points have this extent (None: unknown) may have some in a box."""
-    return extent is None or (
-        extent.west <= box.east and extent.east >= box.west and extent.south <= box.north and extent.north >= box.south
-    )
+__all__ = ["map_surveys"]
 
 
 def map_surveys(config: MapConfig, progress: Progress | None = None, *, in_batch: bool = False) -> MapResult:
@@ -168,10 +112,16 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
         lines = aligned.outcome(measured.lines)
         manifest = run_manifest(config, inputs, run_spec, measured, models, clock.seconds, lines, warnings)
         with clock.stage("write"):
-            files, summary, sheets = write_layers(table, config, inputs, space, manifest, progress)
+            # These bring GDAL and Arrow, for which reading need not wait.
+            from bumpymap.layers import write_products
+            from bumpymap.views import write_map_views
+
+            files, summary = write_products(
+                table, config.out, local=config.local, manifest=manifest, views=write_map_views, progress=progress
+            )
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
-    return MapResult(files, summary, points, only, inputs.skipped, clock.seconds, lines, thin, sheets)
+    return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin)
 
 
 def _prepare(

@@ -18,7 +18,6 @@ from bumpymap.core import (
     differences,
     flat_settings,
     join_checksums,
-    read_record,
     recorded_place,
     recorded_settings,
     same_content,
@@ -28,10 +27,9 @@ from bumpymap.core import (
 from bumpymap.layers import (
     EVERY_VIEW_NAME,
     MANIFEST_NAME,
+    PRODUCT_NAMES,
     MapSummary,
-    made_names,
     refuse_replacing,
-    require_whole,
     software_versions,
     verified_record,
 )
@@ -103,8 +101,6 @@ class MapResult:
     """Steps between flight lines, and what was taken off."""
     rates_thin: bool
     """Thin tiles were rated from their points."""
-    sheets: int = 0
-    """Sheets that the layers are written in; 0: one map."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
 
@@ -205,8 +201,8 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
     OutputError
         That run had other inputs or settings, or its layers are no longer complete.
     """
-    names = made_names(read_record(config.out / MANIFEST_NAME))
-    with verified_record(config.out, names) as record:
+    must = [name for name in PRODUCT_NAMES if name != MANIFEST_NAME]
+    with verified_record(config.out, must) as record:
         skipped = {str(path): str(why) for path, why in record["skipped"].items()}
         ignored = _WITHOUT_EFFECT if skipped else {*_WITHOUT_EFFECT, "skip_bad"}
         before = spec_of_manifest(
@@ -215,15 +211,14 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
         lines = FlightLines.from_record(record["flight_lines"])
-        in_sheets = len(record.get("sheets", ()))
+        names = [str(file["path"]) for file in record["files"]]
     inputs = {recorded_place(path): known for path, known in run_spec["inputs"].items()}
     now = {**run_spec, "inputs": inputs, "settings": flat_settings(config, ignored)}
     refuse_replacing(config.out, differences(before, now, same_content))
-    require_whole(config.out, record)
     # Views may be deleted, or rewritten by other programs.
     views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
-    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, in_sheets, True)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, True)
 
 
 def run_manifest(

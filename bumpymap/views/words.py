@@ -135,14 +135,13 @@ def base_name(path: str) -> str:
 
 
 def survey_name(record: Mapping[str, Any]) -> str:
-    """Return the name of a survey: as recorded, else from its files, without their folders; of a sheet with its own."""
-    sheet = (record.get("sheet") or {}).get("name")
+    """Return the name of a survey: as recorded, else from its files, without their folders."""
     name = (record.get("survey") or {}).get("name")
     if not name:
         given = (record.get("settings") or {}).get("surveys") or [item["path"] for item in record.get("inputs") or ()]
         stems = [PurePosixPath(PureWindowsPath(path).as_posix()).stem for path in map(str, given) if path]
         name = (f"{stems[0]} and {len(stems) - 1} more" if len(stems) > 1 else stems[0]) if stems else "Survey"
-    return f"{name}, sheet {sheet}" if sheet else str(name)
+    return str(name)
 
 
 FEW = 5

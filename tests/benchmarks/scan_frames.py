@@ -52,7 +52,7 @@ def measure(frames: Path, out: Path, options: tuple[str, ...], threads: int) -> 
     """Scan the frames; return the seconds of the frames, the whole command, and a checksum of all files."""
     shutil.rmtree(out, ignore_errors=True)
     program = str(Path(sys.executable).with_name("bumpymap"))
-    command = [program, "scan", str(frames), "--out", str(out), "--threads", str(threads), "--quiet", *options]
+    command = [program, "scan", str(frames), "--out", str(out), "--set", f"threads={threads}", "--quiet", *options]
     sample = run_timed(command)
     if sample.exit_code:
         sys.exit(f"{' '.join(command)}: {sample.stderr_tail}")

@@ -30,7 +30,7 @@ def wall_map(amplitude=0.02):
         inside = np.abs(easting - west - 3.0 * (WALL_COL + 0.5)) < 0.3
         return waves + 1.5 * (inside & (north - northing > 6.0))
 
-    made.height, made.manifests = height, ()
+    made.height, made.manifest = height, {}
     return made
 
 

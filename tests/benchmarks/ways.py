@@ -69,7 +69,7 @@ def points_along(line, step=0.02):
 
 def compare_searches(folder, pairs, seed, *, joined):
     """Plan and search between pairs of pixels; print a line for each, and return the counts and ratios of costs."""
-    site = open_map([folder])
+    site = open_map(folder)
     with rasterio.open(folder / "obstacle.tif") as file:
         rows, cols = np.nonzero(file.read(1) == OBSTACLE)
         transform = file.transform
@@ -242,7 +242,7 @@ class WayTrial:
         ]
         record = {
             "vehicle": self.profile.to_dict(),
-            "files": [{file["path"]: file["sha256"] for file in one["files"]} for one in self.site.manifests],
+            "files": {file["path"]: file["sha256"] for file in self.site.manifest["files"]},
             "lines": [[way.line.round(6).tolist() for way in pair] for pair in pairs],
             "seed": seed,
             "drive": asdict(DriveSettings()),
@@ -325,7 +325,7 @@ def main():
         print(f"median {np.median(ratios):.3f}, most {max(ratios):.3f}" if ratios else "no way")
         return
     given.drives.mkdir(parents=True, exist_ok=True)
-    site, seed = open_map([given.layers]), 7 if given.seed is None else given.seed
+    site, seed = open_map(given.layers), 7 if given.seed is None else given.seed
     trial = WayTrial(site, find_calibration(site.vehicle.name, given.calibration))
     pairs = list(trial.choose(given.pairs or 20, seed))
     for name, value in figures_of(pairs, trial.drive(pairs, given.repeats, seed, given.drives, given.jobs)).items():

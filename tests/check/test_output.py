@@ -76,7 +76,7 @@ def test_a_folder_gets_every_file_and_the_manifest(ground, tmp_path):
 
 def test_the_layers_are_named_with_their_checksum(ground, tmp_path):
     (tmp_path / "run.json").write_text("{}")
-    source = replace(ground, folders=(tmp_path,))
+    source = replace(ground, folder=tmp_path)
     write_check(made_up_check(), tmp_path / "out", ground=source)
     (entry,) = json.loads((tmp_path / "out" / "check.json").read_text())["layers"]
     assert entry == {"path": str(tmp_path), "run_sha256": hashlib.sha256(b"{}").hexdigest()}

@@ -26,8 +26,9 @@ def command(name):
 
 def test_the_reference_shows_the_help_of_every_command():
     page = (PAGES / "command-line.md").read_text(encoding="utf-8")
-    assert re.findall(r"^## ([a-z]+)\n(?:.*\n)*?<!-- help \1 -->$", page, re.MULTILINE)
-    assert set(re.findall(r"^<!-- help ([a-z]+) -->$", page, re.MULTILINE)) == set(COMMANDS)
+    shown = set(re.findall(r"^<!-- help ([a-z ]+) -->$", page, re.MULTILINE))
+    parts = {f"{name} {part}" for name in ("evaluate", "train") for part in command(name).commands}
+    assert shown == set(COMMANDS) - {"evaluate", "train"} | parts | {"vehicle new"}
 
 
 def test_the_reference_is_filled_from_the_declarations():

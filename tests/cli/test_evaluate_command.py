@@ -15,13 +15,14 @@ def evaluate(tmp_path, *words):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["site.laz", "--set", "model=m.onnx"], "--set model applies to scans: add --scans"),
-        (["--scans", "--set", "total_patches=200"], "--set total_patches applies to surveys and vehicles"),
-        (["--scans", "--local"], "--local applies to surveys and vehicles"),
-        (["--scans", "drive", "--vehicle", "car"], "--vehicle applies to surveys and vehicles"),
-        (["--scans", "drive", "--set", "seed=5"], "--set seed applies to surveys and vehicles"),
-        ([], "takes surveys"),
-        (["--scans"], "with --scans frames"),
+        (["survey", "site.laz", "--set", "model=m.onnx"], "model"),
+        (["scans", "drive", "--set", "total_patches=200"], "total_patches"),
+        (["scans", "drive", "--vehicle", "car"], "--vehicle"),
+        (["survey", "site.laz", "--local"], "--local is no option: write --set local=true"),
+        (["site.laz"], "bumpymap evaluate survey or bumpymap evaluate scans"),
+        (["--scans", "drive"], "bumpymap evaluate scans"),
+        (["survey"], "SURVEY"),
+        (["scans"], "FRAME"),
     ],
 )
 def test_options_of_another_evaluation_are_refused(tmp_path, words, message):

@@ -1,4 +1,5 @@
 import json
+import re
 
 import laspy
 import numpy as np
@@ -37,9 +38,9 @@ def test_the_classes_and_what_they_are_taken_for(info, tmp_path):
     found = json.loads(info(path, "--json").stdout)["files"][0]["classes"]
     assert found == {"2": 621, "4": 90, "6": 90, "66": 90}  # noise is left out
     rows = {line[:18].strip(): line[18:].strip() for line in info(path).output.splitlines()}
-    assert rows["as ground"].startswith("2 ground 69.7%")
-    assert rows["as obstacles"].startswith("6 building 10.1%")
-    assert rows["by height"].startswith("4 medium plants 10.1%, 66 10.1%")
+    assert rows["class 2"] == "ground: 69.7% of the points, in 100% of the tiles; ground"
+    assert re.fullmatch(r"building: 10.1% of the points, in .*; obstacle", rows["class 6"])
+    assert re.fullmatch(r"10.1% of the points, in .* above the ground \(median\); by height", rows["class 66"])
 
 
 def test_a_good_survey(info, tmp_path):
@@ -71,7 +72,7 @@ def test_what_is_missing_is_said(info, tmp_path):
 
 def test_a_given_crs_and_unit(info, tmp_path):
     path = write(tmp_path / "a.las", dense())
-    result = info(path, "--crs", "EPSG:2992", "--z-unit", "m", "--json")
+    result = info(path, "--crs", "EPSG:2992", "--set", "z_unit=m", "--json")
     (record,) = json.loads(result.stdout)["files"]
     assert record["epsg"] == 2992
     assert (record["metres_per_unit"], record["metres_per_unit_z"]) == (0.3048, 1.0)
@@ -118,7 +119,7 @@ def test_one_bad_file_among_good_ones(info, tmp_path):
 
 def test_the_command_has_the_options_that_were_given(info, tmp_path):
     path = write(tmp_path / "a b.las", dense())
-    said = info(path, "--crs", "EPSG:32614", "--z-unit", "m", "--ground", "all", "--quick").output
+    said = info(path, "--crs", "EPSG:32614", "--set", "z_unit=m", "--ground", "all", "--quick").output
     assert f"ready: bumpymap map '{path}' --crs EPSG:32614 --z-unit m --ground all --out DIR" in said
 
 
@@ -128,3 +129,21 @@ def test_several_files_are_told_together(info, tmp_path):
     said = info(tmp_path, "--crs", "EPSG:32614").output
     assert "together: about 0% of the tiles will be unknown" in said
     assert f"one map: bumpymap map {tmp_path} --crs EPSG:32614 --out DIR" in said
+
+
+@pytest.mark.parametrize("quick", [[], ["--quick"]])
+def test_a_site_larger_than_one_map_is_told_before_and_refused_by_map(info, tmp_path, quick):
+    south, north = tmp_path / "site" / "south.las", tmp_path / "site" / "north.las"
+    write(south, dense(), "EPSG:32614")
+    write(north, dense() + np.array([0.0, 400_000.0, 0.0]), "EPSG:32614")
+    report = " ".join(info(tmp_path / "site", *quick).output.split())
+    assert "too large: the survey spans 0.0 km x 400.0 km" in report
+    assert "separate runs, whose rasters lie on one grid, or give larger tiles with --tile-size" in report
+    found = json.loads(info(tmp_path / "site", *quick, "--json").stdout)
+    assert found["too_large"].startswith("the survey spans")
+    assert json.loads(info(south, *quick, "--json").stdout)["too_large"] == ""
+    made = CliRunner().invoke(main, ["map", str(tmp_path / "site"), "--out", str(tmp_path / "out")])
+    assert made.exit_code == 3
+    said = " ".join(made.output.split())
+    assert "the survey spans 0.0 km x 400.0 km" in said
+    assert f"The files read are: {north}, {south}" in said

@@ -11,15 +11,25 @@ from click.testing import CliRunner
 
 import bumpymap
 from bumpymap.cli import main
-from bumpymap.cli._options import job, settings_options
+from bumpymap.cli._options import COMMON_OPTIONS, job, settings_options
 from bumpymap.cli._text import as_options
 from bumpymap.core import Setting, check_settings
 
-COMMANDS = main.list_commands(click.Context(main))
-
 
 def command(name):
-    return main.get_command(click.Context(main), name)
+    found = main
+    for word in name.split():
+        found = found.get_command(click.Context(found), word)
+    return found
+
+
+def names_in(name):
+    if not isinstance(command(name), click.Group):
+        return [name]
+    return [f"{name} {part}" for part in command(name).commands]
+
+
+COMMANDS = [name for first in main.list_commands(click.Context(main)) for name in names_in(first)]
 
 
 def options(name):
@@ -61,11 +71,11 @@ def reached(monkeypatch, tmp_path):
     monkeypatch.setattr(calibrate_command, "_calibrate", ends("calibrate"))
     monkeypatch.setattr("bumpymap.lab.require_dart", lambda: None)
     monkeypatch.setattr("bumpymap.lab.open_readers", lambda *_, **__: [])
-    monkeypatch.setattr("bumpymap.lab.evaluate_survey", ends("evaluate"))
+    monkeypatch.setattr("bumpymap.lab.evaluate_survey", ends("evaluate survey"))
     monkeypatch.setattr(train_command, "_require_libraries", lambda: None)
     if importlib.util.find_spec("torch"):
-        monkeypatch.setattr("bumpymap.lab.make_model", ends("train"))
-        monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train"))
+        monkeypatch.setattr("bumpymap.lab.make_model", ends("train textures"))
+        monkeypatch.setattr("bumpymap.lab.make_scan_model", ends("train scans"))
     return got
 
 
@@ -77,8 +87,10 @@ WORDS = {
     "info": ["site.laz"],
     "route": ["layers", "--from", "1,1", "--to", "2,2"],
     "calibrate": ["--vehicle", "warthog", "--out", "c.json"],
-    "evaluate": ["site.laz", "--out", "o"],
-    "train": ["--out", "m.onnx"],
+    "evaluate survey": ["site.laz", "--out", "o"],
+    "evaluate scans": ["frame.bin", "--out", "o"],
+    "train textures": ["--out", "m.onnx"],
+    "train scans": ["drive", "--out", "m.onnx"],
     "export": ["site_layers", "--to", "nav2", "--out", "o"],
     "diff": ["may_layers", "june_layers"],
     "check": ["--drive", "drive.csv"],
@@ -86,8 +98,9 @@ WORDS = {
 # (command, option, value) -> where the value has to arrive.
 MEANT = {
     ("calibrate", "seed", 0): lambda got: got[0].seed,
-    ("evaluate", "seed", 0): lambda got: got[4].seed,
-    ("train", "seed", 0): lambda got: got[0].seed,
+    ("evaluate survey", "seed", 0): lambda got: got[4].seed,
+    ("train textures", "seed", 0): lambda got: got[0].seed,
+    ("train scans", "seed", 0): lambda got: got[0].seed,
     ("scan", "radius_m", 0): lambda got: got[0].robot.radius_m,
     ("route", "risk", 0): lambda got: got[0].cost.risk,
     ("scan", "pictures", 0): lambda got: got[0].pictures,
@@ -115,12 +128,9 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
     """0 and -1 are refused with a message that names the option, or arrive as they are meant."""
     monkeypatch.chdir(tmp_path)
     given = ("--set", f"{option.key}={value}") if getattr(option, "key", "") else (f"{option.opts[0]}={value}",)
-    words = [name, *WORDS[name], *given]
-    if option.name == "sectors_per_class":
-        words += ["--scans", "drive"]
-    if name == "train":
+    if name.startswith("train"):
         pytest.importorskip("torch")
-    result = run(*words)
+    result = run(*name.split(), *WORDS[name], *given)
     if (name, option.name, float(value)) in MEANT:
         assert isinstance(result.exception, Reached), result.output
         assert MEANT[name, option.name, float(value)](reached[name]) == float(value)
@@ -149,8 +159,14 @@ def test_no_number_is_ignored(name, option, value, reached, tmp_path, monkeypatc
             "--set compat and --set rating",
         ),
         (["map", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
-        (["evaluate", "a.laz", "--out", "o", "--crs", "EPSG:32614", "--local"], "--crs and --local"),
-        (["evaluate", "a.laz", "--out", "o", "--set", "min_starts=60"], "more than --set max_starts, which is 48"),
+        (
+            ["evaluate", "survey", "a.laz", "--out", "o", "--set", "crs=EPSG:32614", "--set", "local=true"],
+            "--set crs and --set local",
+        ),
+        (
+            ["evaluate", "survey", "a.laz", "--out", "o", "--set", "min_starts=60"],
+            "--set max_starts, which is 48",
+        ),
     ],
 )
 def test_contradictions_are_refused(words, named, reached, tmp_path, monkeypatch):
@@ -260,14 +276,15 @@ def test_a_slip_of_the_fingers_is_told_what_may_be_meant():
     assert "Did you mean 'map'?" in done.output
 
 
-LONG = [name for name in COMMANDS if not isinstance(command(name), click.Group) and name != "settings"]
+LONG = [name for name in COMMANDS if name != "settings" and not name.startswith("vehicle")]
 
 
 @pytest.mark.parametrize("name", LONG)
 def test_every_long_command_can_be_quiet_and_speak_json(name):
-    given = {option.opts[0]: option.help for option in options(name)}
-    assert {"--quiet", "--json"} <= set(given)
-    assert given["--json"] == {option.opts[0]: option.help for option in options("map")}["--json"]
+    shared = [each.opts[0] for each in COMMON_OPTIONS if each in options(name)]
+    assert {"--quiet", "--json"} <= set(shared)
+    page = run(*name.split(), "--help").output
+    assert all(each in page and run("--help").output.count(f"  {each} ") == 1 for each in shared)
 
 
 @pytest.mark.parametrize("words", [["map", "a.laz", "--out"], ["diff", "a", "b", "--out"], ["batch", "a", "--out"]])
@@ -287,15 +304,15 @@ def test_a_url_where_none_can_be_is_not_taken_for_a_folder(words, tmp_path, monk
 def test_a_settings_file_names_every_setting_and_its_default(name, tmp_path, monkeypatch, reached):
     """Its lines without the # give what the command does without the file."""
     monkeypatch.chdir(tmp_path)
-    text = run("settings", name).stdout
+    text = run("settings", *name.split()).stdout
     keys = {option.key.split(".")[-1] for option in options(name) if getattr(option, "key", "")}
     assert keys <= set(re.findall(r"^#([a-z_]+) =", text, re.MULTILINE))
     (tmp_path / "a.toml").write_text(re.sub(r"^#(?=[a-z_]+ = |\[)", "", text, flags=re.MULTILINE))
-    if name == "train":
+    if name.startswith("train"):
         pytest.importorskip("torch")
-    plain = run(name, *WORDS[name])
+    plain = run(*name.split(), *WORDS[name])
     first = reached.get(name)
-    stated = run(name, *WORDS[name], "--config", tmp_path / "a.toml")
+    stated = run(*name.split(), *WORDS[name], "--config", tmp_path / "a.toml")
     assert (plain.exit_code, plain.stderr) == (stated.exit_code, stated.stderr)
     alike = [re.sub(r" at 0x[0-9a-f]+|memory='?\d+\w*", "", repr(got)) for got in (reached.get(name), first)]
     assert alike[0] == alike[1]
@@ -331,13 +348,13 @@ def test_a_set_value_keeps_the_rest_of_a_table(reached, tmp_path):
 
 @pytest.mark.parametrize("name", LONG)
 def test_a_help_page_fits_a_screen(name):
-    assert len(run(name, "--help").output.splitlines()) <= 40
+    assert len(run(*name.split(), "--help").output.splitlines()) <= 40
 
 
 @pytest.mark.parametrize("name", LONG)
 def test_what_refuses_a_moved_option_names_a_command_that_prints_its_settings(name):
     moved = [option for option in options(name) if getattr(option, "key", "")]
     if moved:
-        done = run(name, moved[0].opts[0], *([] if moved[0].is_flag else ["1"]), *WORDS[name])
+        done = run(*name.split(), moved[0].opts[0], *([] if moved[0].is_flag else ["1"]), *WORDS[name])
         assert f"bumpymap settings {name} prints one" in done.stderr
-        assert moved[0].key.split(".")[-1] in run("settings", name).stdout
+        assert moved[0].key.split(".")[-1] in run("settings", *name.split()).stdout

@@ -11,10 +11,10 @@ import pytest
 from click.testing import CliRunner
 from cost_maps import make_field
 from route_maps import write_folder
-from sheet_maps import SMALL
 from small_surveys import write_survey
 
 from bumpymap.cli import main
+from bumpytiles import Grid
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes here")
 
@@ -33,7 +33,7 @@ def given(tmp_path_factory):
     folder = tmp_path_factory.mktemp("given")
     write_survey(folder / "survey.las", points=100)
     np.zeros((50, 4), np.float32).tofile(folder / "frame.bin")
-    write_folder(folder / "layers", make_field(12, 10, grid=SMALL, easy=True))
+    write_folder(folder / "layers", make_field(12, 10, grid=Grid(3.0, 5), easy=True))
     return folder
 
 

@@ -33,8 +33,8 @@ COMMANDS = {
     "compile": "compile",
     "settings": "settings map",
     "calibrate": "calibrate --out layers",
-    "evaluate": "evaluate --scans surveys/frame.bin --out new",
-    "train": "train --scans surveys --out n.onnx",
+    "evaluate": "evaluate scans surveys/frame.bin --out new",
+    "train": "train scans surveys --out n.onnx",
 }
 FAIL = {"calibrate": 2, "check": 3, "evaluate": 3, "scan": 3, "train": 3}
 """Commands that have no fit input here, and end once they have imported what they need."""

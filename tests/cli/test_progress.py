@@ -132,7 +132,7 @@ def test_a_run_in_events(tmp_path):
         (["map", "a.laz", "--json"], 2, "UsageError"),
         (["map", "a\x1b\n.laz", "--out", "o", "--json"], 3, "BadInputError"),
         (["info", "a.laz", "--json"], 3, "BadInputError"),
-        (["train", "--json"], 2, "MissingParameter"),
+        (["train", "textures", "--json"], 2, "MissingParameter"),
         (["calibrate", "--json"], 2, "MissingParameter"),
         (["nothing", "--json"], 2, "NoSuchCommand"),
     ],

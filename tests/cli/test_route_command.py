@@ -124,12 +124,6 @@ def test_where_there_is_no_way_the_message_says_between_which_points_and_what_to
     assert "--unknown COST" in text
 
 
-def test_layers_of_two_vehicles_are_no_map(layers, others):
-    result = run(layers, others, "--from", place(20.5, 8.5), "--to", place(20.5, 22.5))
-    assert result.exit_code == 3
-    assert "are not sheets of one map" in result.output
-
-
 def test_what_can_be_reached_is_a_raster_and_outlines(layers, tmp_path):
     out = tmp_path / "reach"
     result = run(layers, "--from", place(20.5, 8.5), "--out", out, "--isochrones", "0.5,1")

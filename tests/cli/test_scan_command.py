@@ -196,7 +196,7 @@ def test_wrong_usage(scan, frame, tmp_path, options, words):
 def test_a_bad_frame_among_others(scan, frame, tmp_path):
     bad = tmp_path / "bad.ply"
     bad.write_bytes(b"ply\nnonsense")
-    assert scan(frame, bad, "--threads", "1").exit_code == 3
+    assert scan(frame, bad, "--set", "threads=1").exit_code == 3
     assert out_files(tmp_path) is None
     result = scan(frame, bad, "--skip-bad")
     assert result.exit_code == 4

@@ -48,7 +48,7 @@ def require_torch():
 def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     require_torch()
     out = tmp_path / "own.onnx"
-    result = train("--scans", folder, "--out", out, "--set", "seed=5", *SHORT)
+    result = train("scans", folder, "--out", out, "--set", "seed=5", *SHORT)
     assert result.exit_code == 0, result.output
     assert [line.split(":")[0] for line in result.stderr.splitlines()] == ["epoch 1/2", "epoch 2/2"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["own.md", "own.onnx"]
@@ -62,16 +62,16 @@ def test_a_network_from_a_folder_classes_scans(folder, tmp_path):
     assert f"bumpymap scan FRAME --out DIR --set model={out}" in result.stdout
     before = out.read_bytes()
     out.write_text("an older one")
-    assert train("--scans", folder, "--out", out, "--set", "seed=5", *SHORT, "--overwrite").exit_code == 0
+    assert train("scans", folder, "--out", out, "--set", "seed=5", *SHORT, "--overwrite").exit_code == 0
     assert out.read_bytes() == before
 
 
-@pytest.mark.parametrize("scans", [[], ["--scans", "folder"]])
-def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, scans):
+@pytest.mark.parametrize("kind", [["textures"], ["scans", "folder"]])
+def test_a_network_that_is_there_is_kept(tmp_path, monkeypatch, kind):
     monkeypatch.setattr(train_command, "find_spec", lambda _: object())
     out = tmp_path / "m.onnx"
     out.write_text("mine")
-    result = train("--out", out, *scans)
+    result = train(*kind, "--out", out)
     assert result.exit_code == 3
     assert "--overwrite" in result.stderr
     assert out.read_text() == "mine"
@@ -91,10 +91,10 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
             return draw(*arguments)
 
         patch.setattr(scan_net, "draw_epoch", stop_at_the_second)
-        ended = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+        ended = train("scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert ended.exit_code == 130
     assert ended.stderr.endswith("Give the same command again to continue after the last complete epoch.\n")
-    again = train("--scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
+    again = train("scans", folder, "--out", tmp_path / "m.onnx", *SHORT)
     assert again.exit_code == 0
     assert [line.split(":")[0] for line in again.stderr.splitlines()] == ["epoch 2/2"]
 
@@ -102,24 +102,20 @@ def test_ctrl_c_says_how_to_go_on(folder, tmp_path):
 @pytest.mark.parametrize(
     ("options", "code", "words"),
     [
-        (["--set", "sectors_per_class=9"], 2, "--set sectors_per_class applies to scans"),
-        (["--scans", "here", "--set", "network.pixels=16"], 2, "--network applies to the texture network"),
-        (["--scans", "here", "--tile-size", "3"], 2, "--tile-size applies to the texture network"),
-        (
-            ["--scans", "here", "--set", "patches_per_texture=9"],
-            2,
-            "--set patches_per_texture applies to the texture network",
-        ),
-        (["--scans", ""], 2, "--scans is empty"),
-        (["--scans", "nowhere"], 3, "nowhere does not exist"),
-        (["--scans", ".", "--set", "epochs=0"], 2, "epochs is 0"),
-        (["--scans", "."], 3, "holds no scans"),
+        (["textures", "--set", "sectors_per_class=9"], 2, "sectors_per_class"),
+        (["scans", "here", "--set", "network.pixels=16"], 2, "network"),
+        (["textures", "--tile-size", "3"], 2, "--tile-size is no option: write --set tile_size=3"),
+        (["scans", ""], 2, "the path is empty"),
+        (["--scans", "here"], 2, "bumpymap train scans"),
+        (["scans", "nowhere"], 3, "nowhere does not exist"),
+        (["scans", ".", "--set", "epochs=0"], 2, "epochs is 0"),
+        (["scans", "."], 3, "holds no scans"),
     ],
 )
 def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, words):
     require_torch()
     monkeypatch.chdir(tmp_path)
-    result = train("--out", "m.onnx", *options)
+    result = train(*options, "--out", "m.onnx")
     assert result.exit_code == code, result.output
     assert words in result.stderr
     assert "Traceback" not in result.output
@@ -128,6 +124,6 @@ def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, words):
 
 def test_missing_libraries_are_named_with_their_extra(tmp_path, monkeypatch):
     monkeypatch.setattr(train_command, "find_spec", lambda _: None)
-    result = train("--scans", tmp_path, "--out", tmp_path / "m.onnx")
+    result = train("scans", tmp_path, "--out", tmp_path / "m.onnx")
     assert result.exit_code == 2
     assert "training needs torch and onnx. Install with: pip install 'bumpymap[learn]'" in result.stderr

@@ -90,7 +90,7 @@ def test_a_vehicle_that_is_unknown_is_wrong_usage_in_every_command(tmp_path):
     for words in (
         ["map", "a.laz", "--out", "o", "--vehicle", "tank"],
         ["scan", "a.bin", "--poses", "p.txt", "--out", "o", "--vehicle", "tank"],
-        ["evaluate", "a.laz", "--out", "o", "--vehicle", "tank"],
+        ["evaluate", "survey", "a.laz", "--out", "o", "--vehicle", "tank"],
         ["calibrate", "--out", "c.json", "--vehicle", "tank"],
         ["vehicle", "check", "tank"],
         ["vehicle", "new", "mine", "--like", "tank"],

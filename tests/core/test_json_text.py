@@ -77,9 +77,9 @@ NAMES = ["a\0b", "n" * 300, "é" * 128]
         ["map", "a.laz", "--out", "o", "--set", "scratch=x/NAME/y"],
         ["info", "NAME"],
         ["scan", "NAME", "--out", "o"],
-        ["evaluate", "NAME", "--out", "o"],
+        ["evaluate", "survey", "NAME", "--out", "o"],
         ["calibrate", "--out", "NAME"],
-        ["train", "--out", "NAME"],
+        ["train", "textures", "--out", "NAME"],
         ["demo", "--out", "NAME"],
     ],
 )

@@ -75,7 +75,7 @@ class Yard:
 
     def crossed_by_tools(self, layers):
         """Return by name which of `TOOLS` get across the wall."""
-        site, found = open_map([layers]), {}
+        site, found = open_map(layers), {}
         export_map(site, layers.parent / "pixels", ExportSettings(to="cost"))
         for name, folder in zip(TOOLS[:2], (layers, layers.parent / "pixels"), strict=True):
             with rasterio.open(folder / "cost.tif") as raster:

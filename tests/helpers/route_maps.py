@@ -8,7 +8,6 @@ from pyproj import CRS
 
 from bumpymap.core import CostRule, CostTable, Georeference, RouteVehicle
 from bumpymap.layers import MapReader, write_products
-from bumpymap.layers.sheet_reader import SheetReader
 from bumpymap.views import write_map_views
 from bumpytiles import Grid, TileWindow
 
@@ -49,7 +48,7 @@ def copy_folder(folder, target, **changes):
 def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):
     """Map without files: its place is known, nothing can be read."""
     window = window or TileWindow(160_000, 712_000, 100, 80)
-    sheet = SheetReader(
+    return MapReader(
         folder=Path("nowhere"),
         manifest={},
         grid=grid or Grid(),
@@ -58,4 +57,3 @@ def bare_map(window=None, *, crs=UTM, unit=1.0, grid=None):
         rule=RULE,
         vehicle=RouteVehicle("warthog", 1.38, 1.0),
     )
-    return MapReader((sheet,), window)

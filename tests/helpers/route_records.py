@@ -1,6 +1,8 @@
 """Made-up routes, and a made-up map under them."""
 
+import json
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from tile_maps import UTM, WARTHOG as VEHICLE, TileMap
@@ -38,14 +40,21 @@ def make_route(name="route", corners=CORNERS, *, georeference=UTM, step=2.0, fig
     return Route(name, georeference, Grid(), corners, stops, profile, figures, VEHICLE, 25.0)
 
 
+MADE_UP = Path(__file__).parent / "made_up_map"
+"""A folder with no more than the manifest of a map."""
+
+
 @dataclass
 class MadeUpMap(TileMap):
     """A map in memory, for `MapSource`; ``height`` is one for each tile, (rows, cols) m."""
 
     fits: np.ndarray | None = None
     """(rows * pixels, cols * pixels) where the middle of the vehicle can be; everywhere if None."""
-    folders: tuple = ()
-    manifests: tuple = ({"vehicle": {"name": "warthog"}, "calibration": {"id": "c0ffee"}},)
+    folder: Path = MADE_UP
+
+    @property
+    def manifest(self):
+        return json.loads((self.folder / "run.json").read_text())
 
     @classmethod
     def around(cls, corners=CORNERS, margin=40, seed=1):

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from bumpymap.core.types import BARRED_TEXT, CLASS_NAMES, OBJECT_NAMES, REASON_TEXT, CostTable, Reason
-from bumpymap.layers import MAX_TILES, write_products
+from bumpymap.layers import write_products
 from bumpymap.layers.colours import CLASS_COLOURS
-from bumpymap.layers.placement import MAX_PIXELS
+from bumpymap.layers.placement import MAX_PIXELS, MAX_TILES
 from bumpymap.layers.products import VIEW_NAMES
 from bumpymap.views import write_map_views
 

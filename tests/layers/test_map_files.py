@@ -19,7 +19,6 @@ from made_drives import MadeDrive, log_of, write_table
 from pyogrio.raw import write
 from pyproj import CRS
 from route_maps import bare_map, write_folder
-from sheet_maps import SMALL, write_in_sheets
 
 from bumpymap.api import open_layers
 from bumpymap.change import diff_surveys
@@ -27,6 +26,9 @@ from bumpymap.check import check_drives
 from bumpymap.core import BadInputError
 from bumpymap.layers import map_files, open_map, read_areas, read_points
 from bumpymap.views import ExportSettings, export_map, write_report
+from bumpytiles import Grid
+
+SMALL = Grid(3.0, 5)
 
 VRT = """<VRTDataset rasterXSize="60" rasterYSize="50"><GeoTransform>480000,0.6,0,2136030,0,-0.6</GeoTransform>
 <VRTRasterBand dataType="Float32" band="1"><SimpleSource><SourceFilename relativeToVRT="0">{}</SourceFilename>
@@ -56,13 +58,6 @@ def one(tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("one") / "map", make_field(12, 10, grid=SMALL, easy=True))
 
 
-@pytest.fixture(scope="module")
-def sheets(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sheets") / "map"
-    write_in_sheets(make_field(20, 18, grid=SMALL, easy=True), folder)
-    return folder
-
-
 def list_anew(folder):
     """State the checksums of the files that are there now, as who planted them would."""
     record = json.loads((folder / "run.json").read_text())
@@ -77,7 +72,7 @@ def report(folder, out):
 
 
 def export(folder, out):
-    export_map(open_map([folder]), out / "grids", ExportSettings("nav2", resolution="pixel"))
+    export_map(open_map(folder), out / "grids", ExportSettings("nav2", resolution="pixel"))
 
 
 def diff(folder, out):
@@ -85,7 +80,7 @@ def diff(folder, out):
 
 
 def relief(folder, _):
-    site = open_map([folder])
+    site = open_map(folder)
     site.heights(site.window)
     site.relief(site.window, (5, 6))
 
@@ -123,16 +118,13 @@ def beside(path, aim):
 
 @pytest.mark.parametrize("plant", [virtual, tagged, beside])
 @pytest.mark.parametrize("read", [report, export, diff, relief, dataset, check])
-@pytest.mark.parametrize("in_sheets", [False, True])
-def test_a_folder_of_layers_leads_nowhere_else(one, sheets, server, tmp_path, plant, read, in_sheets):
+def test_a_folder_of_layers_leads_nowhere_else(one, server, tmp_path, plant, read):
     url, asked = server
-    folder = copytree(sheets if in_sheets else one, tmp_path / "map")
-    owner = min((folder / "sheets").iterdir()) if in_sheets else folder
+    folder = copytree(one, tmp_path / "map")
     for name in ("heightmap.tif", "class.tif", "obstacle.tif"):
-        plant(owner / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
-    list_anew(owner)
-    ignored = plant is beside and not (in_sheets and read in {report, dataset})
-    with nullcontext() if ignored else pytest.raises(BadInputError, match=str(folder)):
+        plant(folder / name, f"/vsicurl/{url}/{tmp_path.name}/{name}")
+    list_anew(folder)
+    with nullcontext() if plant is beside else pytest.raises(BadInputError, match=str(folder)):
         read(folder, tmp_path)
     assert not asked
 
@@ -185,7 +177,7 @@ def test_values_that_cannot_be_are_refused(one, tmp_path, band, value):
         number = file.descriptions.index(band) + 1
         file.write(np.full(file.shape, value, np.float32), number)
     list_anew(folder)
-    site = open_map([folder])
+    site = open_map(folder)
     with pytest.raises(BadInputError, match=rf"roughness\.tif.*damaged: {band}"):
         site.read(site.window)
 
@@ -200,49 +192,26 @@ def test_a_table_of_a_map_leads_nowhere_else(one, server, tmp_path, name, read):
     assert not server[1]
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ('relativeToVRT="1">sheets/', 'relativeToVRT="0">/vsicurl/{}/sheets/'),
-        ('relativeToVRT="1">sheets/', 'relativeToVRT="1">../other/'),
-        ("<SimpleSource>", "<SimpleSource><OpenOptions><OOI key='a'>b</OOI></OpenOptions>"),
-        ('dataType="Byte" band="1"', 'dataType="Byte" band="1" subClass="VRTDerivedRasterBand"'),
-    ],
-)
-@pytest.mark.parametrize("read", [report, dataset])
-def test_a_virtual_raster_is_one_over_the_sheets_of_the_map(sheets, server, tmp_path, read, old, new):
-    folder = copytree(sheets, tmp_path / "map")
-    text = (folder / "class.vrt").read_text()
-    assert old in text
-    (folder / "class.vrt").write_text(text.replace(old, new.format(server[0])))
-    list_anew(folder)
-    with pytest.raises(BadInputError, match=r"class\.vrt is no virtual raster over the sheets"):
-        read(folder, tmp_path)
-    assert not server[1]
-
-
 @pytest.mark.parametrize("name", ["class.tif", "heightmap.tif", "tiles.parquet"])
 @pytest.mark.parametrize("read", [report, dataset, diff, check])
-@pytest.mark.parametrize("in_sheets", [False, True])
-def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, sheets, tmp_path, name, read, in_sheets):
+def test_a_layer_that_is_not_the_one_of_the_manifest_is_refused(one, tmp_path, name, read):
     if (name != "heightmap.tif" and read is check) or (name == "tiles.parquet" and read is not report):
         pytest.skip("not read")
-    folder = copytree(sheets if in_sheets else one, tmp_path / "map")
-    path = (min((folder / "sheets").iterdir()) if in_sheets else folder) / name
-    data = bytearray(path.read_bytes())
+    folder = copytree(one, tmp_path / "map")
+    data = bytearray((folder / name).read_bytes())
     data[len(data) // 2] ^= 1
-    path.write_bytes(data)
+    (folder / name).write_bytes(data)
     with pytest.raises(BadInputError, match="is damaged: its checksum"):
         read(folder, tmp_path)
 
 
 def test_a_large_raster_is_held_against_its_checksum_when_it_is_read(one, tmp_path, monkeypatch):
-    monkeypatch.setattr("bumpymap.layers.sheet_reader.CHECKED_BYTES", 100)
+    monkeypatch.setattr("bumpymap.layers.map_reader.CHECKED_BYTES", 100)
     folder = copytree(one, tmp_path / "map")
     data = bytearray((folder / "heightmap.tif").read_bytes())
     data[len(data) // 2] ^= 1
     (folder / "heightmap.tif").write_bytes(data)
-    site = open_map([folder])
+    site = open_map(folder)
     assert site.read(site.window).window == site.window
     for read in (lambda: site.heights(site.window), lambda: site.relief(site.window, (5, 6))):
         with pytest.raises(BadInputError, match=r"heightmap\.tif is damaged: its checksum"):

@@ -1,14 +1,12 @@
 from concurrent.futures import ThreadPoolExecutor
-from itertools import permutations
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cost_maps import part_of
 from pyproj import CRS
 from route_maps import bare_map, write_folder
 
-from bumpymap.core import NO_TILE, Barred, Georeference
+from bumpymap.core import NO_TILE, Georeference
 from bumpymap.layers import open_map
 from bumpytiles import Grid, TileWindow
 
@@ -26,17 +24,6 @@ def folder(made, tmp_path_factory):
     return write_folder(tmp_path_factory.mktemp("route") / "layers", made)
 
 
-@pytest.fixture(scope="module")
-def sheets(make_field, tmp_path_factory):
-    """Three maps of places that overlap, with values of their own."""
-    root = tmp_path_factory.mktemp("sheets")
-    places = ((110_000, 680_000, 21), (110_009, 680_004, 22), (110_004, 679_993, 23))
-    return [
-        write_folder(root / str(seed), make_field(20, 16, grid=SMALL, west=west, south=south, seed=seed))
-        for west, south, seed in places
-    ]
-
-
 def same(first, second):
     return all(np.array_equal(getattr(first, name), getattr(second, name), equal_nan=True) for name in BANDS) and (
         np.array_equal(first.barred, second.barred)
@@ -44,7 +31,7 @@ def same(first, second):
 
 
 def test_every_tile_lies_where_it_was_measured(folder, made):
-    found = open_map([folder])
+    found = open_map(folder)
     field = found.read(found.window)
     row = found.window.row + found.window.rows - 1 - made.patches.row
     col = made.patches.col - found.window.col
@@ -60,11 +47,11 @@ def test_every_tile_lies_where_it_was_measured(folder, made):
 
 @pytest.mark.parametrize("piece", [7, 512])
 def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatch, piece):
-    found = open_map([folder])
+    found = open_map(folder)
     whole = found.window
     around = TileWindow(whole.col - 7, whole.row - 5, whole.cols + 20, whole.rows + 9)
     field, heights, objects = found.read(around), found.heights(around), found.objects(around)
-    monkeypatch.setattr("bumpymap.layers.sheet_reader._PIECE", piece)  # read at once
+    monkeypatch.setattr("bumpymap.layers.map_reader._PIECE", piece)  # read at once
     rng = np.random.default_rng(1)
     for _ in range(10):
         top, left = int(rng.integers(0, 40)), int(rng.integers(0, 60))
@@ -79,57 +66,11 @@ def test_a_window_is_a_piece_of_the_whole_also_beyond_the_map(folder, monkeypatc
         assert np.array_equal(found.objects(window), objects[pixels])
 
 
-def test_a_map_in_sheets_reads_like_the_whole(made, folder, tmp_path):
-    """Sheets whose rectangles overlap, though no tile is in both."""
-    chosen = (made.patches.col + made.patches.row) % 3
-    parts = [write_folder(tmp_path / str(number), part_of(made, chosen == number)) for number in range(3)]
-    whole, joined = open_map([folder]), open_map(parts)
-    window = TileWindow(whole.window.col - 3, whole.window.row - 2, 60, 44)
-    assert joined.window == whole.window
-    assert same(joined.read(window), whole.read(window))
-    assert np.array_equal(joined.heights(window), whole.heights(window), equal_nan=True)
-    assert np.array_equal(joined.objects(window), whole.objects(window))
-
-
-def merged_by_hand(values):
-    """(code, bands) of one tile from those of its sheets, as the rule says."""
-
-    def rank(code):
-        return {NO_TILE: 0, Barred.UNKNOWN: 1, Barred.NO: 2}.get(code, 3)
-
-    best = max(rank(code) for code, _ in values)
-    kept = [(code, bands) for code, bands in values if rank(code) == best]
-    bands = [max((b[i] for _, b in kept if not np.isnan(b[i])), default=np.nan) for i in range(len(BANDS))]
-    return max(code for code, _ in kept), bands
-
-
-def test_where_sheets_overlap_the_cautious_one_counts_in_any_order(sheets):
-    alone = [open_map([sheet]) for sheet in sheets]
-    joined = open_map(sheets)
-    window = joined.window
-    assert window == TileWindow(110_000, 679_993, 29, 27)
-    found, singles = joined.read(window), [each.read(window) for each in alone]
-    seen = set()
-    for i, j in np.ndindex(found.barred.shape):
-        values = [(int(s.barred[i, j]), [float(getattr(s, name)[i, j]) for name in BANDS]) for s in singles]
-        code, bands = merged_by_hand(values)
-        assert found.barred[i, j] == code
-        assert np.array_equal([getattr(found, name)[i, j] for name in BANDS], bands, equal_nan=True)
-        seen.add(tuple(sorted(min(each, 3) for each, _ in values)))
-    assert {(0, 0, 3), (0, 1, 3)} <= seen  # barred against passable and unknown
-    pixels = (joined.heights(window), joined.objects(window))
-    for order in permutations(sheets):
-        other = open_map(order)
-        assert same(other.read(window), found)
-        assert np.array_equal(other.heights(window), pixels[0], equal_nan=True)
-        assert np.array_equal(other.objects(window), pixels[1])
-
-
 def test_a_map_in_feet_lies_on_the_grid_in_metres(tmp_path, make_field):
     unit = 1200 / 3937
     feet = Georeference(CRS.from_epsg(2229), unit, unit)
     made = make_field(6, 5, grid=SMALL, west=655_000, south=187_000, georeference=feet)
-    found = open_map([write_folder(tmp_path / "feet", made)])
+    found = open_map(write_folder(tmp_path / "feet", made))
     assert found.window == TileWindow(655_000, 187_000, 6, 5)
     assert found.to_grid(1000.0, 3937.0) == pytest.approx((304.8006096, 1200.0))
     assert found.to_crs(*found.to_grid(12.5, -7.0)) == pytest.approx((12.5, -7.0))
@@ -146,17 +87,16 @@ def test_longitude_and_latitude_of_the_central_meridian():
     assert np.allclose(back, [[500_000.0, 500_000.0], [0.0, 2_000_000.0]], atol=1e-6)
 
 
-def test_passage_in_fewer_pixels(folder, sheets):
+def test_passage_in_fewer_pixels(folder):
     """At full size the same; in fewer pixels, what is free there is free on one of those beneath."""
-    for folders in ([folder], sheets):
-        found = open_map(folders)
-        whole = found.window
-        around = TileWindow(whole.col - 2, whole.row - 1, whole.cols + 4, whole.rows + 3)
-        fine = found.passage(around)
-        assert np.array_equal(found.passage_shown(around, fine.shape), fine)
-        rows, cols = fine.shape[0] // 2, fine.shape[1] // 2
-        coarse = found.passage_shown(around, (rows, cols))
-        assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
+    found = open_map(folder)
+    whole = found.window
+    around = TileWindow(whole.col - 2, whole.row - 1, whole.cols + 4, whole.rows + 3)
+    fine = found.passage(around)
+    assert np.array_equal(found.passage_shown(around, fine.shape), fine)
+    rows, cols = fine.shape[0] // 2, fine.shape[1] // 2
+    coarse = found.passage_shown(around, (rows, cols))
+    assert not (coarse & ~fine[: 2 * rows, : 2 * cols].reshape(rows, 2, cols, 2).any(axis=(1, 3))).any()
 
 
 def open_below(folder):
@@ -177,7 +117,7 @@ has_descriptors = pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason=
 
 @has_descriptors
 def test_files_stay_open_for_as_long_as_wanted(folder):
-    found = open_map([folder])
+    found = open_map(folder)
     alone = found.read(found.window)
     assert open_below(folder) == []
     with found.kept_open():
@@ -190,36 +130,20 @@ def test_files_stay_open_for_as_long_as_wanted(folder):
     assert open_below(folder) == []
 
 
-@has_descriptors
-def test_of_many_sheets_few_are_open(make_field, tmp_path):
-    folders = [
-        write_folder(tmp_path / str(number), make_field(6, 4, grid=SMALL, west=110_000 + 6 * number, seed=number))
-        for number in range(12)
-    ]
-    found = open_map(folders)
-    alone = found.read(found.window)
-    with found.kept_open():
-        for _ in range(2):
-            assert same(found.read(found.window), alone)
-            assert 0 < len(open_below(tmp_path)) <= 16
-    assert open_below(tmp_path) == []
+def test_threads_read_a_map_that_is_kept_open(folder):
+    found = open_map(folder)
+    whole = found.window
+    rng = np.random.default_rng(3)
+    corners = rng.integers(0, (whole.cols - 5, whole.rows - 5), (60, 2))
+    windows = [TileWindow(whole.col + int(col), whole.row + int(row), 5, 5) for col, row in corners]
+    wanted = [(found.read(window), found.passage(window)) for window in windows]
 
+    def read(window):
+        with found.kept_open():
+            return found.read(window), found.passage(window)
 
-def test_threads_read_a_map_that_is_kept_open(folder, sheets):
-    for folders in ([folder], sheets):
-        found = open_map(folders)
-        whole = found.window
-        rng = np.random.default_rng(3)
-        corners = rng.integers(0, (whole.cols - 5, whole.rows - 5), (60, 2))
-        windows = [TileWindow(whole.col + int(col), whole.row + int(row), 5, 5) for col, row in corners]
-        wanted = [(found.read(window), found.passage(window)) for window in windows]
-
-        def read(window, found=found):
-            with found.kept_open():
-                return found.read(window), found.passage(window)
-
-        with ThreadPoolExecutor(4) as pool:
-            read_by_threads = list(pool.map(read, windows))
-        for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
-            assert same(field, own)
-            assert np.array_equal(passage, open_pixels)
+    with ThreadPoolExecutor(4) as pool:
+        read_by_threads = list(pool.map(read, windows))
+    for (field, passage), (own, open_pixels) in zip(wanted, read_by_threads, strict=True):
+        assert same(field, own)
+        assert np.array_equal(passage, open_pixels)

@@ -4,8 +4,8 @@ from hypothesis import given, strategies as st
 
 from bumpymap.core.errors import BadInputError
 from bumpymap.core.types import Georeference
-from bumpymap.layers import MAX_TILES, check_extent
-from bumpymap.layers.placement import Placement
+from bumpymap.layers import check_extent
+from bumpymap.layers.placement import MAX_TILES, Placement
 from bumpytiles import Grid, TileWindow
 
 

@@ -10,7 +10,7 @@ from cost_maps import make_field, part_of
 from bumpymap.core.types import CostTable
 from bumpymap.layers import geotiff
 from bumpymap.layers.geotiff import write_raster
-from bumpytiles import BLOCK_TILES, Grid, TileWindow
+from bumpytiles import Grid
 
 
 def thin(cost_map, share, seed=1):
@@ -84,17 +84,3 @@ def test_windows_do_not_change_the_bytes(tmp_path, monkeypatch, share):
     order = np.random.default_rng(2).permutation(len(cost_map.class_id))
     written(part_of(cost_map, order), tmp_path / "windows.tif")
     assert (tmp_path / "whole.tif").read_bytes() == (tmp_path / "windows.tif").read_bytes()
-
-
-def test_a_part_is_filled_from_beyond_its_edge(tmp_path):
-    cost_map = thin(make_field(64, 48, grid=Grid(3.0, 5), west=-32, south=-16, holes=0.0), 0.01)
-    table = CostTable.of(cost_map)
-    whole = written(cost_map, tmp_path / "whole.tif")
-    window = TileWindow(0, 0, 2 * BLOCK_TILES, BLOCK_TILES)
-    part = replace(table, tiles=table.tiles.part(window))
-    write_raster("relief.tif", part, tmp_path / "part.tif", None, table.tiles)
-    write_raster("relief.tif", part, tmp_path / "alone.tif")
-    same = whole[48:96, 96:192]
-    with rasterio.open(tmp_path / "part.tif") as one, rasterio.open(tmp_path / "alone.tif") as other:
-        np.testing.assert_array_equal(one.read(1), same)
-        assert not np.array_equal(other.read(1), same, equal_nan=True)

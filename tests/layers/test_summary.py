@@ -63,6 +63,6 @@ def test_unknown_are_the_tiles_without_a_class():
 def test_strips_do_not_change_the_summary(make_field, monkeypatch):
     table = CostTable.of(make_field(50, 40))
     whole = summarise(table)
-    monkeypatch.setattr("bumpymap.layers.summary.STRIP", 1)
+    monkeypatch.setattr("bumpymap.layers.summary._STRIP", 1)
     for found, expected in zip(astuple(summarise(table)), astuple(whole), strict=True):
         np.testing.assert_array_equal(found, expected)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from itertools import pairwise
@@ -132,7 +133,9 @@ def test_another_grid_is_refused_with_the_remedy(model, grid):
     relief = np.zeros((1, grid.pixels, grid.pixels))
     with pytest.raises(UsageError, match="trained for 3 m with 15") as refusal:
         classify(_stack(relief, grid=grid), model)
-    assert f"bumpymap train --tile-size {grid.tile_size:g} --set network.pixels={grid.pixels}" in str(refusal.value)
+    assert f"bumpymap train textures --set tile_size={grid.tile_size:g} --set network.pixels={grid.pixels}" in str(
+        refusal.value
+    )
 
 
 def test_shipped_file_says_where_it_comes_from(model):
@@ -196,7 +199,7 @@ def test_documentation_states_the_measured_accuracies(model):
         text = page.read_text(encoding="utf-8")
         for name in ("accuracy_unseen", "accuracy_altered_copies", "accuracy_short_waves"):
             assert f"{100 * float(model.metadata[name]):.2f} %" in text, page
-        now = model.metadata["command"]  # of a time when these settings were options
-        for old, key in (("seed", "seed"), ("epochs", "epochs"), ("patches-per-texture", "patches_per_texture")):
-            now = now.replace(f"--{old} ", f"--set {key}=")
-        assert now.replace("--pixels ", "--set network.pixels=") in text
+        now = model.metadata["command"].replace("train", "train textures")  # of a time when settings were options
+        now = now.replace("--pixels ", "--network.pixels ").replace("patches-per", "patches_per")
+        now = re.sub(r"--(\S+) ", lambda found: f"--set {found[1].replace('-', '_')}=", now)
+        assert now in text

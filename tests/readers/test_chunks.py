@@ -148,7 +148,7 @@ def test_records_are_what_numpy_makes_of_them(integers, scale, offset, unit, mar
     expected = np.round(words * np.float64(scale) + offset, 8) * unit
     box = None if sides is None else Bounds(*(np.round(np.array(sides) * scale + offset, 8) * unit).tolist())
     pieces = (records[:cut], records[cut:])
-    rules = record_rules(layered=True, line=0, scaling=scaling, bounds=box)
+    rules = record_rules(layered=True, line=0, scaling=scaling, bounds=box, kinds=ReadOptions().kinds)
     lines = LineRules(measure=False, corrections=())
     batch = convert_records(pieces, Chunk(0, 5, len(words)), rules, scaling, lines)
     stats = batch.stats

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import PointStats
+from bumpymap.readers import PointStats, ReadOptions
 from bumpymap.readers.point_stats import EARTH_LIMIT, verify
 from bumpymap.readers.point_table import convert_points
 from bumpytiles import Bounds
@@ -16,7 +16,7 @@ rows = st.lists(st.tuples(numbers, numbers, numbers, st.sampled_from([0, 1, 2, 7
 
 def batch(points, *, first=0, no_return=False):
     x, y, z, class_id = np.array(points, float).reshape(-1, 4).T.copy()
-    return convert_points((x, y, z), class_id, first, nan_is_no_return=no_return)
+    return convert_points((x, y, z), class_id, first, nan_is_no_return=no_return, kinds=ReadOptions().kinds)
 
 
 @settings(deadline=None, max_examples=100)

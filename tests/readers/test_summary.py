@@ -7,15 +7,17 @@ from bumpymap.core import THIN_SEEN
 from bumpymap.core.config import FeatureSettings
 from bumpymap.core.types import Reason
 from bumpymap.patches import measure, measure_thin
-from bumpymap.readers import PointSummaryBuilder, open_survey, summary as module
+from bumpymap.readers import PointSummaryBuilder, ReadOptions, open_survey, summary as module
 from bumpymap.readers.summary import thin_rule
 from bumpytiles import Grid, TileBuckets
+
+CLASSES = ReadOptions(keep_classes=True)
 
 THREE = FeatureSettings(min_points=3, min_coverage=0.0, max_hole=10.0)
 
 
 def stats(path, settings=THREE, grid=None, *, thin=False):
-    return PointSummaryBuilder(grid or Grid(), settings, thin=thin).read(open_survey(path))
+    return PointSummaryBuilder(grid or Grid(), settings, thin=thin).read(open_survey(path, CLASSES))
 
 
 def test_hand_counted_tiles(las):
@@ -23,7 +25,7 @@ def test_hand_counted_tiles(las):
     points = np.array([[0.5, 0.5, 1], [1, 1, 2], [2.999, 2.999, 3], [3.0, 0.0, 4], [-0.001, 0.0, 5], [90, 90, 6]])
     path = las.write(points=points, offset=(0, 0, 0), classes=np.array([2, 1, 1, 2, 1, 7], np.uint8))
     told = []
-    summary = PointSummaryBuilder(Grid(), THREE).read(open_survey(path), told.append).summary()
+    summary = PointSummaryBuilder(Grid(), THREE).read(open_survey(path, CLASSES), told.append).summary()
     assert (summary.points, summary.tiles, summary.points_per_tile) == (5, 3, 1.0)
     assert summary.density == pytest.approx(1 / 9)
     assert summary.unknown == {Reason.TOO_FEW_POINTS: 2.0, Reason.TOO_MANY_HOLES: 0.0}
@@ -54,7 +56,7 @@ def test_merging_on_the_way_changes_nothing(las, monkeypatch):
     assert 0 < whole.unknown[Reason.TOO_MANY_HOLES] < whole.tiles
     monkeypatch.setattr(module, "MERGE_AT", 10)
     monkeypatch.setattr(module, "GROUP_PIXELS", 1000)
-    reader = open_survey(path)
+    reader = open_survey(path, CLASSES)
     clouds = reader.clouds
     monkeypatch.setattr(reader, "clouds", lambda: clouds(77))
     assert PointSummaryBuilder(Grid(), FeatureSettings(min_points=4), thin=False).read(reader).summary() == whole

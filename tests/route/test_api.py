@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import xarray
-from cost_maps import part_of
 from route_maps import write_folder
 from route_sites import ROWS, SOUTH, WEST, place, site
 
@@ -29,16 +28,18 @@ def test_a_route_is_a_line_with_figures(layers):
     assert f"{way.figures.length_m:,.1f} m" in repr(way)
 
 
-def test_several_folders_settings_and_alternatives(layers, tmp_path):
+def test_settings_and_alternatives(layers, tmp_path):
     ends = (pair(20.5, 8.5), pair(20.5, 22.5))
     found = bumpymap.find_routes(
-        [layers.folder], *ends, via=[pair(5.5, 12.5)], alternatives=3, risk=0, out=tmp_path / "way.geojson"
+        layers.folder, *ends, via=[pair(5.5, 12.5)], alternatives=3, risk=0, out=tmp_path / "way.geojson"
     )
     assert [way.name for way in found] == ["route", *(f"alternative {at}" for at in range(1, len(found)))]
     assert found[0].risk_m == 0.0
     assert (tmp_path / "way.geojson").is_file()
     with pytest.raises(bumpymap.UsageError, match="unknown setting speed"):
         bumpymap.find_routes(layers, *ends, speed=3)
+    with pytest.raises(bumpymap.UsageError, match="it must be a path"):
+        bumpymap.find_routes([layers.folder, layers.folder], *ends)
 
 
 def test_a_reach_is_a_dataset(layers):
@@ -51,17 +52,3 @@ def test_a_reach_is_a_dataset(layers):
     assert way.figures.cost_m <= cost <= 1.03 * way.figures.cost_m
     assert np.isnan(reach["cost"].sel(x=(WEST + 15.5) * 3, y=(SOUTH + ROWS - 20.5) * 3))
     assert set(bumpymap.map_reach(layers, pair(20.5, 8.5), minutes=0.5).data_vars) == {"cost", "minutes"}
-
-
-def test_a_map_in_sheets_gives_the_same_way(layers, tmp_path):
-    whole = site()
-    middle = WEST + 9
-    sheets = [
-        write_folder(tmp_path / "west", part_of(whole, whole.patches.col < middle)),
-        write_folder(tmp_path / "east", part_of(whole, whole.patches.col >= middle - 2)),
-    ]
-    ends = (pair(20.5, 8.5), pair(20.5, 22.5))
-    one, *others = (bumpymap.find_routes(folders, *ends)[0] for folders in (layers, sheets, sheets[::-1]))
-    for other in others:
-        np.testing.assert_array_equal(other.line, one.line)
-        assert other.figures == one.figures

@@ -94,7 +94,7 @@ def test_a_file_of_another_kind_is_refused(name, source, tmp_path):
 
 
 def test_files_of_an_earlier_run_are_replaced_only_if_allowed(source, reach, tmp_path):
-    write_reach_files(reach, source, tmp_path, levels=[5.0], manifest={})
+    write_reach_files(reach, source, np.array([330_004.5, 2_040_004.5]), tmp_path, levels=[5.0], manifest={})
     (tmp_path / "notes.txt").write_text("mine")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with pytest.raises(OutputError, match="already holds"):
@@ -151,15 +151,16 @@ def test_places_that_cannot_hold_the_files_are_refused(source, tmp_path):
 
 def test_the_reach_has_files_of_its_own(source, reach, tmp_path):
     check_out(tmp_path / "all", REACH_KINDS, overwrite=False)
-    files = write_reach_files(reach, source, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
-    assert [path.name for path in files] == ["reach.tif", "isochrones.geojson", "route.json"]
+    start = np.array([330_004.5, 2_040_004.5])
+    files = write_reach_files(reach, source, start, tmp_path / "all", levels=[5.0, 9.0], manifest=SETTINGS)
+    assert [path.name for path in files] == ["reach.tif", "reach.png", "isochrones.geojson", "route.json"]
     assert names(tmp_path / "all") == sorted(path.name for path in files)
-    few = write_reach_files(reach, source, tmp_path / "few", manifest=SETTINGS)
-    assert [path.name for path in few] == ["reach.tif", "route.json"]
-    for name in ("cost.tif", "within.geojson"):
+    few = write_reach_files(reach, source, start, tmp_path / "few", manifest=SETTINGS)
+    assert [path.name for path in few] == ["reach.tif", "reach.png", "route.json"]
+    for name in ("cost.tif", "within.geojson", "minutes.png"):
         out = tmp_path / name
-        assert write_reach_files(reach, source, out, levels=[5.0], manifest={}) == [out]
+        assert write_reach_files(reach, source, start, out, levels=[5.0], manifest={}) == [out]
     with pytest.raises(UsageError, match="levels"):
-        write_reach_files(reach, source, tmp_path / "other.geojson", manifest={})
+        write_reach_files(reach, source, start, tmp_path / "other.geojson", manifest={})
     with pytest.raises(UsageError, match=r"\.tif, \.geojson"):
         check_out(tmp_path / "way.gpx", REACH_KINDS, overwrite=False)

@@ -45,7 +45,7 @@ def test_a_wall_is_a_wall_for_all_that_read_the_map(tmp_path, gap, thickness, de
 def test_a_solver_that_follows_the_graph_goes_where_a_route_goes(tmp_path):
     yard = Yard(2.3, 0.2, 50, classified=True, seed=7)
     layers = yard.map(tmp_path)
-    places, costs = read_graph(open_map([layers]), tmp_path / "graph")
+    places, costs = read_graph(open_map(layers), tmp_path / "graph")
     start, goal = (int(np.hypot(*(places - end).T).argmin()) for end in yard.ends)
     spent, before = dijkstra(costs, indices=start, return_predecessors=True)
     nodes = [goal]

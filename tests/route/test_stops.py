@@ -24,8 +24,8 @@ def layers(tmp_path_factory):
 
 
 def stops(layers, **settings):
-    config = RouteConfig((layers,), goal=GOAL, **settings)
-    return find_stops(CostGround(open_map([layers]), config.cost, 10**7), config)
+    config = RouteConfig(layers, goal=GOAL, **settings)
+    return find_stops(CostGround(open_map(layers), config.cost, 10**7), config)
 
 
 def test_a_point_beside_the_map_is_moved_onto_it(layers):
@@ -41,7 +41,7 @@ def test_points_on_the_sides_of_the_map_lie_in_their_tiles(layers):
     corner = f"{WEST * 3.0},{SOUTH * 3.0}"
     with pytest.raises(BadInputError, match="unknown ground"):
         stops(layers, start=corner)
-    found = plan_routes(RouteConfig((layers,), start=place(ROWS, COLS - 0.5), goal=GOAL))
+    found = plan_routes(RouteConfig(layers, start=place(ROWS, COLS - 0.5), goal=GOAL))
     assert found.routes[0].stops[0].tolist() == [(WEST + COLS - 0.5) * 3.0, SOUTH * 3.0]
 
 

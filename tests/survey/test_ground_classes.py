@@ -1,5 +1,9 @@
 """Classes that are ground: roads, bridge decks, and what the user names."""
 
+import json
+import re
+
+import laspy
 import numpy as np
 import pytest
 from small_surveys import run, write_las
@@ -58,5 +62,32 @@ def test_other_classes_are_ground_if_the_user_says_so(tmp_path):
         table, (x, y) = tiles_of(tmp_path / folder)
         road = (np.abs(y - 24.0) < 3.0) & (np.abs(np.abs(x - 30.0) - 19.5) < 7.5)
         assert (table["class"][road] == 0).mean() == share
-    told = run("info", tmp_path / "road.las", *given).output
-    assert "26" in told.split("as ground", 1)[1].splitlines()[0]
+    told = run("info", tmp_path / "road.las", "--set", "ground_classes=2,26,40").output
+    assert "; ground" in told.split("class 26", 1)[1].splitlines()[0]
+
+
+def test_info_names_classes_that_lie_on_the_ground_with_their_share_and_height(tmp_path):
+    """A track of class 40, named in the file, and trees of class 64, 4 m above the ground beside them."""
+    rng = np.random.default_rng(4)
+    x, y = rng.uniform(0.0, 60.0, (2, 60_000))
+    classes = np.select([np.abs(y - 31.5) < 4.5, (np.abs(y - 48.0) < 3.0) & (rng.random(len(x)) < 0.5)], [40, 64], 2)
+    z = 0.1 * x + np.where(classes == 64, 4.0, 0.0)
+    survey = laspy.create(point_format=6, file_version="1.4")
+    lookup = b"".join(bytes([code]) + name.ljust(15, b"\0") for code, name in ((40, b"forest track"), (64, b"\x01bad")))
+    survey.header.vlrs.append(laspy.VLR("LASF_Spec", 0, "Classification lookup", lookup))
+    survey.header.scales, survey.header.offsets = [0.001] * 3, [500_001.0, 4_000_002.0, 0.0]
+    survey.x, survey.y, survey.z = 500_001.0 + x, 4_000_002.0 + y, z
+    survey.classification = classes.astype(np.uint8)
+    survey.write(str(tmp_path / "a.laz"))
+    words = ("info", tmp_path / "a.laz", "--crs", CRS)
+    facts = json.loads(run(*words, "--json").stdout)["files"][0]
+    assert facts["class_names"] == {"40": "forest track"}
+    assert facts["class_tiles"] == pytest.approx({"2": 0.85, "40": 0.15, "64": 0.1}, abs=0.005)
+    heights = facts["class_heights_m"]
+    assert heights.pop("2") is None
+    assert heights == pytest.approx({"40": 0.0, "64": 4.0}, abs=0.05)
+    told = run(*words).output
+    assert re.search(r"class 40 +forest track: 1[45]\.\d% of the points, in 15% of the tiles", told)
+    assert "points of class 40 lie on the ground" in told
+    assert "--ground-classes 2,11,17,40" in told
+    assert "lie on the ground" not in run(*words, "--set", "ground_classes=2,40").output

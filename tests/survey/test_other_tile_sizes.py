@@ -28,7 +28,7 @@ def test_the_ride_model_does_without_a_network(own, tmp_path):
 
 @pytest.mark.parametrize("setting", [{"rating": "table"}, {"compat": "paper"}])
 def test_the_table_wants_a_network(own, setting, tmp_path):
-    with pytest.raises(UsageError, match=r"bumpymap train --tile-size 1\.5"):
+    with pytest.raises(UsageError, match=r"bumpymap train textures --set tile_size=1\.5"):
         RatingModels.load(MapConfig(SURVEY, tmp_path, tile_size=1.5, calibration=own, **setting))
 
 

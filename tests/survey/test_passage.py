@@ -56,7 +56,7 @@ def test_the_middle_of_the_vehicle_keeps_its_distance_from_every_obstacle_of_the
     is_free = (areas > 0) & (areas < NODATA)
     assert is_free.any()
     assert (apart < np.inf).any()
-    assert apart[is_free].min() > 0.5 * open_map([tmp_path / "layers"]).vehicle.width_m + 0.09
+    assert apart[is_free].min() > 0.5 * open_map(tmp_path / "layers").vehicle.width_m + 0.09
 
 
 @pytest.mark.parametrize("scene", [ridges(2), crowded(3)])

@@ -22,19 +22,18 @@ def address():
         yield found
 
 
-@pytest.mark.parametrize("settings", [{}, {"sheets": 0.1}], ids=["one map", "sheets"])
-def test_no_file_of_a_map_holds_the_key_of_its_survey(address, tmp_path, settings):
+def test_no_file_of_a_map_holds_the_key_of_its_survey(address, tmp_path):
     url = f"{address}/quarry.laz?X-Signature=SECRETKEY"
-    layers = bumpymap.map_survey(url, out=tmp_path / "out", **settings)
+    layers = bumpymap.map_survey(url, out=tmp_path / "out")
     held = [path.name for path in (tmp_path / "out").rglob("*") if path.is_file() and b"SECRETKEY" in path.read_bytes()]
     assert held == []
     (known,) = layers.manifest["inputs"]
     assert known["path"] == recorded_place(url)
     assert known["path"].startswith(f"{address}/quarry.laz?left-out=")
-    again = bumpymap.map_survey(url, out=tmp_path / "out", **settings)
+    again = bumpymap.map_survey(url, out=tmp_path / "out")
     assert again.manifest == layers.manifest
     with pytest.raises(OutputError, match="other inputs"):
-        bumpymap.map_survey(url.replace("SECRETKEY", "ANOTHER"), out=tmp_path / "out", **settings)
+        bumpymap.map_survey(url.replace("SECRETKEY", "ANOTHER"), out=tmp_path / "out")
 
 
 def test_urls_with_other_keys_are_told_apart_and_others_stay_as_they_are():

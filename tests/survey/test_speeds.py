@@ -101,18 +101,6 @@ def test_a_run_without_speeds_takes_the_layer_of_an_earlier_one_away(survey, tmp
     assert not list(Path(tmp_path / "out").glob("speeds*"))
 
 
-def test_a_map_in_sheets_has_the_layer_in_each_and_one_over_all(survey, maps, tmp_path):
-    made = run("map", survey, "--out", tmp_path / "out", "--set", "speeds=0.5,1,2", "--sheets", "0.048")
-    assert made.exit_code == 0, made.output
-    assert "speeds.vrt" in made.output
-    whole, sheets = bands(maps / "speeds" / "speeds.tif"), bands(tmp_path / "out" / "speeds.vrt")
-    np.testing.assert_array_equal(whole["a_w_2"], sheets["a_w_2"])
-    assert (
-        "Already done"
-        in run("map", survey, "--out", tmp_path / "out", "--set", "speeds=0.5,1,2", "--sheets", "0.048").output
-    )
-
-
 @pytest.mark.parametrize(
     ("options", "said"),
     [

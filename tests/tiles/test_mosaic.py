@@ -130,28 +130,3 @@ def test_strips_of_a_window_hold_each_of_its_tiles_once(chosen, col, row, cols, 
 def test_the_same_tile_twice_is_refused():
     with pytest.raises(ValueError, match="same tile"):
         TileTable.of(Grid(), columns_of([(1, 4), (2, 4), (1, 4)])).read([])
-
-
-def test_a_part_of_a_table_holds_the_tiles_of_whole_blocks(tmp_path):
-    rng = np.random.default_rng(4)
-    keys = [(row, col) for row in range(-2, 2) for col in range(-2, 3) if rng.random() < 0.8]
-    side = BLOCK_TILES
-    places = {key: rng.choice(side * side, 9, replace=False) for key in keys}
-    blocks = {
-        (row, col): columns_of([(col * side + at % side, row * side + at // side) for at in places[row, col].tolist()])
-        for row, col in keys
-    }
-    table = TileTable(Grid(), [write(tmp_path / "a.pack", blocks)])
-    whole = table.read(["value"])
-    window = TileWindow(-2 * side, -side, 3 * side, 2 * side)
-    part = table.part(window)
-    inside = table.read(["value"], window)
-    found = part.read(["value"])
-    for name, values in inside.items():
-        np.testing.assert_array_equal(found[name], values)
-    assert part.tiles == len(inside["col"]) < len(whole["col"])
-    assert part.window == TileWindow.around(inside["col"], inside["row"])
-    with pytest.raises(ValueError, match="cuts blocks"):
-        table.part(TileWindow(-2 * side, -side, 3 * side, 2 * side - 1))
-    with pytest.raises(ValueError, match="at least one tile"):
-        table.part(TileWindow(90 * side, 0, side, side))

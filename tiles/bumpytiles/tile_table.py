@@ -39,10 +39,6 @@ class _ColumnSource:
         columns = {column.name: column for column in packs[0].columns} if packs else {}
         return cls(packs, columns, number[order], starts[order]), codes[order], counts[order]
 
-    def of_blocks(self, places: NDArray[np.int64]) -> "_ColumnSource":
-        """Return the same for some of the blocks."""
-        return _ColumnSource(self.packs, self.columns, self.pack[places], self.start[places])
-
     def read(self, places: NDArray[np.int64], counts: NDArray[np.int64], names: Sequence[str]) -> dict[str, Any]:
         """Read columns of blocks with so many rows, joined; those that follow each other in a pack at once."""
         ends = np.cumsum(counts)
@@ -110,28 +106,8 @@ class TileTable:
             All blocks of the table, with their rows in the same order.
         """
         added, codes, counts = _ColumnSource.of(packs)
-        return self._with(codes, counts, [added, *self._sources])
-
-    def part(self, window: TileWindow) -> "TileTable":
-        """Return the tiles of a window that cuts no block as a table of their own, read from the same packs.
-
-        Raises
-        ------
-        ValueError
-            The window cuts a block, or holds no tile.
-        """
-        if any(side % BLOCK_TILES for side in (window.col, window.row, window.cols, window.rows)):
-            raise ValueError(f"{window} cuts blocks of {BLOCK_TILES} tiles")
-        places = np.sort(self._places(window))
-        return self._with(
-            self._codes[places], self._counts[places], [source.of_blocks(places) for source in self._sources]
-        )
-
-    def _with(
-        self, codes: NDArray[np.int64], counts: NDArray[np.int64], sources: Sequence[_ColumnSource]
-    ) -> "TileTable":  # fmt: skip
         table = TileTable.__new__(TileTable)
-        table._set(self.grid, codes, counts, sources)  # noqa: SLF001 (of the same class)
+        table._set(self.grid, codes, counts, [added, *self._sources])  # noqa: SLF001 (of the same class)
         return table
 
     @property

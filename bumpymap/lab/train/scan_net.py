@@ -325,7 +325,7 @@ def make_scan_model(
             folder_sectors(learn, settings.turns, settings.seed, scan_progress),
             folder_sectors(unseen, progress=scan_progress),
             len(unseen),
-            f"bumpymap train --scans RELLIS_FOLDER {settings.options}",
+            f"bumpymap train scans RELLIS_FOLDER {settings.options}",
         )
         return train_and_write(settings, data, files, progress)
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import CANOPY, NO_CLASS, OutputError, UsageError, atomic, remove_path, write_remedy
-from bumpymap.layers import common_window, require_written
+from bumpymap.layers import require_written
 from bumpymap.views.export.area import FRAME, ExportArea, by_pixel
 from bumpymap.views.page.tiles import block_means
 from bumpytiles import TileWindow
@@ -70,41 +70,27 @@ def make_layers(area: ExportArea) -> dict[str, NDArray[np.float32]]:
         There are too many cells, or class.tif is missing or damaged.
     """
     area.require_cells(_MAX_CELLS, "a grid_map")
-    for sheet in area.route_map.sheets:
-        require_written(sheet.folder, sheet.manifest, ("class.tif",))  # `open_map` does not look at it
+    site = area.route_map
+    require_written(site.folder, site.manifest, ("class.tif",))  # `open_map` does not look at it
     values = {name: np.empty(area.shape, np.float32) for name in ("elevation", "c_r", "p_fail", "class", "obstacle")}
-    for window, lines in area.strips(detail=area.route_map.grid.pixels):
+    for window, lines in area.strips(detail=site.grid.pixels):
         for name, layer in _read(area, window).items():
             values[name][lines] = layer
     return values
 
 
 def _read(area: ExportArea, window: TileWindow) -> dict[str, NDArray[np.float32]]:
-    field = area.route_map.read(window, ("c_r", "p_fail", "obstacle"))
+    values = area.route_map.values(window, ("c_r", "p_fail", "obstacle"), classes=True)
     heights = area.route_map.heights(window)
-    layers = {"c_r": field.c_r, "p_fail": field.p_fail, "class": _classes(area, window)}
+    classes = np.where(values["class_id"] == NO_CLASS, np.nan, values["class_id"]).astype(np.float32)
+    layers = {"c_r": values["c_r"], "p_fail": values["p_fail"], "class": classes}
     if area.split == 1:
         means = block_means(heights, (window.rows, window.cols))
-        return layers | {"elevation": means, "obstacle": field.obstacle}
+        return layers | {"elevation": means, "obstacle": values["obstacle"]}
     objects = area.route_map.objects(window)
     state = np.where(objects > CANOPY, np.nan, objects).astype(np.float32)
     fine = {name: by_pixel(layer, area.split) for name, layer in layers.items()}
     return fine | {"elevation": heights, "obstacle": state}
-
-
-def _classes(area: ExportArea, window: TileWindow) -> NDArray[np.float32]:
-    """Read the classes of tiles; NaN where unknown. Of two sheets the rougher class counts."""
-    out = np.full((window.rows, window.cols), np.nan, np.float32)
-    for sheet in area.route_map.sheets:
-        part = common_window(window, sheet.window)
-        if part is None:
-            continue
-        found = np.empty((part.rows, part.cols), np.uint8)
-        sheet.read_into([found], "class.tif", part)
-        top, left = window.row + window.rows - part.row - part.rows, part.col - window.col
-        place = (slice(top, top + part.rows), slice(left, left + part.cols))
-        out[place] = np.fmax(out[place], np.where(found == NO_CLASS, np.nan, found))
-    return out
 
 
 def typestore() -> Any:

@@ -22,7 +22,6 @@ from bumpymap.core import (
 from bumpymap.layers import (
     MANIFEST_NAME,
     MapReader,
-    check_extent,
     geojson_features,
     line_parts,
     refuse_present,
@@ -254,8 +253,6 @@ def export_map(
     by_pixels = settings.to == "cost" or (settings.resolution == "pixel" and settings.to in {"nav2", "gridmap"})
     split = route_map.grid.pixels if by_pixels else 1
     area = choose_area(route_map, split, settings.around, settings.radius, settings.datum)
-    if settings.to != "plan":
-        check_extent(route_map.grid, area.window, "Export a part of it with `around='X,Y'` and `radius=1000`. ")
     record = {"format": "bumpymap-export", "version": 1, "to": settings.to, **area.describe(), **_sources(route_map)}
     # The faults of what was given come first, but for those that take long to find.
     write = _made(area, settings) if settings.to == "plan" else None
@@ -272,7 +269,7 @@ def export_map(
 def _sources(route_map: MapReader) -> dict[str, Any]:
     vehicle = route_map.vehicle
     return {
-        "layers": [sheet.folder.resolve().name for sheet in route_map.sheets],
+        "layers": [route_map.folder.resolve().name],
         "calibration": route_map.calibration_id,
         "vehicle": {"name": vehicle.name, "width_m": vehicle.width_m, "speed_m_per_s": vehicle.speed_mps},
     }
@@ -280,7 +277,7 @@ def _sources(route_map: MapReader) -> dict[str, Any]:
 
 def _plan(route_map: MapReader, settings: ExportSettings) -> Callable[[Path], dict[str, Any]]:
     """Make a mission of a route, and return what writes it."""
-    route = settings.route or route_map.sheets[0].folder
+    route = settings.route or route_map.folder
     path = route / "route.geojson" if route.is_dir() else route
     if not path.exists():
         raise BadInputError(

@@ -8,7 +8,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from bumpymap.core import horizontal_of, stated_crs
-from bumpymap.layers import REPORT_NAME, open_layer, raster_in, virtual_name
+from bumpymap.layers import REPORT_NAME, open_layer
 from bumpymap.views.gis.styles import (
     MULTIPLY,
     NORMAL,
@@ -34,7 +34,7 @@ def write_map_views(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The layers of a run, or the virtual rasters over those of its sheets.
+        The layers of a run.
     record : mapping
         The content of run.json, which need not be there yet.
 
@@ -65,11 +65,10 @@ class _Tree:
     ) -> list[Style]:
         """Return a file as a layer, in a list of one; nothing if the folder has no such file.
 
-        Of a map in sheets it is the virtual raster over theirs. ``part`` is the part of the file that it shows, if not
-        the one that the file itself opens with; see `map_styles`.
+        ``part`` is the part of the file that it shows, if not the one that the file itself opens with; see
+        `map_styles`.
         """
-        path = raster_in(self._folder, file)
-        if not path.is_file():
+        if not (self._folder / file).is_file():
             return []
         is_raster = file.endswith(".tif")
         layer = {
@@ -79,7 +78,7 @@ class _Tree:
             "title": title,
             "blend": blend,
             "visible": visible,
-            "source": file if path == self._folder / file else virtual_name(file),
+            "source": file,
             "is_raster": is_raster,
             "provider": "gdal" if is_raster else "ogr",
         }
@@ -131,7 +130,7 @@ def write_project(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers. The project lists those that are there; of a map in sheets, the virtual rasters.
+        The folder of the layers. The project lists those that are there.
     record : mapping
         The record of the run, as in run.json.
 

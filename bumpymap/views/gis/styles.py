@@ -34,7 +34,6 @@ from bumpymap.layers import (
     REASON_COLOURS,
     RideScale,
     class_limits,
-    raster_in,
 )
 from bumpymap.views.page.page import render_text
 
@@ -283,7 +282,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     Parameters
     ----------
     folder : Path
-        The folder of the layers. Styles are written for those that are there, or are virtual rasters over sheets.
+        The folder of the layers. Styles are written for those that are there.
     record : mapping
         The record of the run, as in run.json.
 
@@ -294,7 +293,7 @@ def write_styles(folder: Path, record: Mapping[str, Any]) -> None:
     """
     found: dict[str, dict[str, Style]] = {}
     for layer, style in map_styles(record).items():
-        if " " not in layer and raster_in(folder, layer).is_file():
+        if " " not in layer and (folder / layer).is_file():
             found.setdefault(Path(layer).stem, {})["vectors" if "looks" in style else "pixels"] = style
     for stem, parts in found.items():
         write_qgis(folder / f"{stem}.qml", "style.xml", **({"pixels": None, "vectors": None} | parts))

@@ -96,12 +96,10 @@ _COLOURS = np.array(
 """Of the classes, of the same where the ground is not passable, and of unknown ground."""
 _BARRED, _UNKNOWN, _NOTHING = len(CLASS_NAMES), 2 * len(CLASS_NAMES), 2 * len(CLASS_NAMES) + 1
 _DARKEST, _BRIGHTEST = 0.45, 1.2
-_MOST_PIXELS = 20_000_000
-"""Heights of a virtual raster to average."""
 
 
 def read_thumbnail(folder: Path, most_bytes: int) -> bytes:
-    """Return a PNG of a complete map, in one folder or in sheets; empty if none is small enough.
+    """Return a PNG of a complete map; empty if none is small enough.
 
     It is made from the overviews, so that memory and time do not grow with the map.
 
@@ -155,10 +153,7 @@ def _read(folder: Path, side: int) -> tuple[NDArray[np.intp], NDArray[np.float64
 
 def _heights(folder: Path, shape: tuple[int, int]) -> NDArray[np.float64]:
     with open_raster(folder, "heightmap.tif") as raster:
-        # GDAL may average every pixel of a virtual raster, also those between sheets that lie far apart. The overviews
-        # of large sheets are averages already.
-        large = raster.driver == "VRT" and raster.height * raster.width > _MOST_PIXELS
-        heights: NDArray[np.float64] = raster.read(1, out_shape=shape) if large else read_averaged(raster, shape)
+        heights: NDArray[np.float64] = read_averaged(raster, shape)
     return heights
 
 

@@ -262,7 +262,7 @@ def write_change_report(folder: Path, record: Mapping[str, Any], path: Path) -> 
         The page cannot be written.
     """
     site = ChangeSite.read(folder, record)
-    runs = [record["sources"][side]["runs"][0] for side in _SIDES]  # sheets of one map have the same survey
+    runs = [record["sources"][side]["runs"][0] for side in _SIDES]
     classes = [*(f"{code} {name}" for code, name in enumerate(CLASS_NAMES)), "not known"]
     codes = {
         "unknownFrom": NOT_COMPARED,

@@ -1,9 +1,9 @@
 """The page of a map, and of drives over a map: as a view of a run that is ending, or again."""
 
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from os.path import lexists
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from bumpymap.core import (
@@ -27,10 +27,8 @@ from bumpymap.layers import (
     OBJECT_COLOURS,
     OFF_COLOURS,
     REPORT_NAME,
-    SHEET_TABLE_NAME,
     CheckGround,
     read_manifest,
-    require_map_written,
     require_written,
 )
 from bumpymap.views.page.change_page import is_comparison, read_comparison, write_change_report
@@ -53,8 +51,6 @@ from bumpymap.views.words import (
 
 __all__ = ["write_check_page", "write_map_page", "write_report"]
 
-_MOST = 2
-"""Maps that the page of a check can show."""
 _SUFFIXES = {".html", ".htm"}
 _READ = ("class.tif", "heightmap.tif", "obstacle.tif", "tiles.parquet")
 
@@ -107,10 +103,9 @@ def write_report(
                 require_written(folder, record, ("change.tif", "change.geojson"), name)
                 write_change_report(readable, record, path)
             else:
-                require_map_written(folder, record, _READ)
+                require_written(folder, record, _READ)
                 ways = () if route is None else read_ways(Path(route), record)
-                beside = path.parent.resolve() == folder.resolve()
-                write_map_page(Site.read(readable, record, ways, has_links=beside), path)
+                write_map_page(Site.read(readable, record, ways), path)
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise BadInputError(f"{folder / name} is not that of {of_what} of this version: {error!r}. {again}") from error
     return path
@@ -145,26 +140,22 @@ def write_map_page(site: Site, path: Path) -> None:
         path,
         "map.html",
         site=site,
-        SHEET_TABLE_NAME=SHEET_TABLE_NAME,
-        MOST_SHEETS=_MOST_SHEETS,
         bar_rows=_bar_rows(site),
         class_rows=_class_rows(site),
         crossed=_crossed(site),
         file_rows=_file_rows(site.record),
         real=real,
         reason_rows=_reason_rows(site),
-        sheet_rows=_sheet_rows(site),
         surface_rows=[(name, f"{c_r:.3f}", degrees(c_r)) for name, c_r in real["c_r"].items()],
         warnings=_warnings_of(site.record),
         way_rows=_way_rows(site.ways),
-        **_of_maps([site]),
+        **_of_map(site),
     )
 
 
-def _of_maps(sites: Sequence[Site]) -> dict[str, Any]:
-    """Return what the figures of maps need, with the data of the script."""
-    data = {"maps": [site.map_record() for site in sites], "codes": _CODES}
-    return {"maps": sites, "ramp_colours": _RAMP, "data": data}
+def _of_map(site: Site | None) -> dict[str, Any]:
+    """Return what the figure of a map needs, with the data of the script."""
+    return {"ramp_colours": _RAMP, "data": {"maps": [site.map_record()] if site else [], "codes": _CODES}}
 
 
 _RAMP = ("#fcfdbf", "#feca8d", "#fd9668", "#f1605d", "#cd4071", "#9e2f7f", "#721f81", "#440f76", "#180f3d")
@@ -204,27 +195,23 @@ def write_check_page(result: CheckResult, ground: CheckGround | None, path: Path
         The page cannot be written.
     """
     check = DrawnCheck(result)
-    sites = [] if ground is None else list(_driven_sites(check, ground))[:_MOST]
+    site = None if ground is None else _driven_site(check, ground)
     names = names_of([drive.name for drive in result.drives])
     title = f"{result.ground.name} checked against {names}" if result.ground else f"Drives measured: {names}"
-    write_page(path, "check.html", title=title, check=check, **_of_maps(sites))
+    write_page(path, "check.html", title=title, check=check, site=site, **_of_map(site))
 
 
-def _driven_sites(check: DrawnCheck, ground: CheckGround) -> Iterator[Site]:
-    """Yield the maps with a stretch on them, as far as they can be drawn."""
-    stretches = check.result.stretches
-    for folder, record in zip(ground.folders, ground.manifests, strict=False):
-        try:
-            with utf8_path(folder) as readable:
-                shared = min(_MOST, len(ground.folders))
-                site = Site.read(readable, record, maps=shared, has_links=False, check=check)
-        except BadInputError:
-            continue
-        spot = site.tiles.spot
-        east, south = stretches.easting - spot.west, spot.north - stretches.northing
-        inside = (east >= 0) & (east < spot.cols * spot.tile_size) & (south >= 0) & (south < spot.rows * spot.tile_size)
-        if inside.any():
-            yield site
+def _driven_site(check: DrawnCheck, ground: CheckGround) -> Site | None:
+    """Return the map; None if no stretch lies on it, or it cannot be drawn."""
+    try:
+        with utf8_path(ground.folder) as readable:
+            site = Site.read(readable, ground.manifest, check=check)
+    except BadInputError:
+        return None
+    spot, stretches = site.tiles.spot, check.result.stretches
+    east, south = stretches.easting - spot.west, spot.north - stretches.northing
+    inside = (east >= 0) & (east < spot.cols * spot.tile_size) & (south >= 0) & (south < spot.rows * spot.tile_size)
+    return site if inside.any() else None
 
 
 def _crossed(site: Site) -> dict[str, str]:
@@ -242,27 +229,6 @@ def _crossed(site: Site) -> dict[str, str]:
 
 
 Row = tuple[Any, ...]
-_MOST_SHEETS = 500
-"""Rows of the table: 10,000 of them would take more room than the maps."""
-
-
-def _sheet_rows(site: Site) -> list[Row]:
-    rows = []
-    for sheet in site.sheets[:_MOST_SHEETS]:
-        folder, tiles = str(sheet["folder"]), int(sheet["tiles"])
-        name, (west, south, _, _) = PurePosixPath(folder).name, sheet["bounds"]
-        rows.append(
-            (
-                {"text": name, "href": f"{folder}/{REPORT_NAME}"} if site.has_links else name,
-                area(tiles * site.tile_area),
-                share(sheet["passable"], tiles),
-                share(sheet["unknown"], tiles),
-                whole(int(sheet["points"])),
-                f"{west:,.0f}",
-                f"{south:,.0f}",
-            )
-        )
-    return rows
 
 
 def _class_rows(site: Site) -> list[Row]:

@@ -2,9 +2,8 @@
 
 import base64
 import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Self
 
@@ -33,9 +32,7 @@ from bumpymap.layers import (
     geojson_features,
     line_parts,
     open_layer,
-    raster_in,
     read_averaged,
-    sheets_of,
 )
 from bumpymap.views.page.charts import Chart, c_r_chart, slope_chart
 from bumpymap.views.page.drives import DrawnCheck
@@ -85,19 +82,10 @@ def _halves(pixels: int) -> Iterator[int]:
     yield 1
 
 
-def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.float32]:
+def read_heights(folder: Path, spot: Spot, side: int) -> NDArray[np.float32]:
     """Read heightmap.tif with at most ``side`` pixels along a side, or one for each pixel of the page's grid.
 
-    GDAL averages its overviews. The rasters of sheets are read one by one, since between two that lie far apart a
-    virtual raster has more pixels than can be averaged.
-
-    Parameters
-    ----------
-    folders : sequence of Path
-        The folder of the map, or those of its sheets.
-    spot : Spot
-        Where the whole map lies.
-    side : int
+    GDAL averages its overviews.
 
     Returns
     -------
@@ -105,47 +93,31 @@ def read_heights(folders: Sequence[Path], spot: Spot, side: int) -> NDArray[np.f
         Metres; NaN where there is no point.
     """
     factor = next(half for half in _halves(spot.pixels) if half <= finer(spot, side))
-    shape = tuple(pixels * factor for pixels in spot.shape)
-    total, weight = np.zeros(shape), np.zeros(shape)
-    for folder in folders:
-        with open_layer(folder / "heightmap.tif") as file:
-            _add_heights(file, spot, factor, total, weight)
-    return np.where(weight > 0, total / np.maximum(weight, 1.0), np.nan).astype(np.float32)
+    heights = np.full([pixels * factor for pixels in spot.shape], np.nan, np.float32)
+    with open_layer(folder / "heightmap.tif") as file:
+        for line, lines, rows in _spans(spot.rows, spot.step):
+            for column, columns, cols in _spans(spot.cols, spot.step):
+                high, wide = (
+                    (first * spot.pixels, (first + tiles) * spot.pixels)
+                    for first, tiles in ((line, rows * lines), (column, cols * columns))
+                )
+                row, col = line // spot.step * factor, column // spot.step * factor
+                place = np.s_[row : row + lines * factor, col : col + columns * factor]
+                heights[place] = read_averaged(file, (lines * factor, columns * factor), (high, wide))
+    return heights
 
 
-def _add_heights(file: Any, spot: Spot, factor: int, total: NDArray[np.float64], weight: NDArray[np.float64]) -> None:
-    """Add mean heights times tiles to ``total``, and tiles to ``weight``, in the pixels that a raster covers."""
-    left = round((file.transform.c * spot.unit - spot.west) / spot.tile_size)
-    top = round((spot.north - file.transform.f * spot.unit) / spot.tile_size)
-    for line, lines, rows in _spans(top, file.height // spot.pixels, spot.step):
-        for column, columns, cols in _spans(left, file.width // spot.pixels, spot.step):
-            high, wide = (
-                (first * spot.pixels, (first + tiles) * spot.pixels)
-                for first, tiles in ((line - top, rows * lines), (column - left, cols * columns))
-            )
-            found = read_averaged(file, (lines * factor, columns * factor), (high, wide))
-            row, col = line // spot.step * factor, column // spot.step * factor
-            place = np.s_[row : row + lines * factor, col : col + columns * factor]
-            known = np.isfinite(found)
-            total[place] += np.where(known, found, np.float32(0)).astype(np.float64) * (rows * cols)
-            weight[place] += known * (rows * cols)
-
-
-def _spans(start: int, count: int, step: int) -> list[tuple[int, int, int]]:
-    """Divide ``count`` tiles from ``start`` on, so that a part has whole pixels of ``step`` tiles, or lies in one.
+def _spans(count: int, step: int) -> list[tuple[int, int, int]]:
+    """Divide ``count`` tiles into those of whole pixels of ``step`` tiles, and those of the last pixel.
 
     Returns
     -------
     list of tuple of int
         First tile, number of pixels, and tiles in each of them.
     """
-    end = start + count
-    whole = min(-(-start // step) * step, end), max(end // step * step, start)
-    parts = []
-    for first, last in pairwise(sorted({start, *whole, end})):
-        pixels = max(1, (last - first) // step)
-        parts.append((first, pixels, (last - first) // pixels))
-    return parts
+    whole = count // step
+    parts = [(0, whole, step), (whole * step, 1, count - whole * step)]
+    return [(first, pixels, tiles) for first, pixels, tiles in parts if pixels and tiles]
 
 
 def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
@@ -164,7 +136,7 @@ def object_grid(folder: Path, tiles: PageTiles, side: int) -> NDArray[np.uint8]:
     canvas = np.empty((rows, cols), np.uint8)
     starts = np.arange(cols) * spot.pixels // factor
     lines = max(1, _STRIP_PIXELS // max(1, spot.cols * spot.pixels**2))  # tiles
-    with open_layer(raster_in(folder, "obstacle.tif")) as file:
+    with open_layer(folder / "obstacle.tif") as file:
         for top in range(0, spot.rows, lines):
             count = min(lines, spot.rows - top)
             window = ((top * spot.pixels, (top + count) * spot.pixels), (0, file.width))
@@ -220,7 +192,9 @@ WAY_FIGURES = (
     ("descent_m", "descent", 1, " m"),
 )
 """Figures of a way on a page: property of its line, label, decimals, unit."""
-_WAY_SHAPE = {"name?": Nullable(str)} | {f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES}
+_WAY_SHAPE = {"name?": Nullable(str), "why?": Nullable(str)} | {
+    f"{key}?": Nullable(Number()) for key, *_ in WAY_FIGURES
+}
 
 
 def read_ways(folder: Path, record: Mapping[str, Any]) -> tuple[DrawnWay, ...]:
@@ -262,7 +236,7 @@ def _ways(path: Path, record: Mapping[str, Any]) -> Iterator[DrawnWay]:
 
 
 _BUDGET = 1_700_000
-"""Characters for the maps of a page; its text takes some 60,000 more."""
+"""Characters for the map of a page; its text takes some 60,000 more."""
 _SIDE = 1_500
 """Most pixels of a grid of tiles, or of objects, along a side."""
 _RELIEF_SIDE = 1_000
@@ -296,8 +270,6 @@ class Site:
     still: str
     """The classes over the relief, a data URI: for readers and printers without scripts."""
     ways: tuple[DrawnWay, ...] = ()
-    has_links: bool = True
-    """True if the page lies beside the layers, so that it can lead to the pages of sheets."""
     check: DrawnCheck | None = None
     """Findings of real drives over the map."""
 
@@ -307,9 +279,7 @@ class Site:
         folder: Path,
         record: Mapping[str, Any],
         ways: tuple[DrawnWay, ...] = (),
-        maps: int = 1,
         *,
-        has_links: bool = True,
         check: DrawnCheck | None = None,
     ) -> Self:
         """Read a folder of layers.
@@ -322,10 +292,6 @@ class Site:
             The content of its run.json, which may not be there yet.
         ways : tuple of DrawnWay
             Ways to draw.
-        maps : int
-            Maps that share the page.
-        has_links : bool
-            Whether the page lies beside the layers.
         check : DrawnCheck, optional
             What real drives show of the map.
 
@@ -341,31 +307,30 @@ class Site:
             raise BadInputError(
                 f"run.json of {folder} is not that of a map of this version: {error!r}. Map the survey again"
             ) from error
-        budget = _BUDGET // maps
-        step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles * maps / _TILES))))
+        step = max(spot.step, int(np.ceil(np.sqrt(summary.tiles / _TILES))))
         while True:
             spot = replace(spot, step=step)
             tiles = PageTiles.read(folder, record, spot)
-            heights = read_heights(sheets_of(folder, record), spot, _RELIEF_SIDE)
+            heights = read_heights(folder, spot, _RELIEF_SIDE)
             grids = _grids(tiles, block_means(heights, spot.shape))
             taken = sum(len(packed(grid.codes)) for grid in grids)
-            if taken < 0.7 * budget or max(spot.shape) < 100:
+            if taken < 0.7 * _BUDGET or max(spot.shape) < 100:
                 break
             step *= 2
         side_m = spot.metres * spot.shape[0] / heights.shape[0]
         bright = np.clip(light_of(heights, (side_m, side_m)) * (_FLAT / LEVEL), 0.15, 1.0)
         light = np.rint(bright * 255).astype(np.uint8)
-        relief = jpeg(light, int(0.2 * budget))
+        relief = jpeg(light, int(0.2 * _BUDGET))
         side = _SIDE
         while True:
             objects = object_grid(folder, tiles, side)
             text = packed(objects)
-            if len(text) < 0.2 * budget or side < 100:
+            if len(text) < 0.2 * _BUDGET or side < 100:
                 break
             side //= 2
         still = _still(tiles, light)
         shown = (tiles, grids, objects, text, relief, still)
-        return cls(survey_name(record), record, summary, *shown, ways, has_links, check)
+        return cls(survey_name(record), record, summary, *shown, ways, check)
 
     @property
     def vehicle(self) -> str:
@@ -382,16 +347,6 @@ class Site:
     def ground(self) -> float:
         """Area of the tiles with points, m2."""
         return self.summary.tiles * self.tile_area
-
-    @property
-    def sheets(self) -> list[Mapping[str, Any]]:
-        """Entries of run.json for the sheets; empty for a map in one folder."""
-        return self.record.get("sheets") or []
-
-    @property
-    def leads_to_sheets(self) -> bool:
-        """True if there are pages of sheets that can be opened from this one."""
-        return self.has_links and bool(self.sheets)
 
     @property
     def crs_name(self) -> str:

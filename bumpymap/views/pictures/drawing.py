@@ -29,6 +29,7 @@ __all__ = [
     "Pen",
     "Pixels",
     "bar_length",
+    "draw_closed",
     "draw_north",
     "draw_profile",
     "draw_scale",
@@ -229,7 +230,7 @@ def paint_ground(source: MapSource, view: MapView) -> tuple[Pixels, RideScale]:
     """
     barred, c_r = _sample(source, view)
     passable = np.isin(barred, OPEN_THROUGH) & np.isfinite(c_r) & _fits(source, view)
-    scale = RideScale.of(next(iter(source.manifests), {}))
+    scale = RideScale.of(source.manifest)
     colour = scale.colours(np.where(passable, c_r, 0.0))
     colour[~passable] = BARRED_SHADE
     colour[~passable & (barred == Barred.UNKNOWN)] = UNKNOWN_SHADE
@@ -467,6 +468,19 @@ def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray
 
 
 _WHITE = (255, 255, 255)
+
+
+def draw_closed(pen: Pen, left: int, row: int) -> int:
+    """Draw what a legend says about ground that ways do not use; return the row, pixels, below it."""
+    barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
+    barred[hatched(24, 40)] = HATCH
+    swatches = ((barred, "not passable, or no room"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
+    for colour, text in swatches:
+        pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
+        pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
+        pen.text((left + 54, row + 12), text, INK, size=16)
+        row += 34
+    return row
 
 
 def draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> None:

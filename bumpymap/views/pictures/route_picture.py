@@ -11,19 +11,15 @@ from PIL import Image
 from bumpymap.core import Route, atomic
 from bumpymap.layers import MapSource, RideScale, stop_roles
 from bumpymap.views.pictures.drawing import (
-    BARRED_SHADE,
     FAINT,
-    HATCH,
     INK,
-    NO_DATA,
-    UNKNOWN_SHADE,
     Colour,
     MapView,
     Pen,
+    draw_closed,
     draw_north,
     draw_profile,
     draw_scale,
-    hatched,
     paint_ground,
     shortened,
     ticks,
@@ -156,15 +152,7 @@ def _draw_legend(pen: Pen, routes: Sequence[Route], scale: RideScale) -> None:
         place = left + _BAR * value / scale.end
         pen.line(np.array([[place, row + 46.0], [place, row + 51.0]]), FAINT)
         pen.text((place, row + 60), f"{value:.{decimals}f}", FAINT, size=14, anchor="mm")
-    row += 92
-    barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
-    barred[hatched(24, 40)] = HATCH
-    swatches = ((barred, "not passable, or no room"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
-    for colour, text in swatches:
-        pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
-        pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
-        pen.text((left + 54, row + 12), text, INK, size=16)
-        row += 34
+    row = draw_closed(pen, left, row + 92)
     row += 12
     # Where start and goal are one place, the mark of the goal lies under that of the start.
     is_round = all((route.stops[0] == route.stops[-1]).all() for route in routes)

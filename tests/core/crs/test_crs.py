@@ -14,8 +14,8 @@ from bumpymap.core import (
     common_georeference,
     georeference,
     parse_crs,
+    place_notes,
     same_crs,
-    scale_note,
     stated_crs,
     statement_from_wkt,
     utm_epsg,
@@ -259,16 +259,41 @@ def test_units_that_are_none(unit):
     assert settle(statement_from_wkt(wkt), force="EPSG:32614")[0].metres_per_unit == 1.0
 
 
+def noted(code, x, y):
+    return place_notes(Place(Path("site.laz"), (x, y, 0.0)), CRS(code))
+
+
 def test_a_metre_that_is_none_is_noted():
-    (note,) = scale_note(CRS(3857), (1e6, 6.2e6, 0))  # 48.6 N: cos = 0.66
+    (note,) = noted(3857, 1e6, 6.2e6)  # 48.6 N: cos = 0.66
     assert "0.66" in note
-    assert scale_note(CRS(32614), (500000, 2_136_000, 0)) == []
-    assert scale_note(CRS(2276), (2.5e6, 7e6, 0)) == []
+    assert noted(32614, 500_000, 2_136_000) == []
+    assert noted(2276, 2.5e6, 7e6) == []
 
 
-def test_coordinates_where_the_crs_ends_are_noted():
-    (note,) = scale_note(CRS(32614), (1e12, 1e12, 0))
-    assert "outside the area" in note
+@pytest.mark.parametrize(
+    ("code", "x", "y", "says"),
+    [
+        (32614, 2_135_914, 480_717, "Eastings and northings seem to be swapped"),
+        (25832, 512_350 / 0.3048, 5_403_300 / 0.3048, "Feet seem to have been read as metres"),
+        (2227, 1_900_000, 600_000, "Metres seem to have been read as feet"),
+        (2992, 100, 100, "local frame"),
+        (31467, 512_350, 5_403_300, "34.8 degrees outside"),  # without the number of the zone
+    ],
+)
+def test_coordinates_outside_the_area_of_use_are_noted_with_what_they_may_be(code, x, y, says):
+    (note,) = noted(code, x, y)
+    assert says in note
+    assert "force_crs" in note
+
+
+def test_a_survey_that_crosses_the_border_of_a_zone_is_none_of_them():
+    assert not any("area of use" in note for note in noted(32614, 830_000, 2_135_914))  # 0.1 degrees beyond it
+    assert noted(3832, 4_000_000, -2_000_000)[0].startswith("one metre")  # its area crosses the antimeridian
+
+
+def test_coordinates_that_are_no_place_in_their_crs_are_refused():
+    with pytest.raises(BadInputError, match="is no place on Earth in WGS 84"):
+        noted(32614, 1e12, 1e12)
 
 
 @dataclass

@@ -58,7 +58,7 @@ def test_a_survey_too_sparse_to_judge_says_why(quarry, subject, settings, tmp_pa
 
 
 def cli(*words):
-    return CliRunner().invoke(main, ["evaluate", *map(str, words)])
+    return CliRunner().invoke(main, ["evaluate", "survey", *map(str, words)])
 
 
 def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_path, fake_drives):

@@ -103,14 +103,15 @@ def test_command_writes_model_and_card(tmp_path):
     out = tmp_path / "m.onnx"
     argv = [
         "train",
+        "textures",
         "--out",
         str(out),
         "--set",
         "epochs=1",
         "--set",
         "patches_per_texture=16",
-        "--tile-size",
-        "1.5",
+        "--set",
+        "tile_size=1.5",
         "--set",
         "seed=4",
     ]
@@ -141,7 +142,7 @@ def test_command_writes_model_and_card(tmp_path):
 )
 def test_wrong_usage_is_explained(tmp_path, monkeypatch, options, code, message):
     monkeypatch.chdir(tmp_path)
-    result = CliRunner().invoke(main, ["train", *options])
+    result = CliRunner().invoke(main, ["train", "textures", *options])
     assert result.exit_code == code
     assert message in result.output
     assert "Traceback" not in result.output

@@ -17,7 +17,7 @@ from bumpymap.layers.route_lines import split_at_antimeridian, write_route_geojs
 US_FOOT = 1200 / 3937
 PROPERTIES = {
     *("name", "vehicle", "length_m", "straight_m", "detour", "cost_m", "c_r_mean", "c_r_mean_low", "c_r_mean_high"),
-    *("c_r_max", "c_r_max_low", "c_r_max_high", "p_arrives", "p_arrives_note", "p_fail_max", "unknown_m"),
+    *("c_r_max", "c_r_max_low", "c_r_max_high", "p_arrives", "p_arrives_note", "p_fail_max", "unknown_m", "why"),
     *("obstacle_m", "tight_turns_deg", "climb_m", "descent_m", "seconds", "risk_m"),
 }
 

@@ -20,7 +20,7 @@ def folder(make_field, tmp_path_factory):
 
 
 def test_coarse_relief_holds_means(folder):
-    found = open_map([folder])
+    found = open_map(folder)
     whole = found.window
     blocks = found.heights(whole).reshape(whole.rows, 4, whole.cols, 4)
     known = np.isfinite(blocks).sum(axis=(1, 3))
@@ -32,19 +32,9 @@ def test_coarse_relief_holds_means(folder):
     assert np.abs(coarse - means)[known > 0].max() < 0.5
 
 
-def test_sheets_make_one_relief(make_field, tmp_path):
-    west = write_folder(tmp_path / "west", make_field(20, 30, grid=SMALL, holes=0.0, seed=5))
-    east = write_folder(tmp_path / "east", make_field(20, 30, grid=SMALL, holes=0.0, seed=6, west=110_020))
-    both = open_map([east, west])
-    relief = both.relief(both.window, (60, 80))
-    for half, folder in ((relief[:, :40], west), (relief[:, 40:], east)):
-        alone = open_map([folder])
-        np.testing.assert_array_equal(half, alone.relief(alone.window, (60, 40)))
-
-
 def test_damaged_layers_leave_nothing(make_field, tmp_path):
     folder = write_folder(tmp_path / "layers", make_field(20, 16, grid=SMALL))
-    found = open_map([folder])
+    found = open_map(folder)
     (folder / "heightmap.tif").write_bytes(b"II*\0 no more")
     bounds = found.grid.window_bounds(found.window)
     corners = np.array([[bounds.west + 5, bounds.south + 5], [bounds.east - 5, bounds.north - 5]])

@@ -135,14 +135,11 @@ def test_unknown_dates_are_any_time_and_said_to_be_unknown(folder, tmp_path, dat
     assert faults(item) == []
 
 
-def test_surveys_of_one_name_and_the_sheets_of_one_survey_have_ids_of_their_own(folder, tmp_path):
+def test_surveys_of_one_name_have_ids_of_their_own(folder, tmp_path):
     """A catalogue of them would hold one item, for programs that find items by their ids."""
     surveys = [SURVEY | {"checksum": f"blake3-1MiB:{digit * 64}"} for digit in "ab"]
-    sheets = [{"column": column, "row": 3} for column in (-1, 0, 1)]
-    records = [{"survey": survey, "sheet": sheet} for survey in surveys for sheet in (None, *sheets)]
-    items = [described(folder, tmp_path / str(number), **record) for number, record in enumerate(records)]
-    assert len({item["id"] for item in items}) == len(items)
-    assert [items[0]["id"], items[1]["id"]] == ["Grube-S-d_aaaaaaaa", "Grube-S-d_aaaaaaaa_column-1_row3"]
+    items = [described(folder, tmp_path / str(number), survey=survey) for number, survey in enumerate(surveys)]
+    assert [item["id"] for item in items] == ["Grube-S-d_aaaaaaaa", "Grube-S-d_bbbbbbbb"]
     assert [faults(item) for item in items] == [[]] * len(items)
 
 

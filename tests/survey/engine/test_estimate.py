@@ -97,7 +97,7 @@ print(re.search(r"VmHWM:\\s*(\\d+) kB", open("/proc/self/status").read())[1])
     survey = str(QUARRY)
     options = ["map", survey, "--out", str(tmp_path / "layers"), "--local", "--threads", "2", "--quiet"]
     said = subprocess.run([sys.executable, "-c", code, *options], check=True, capture_output=True, text=True).stdout
-    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--threads", "2", "--json"]).stdout)
+    foretold = json.loads(CliRunner().invoke(main, ["info", survey, "--quick", "--set", "threads=2", "--json"]).stdout)
     # How much is held at once depends on what the threads that write layers do at the same time: up to 160 MB.
     assert 1 / 3 < int(said) * 1024 / foretold["run"]["memory_bytes_at_most"] <= 1
 
@@ -118,13 +118,13 @@ def test_info_says_what_a_run_takes(tmp_path):
     def told(*words):
         return CliRunner().invoke(main, ["info", str(QUARRY), "--quick", *words], env={"COLUMNS": "200"}).output
 
-    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told("--threads", "3"))
-    assert "a run with --memory 1GB on 3 threads" in told("--threads", "3", "--memory", "1GB")
+    assert re.search(r"a run with --memory auto \(\d+MB now\) on 3 threads", told("--set", "threads=3"))
+    assert "a run with --memory 1GB on 3 threads" in told("--set", "threads=3", "--set", "memory=1GB")
     assert "none: all points fit into memory" in told()
-    small = told("--memory", "128MB", "--threads", "1")
+    small = told("--set", "memory=128MB", "--set", "threads=1")
     assert "on 1 thread\n" in small
     assert "scratch  none" in small
-    assert "memory is '1MB'" in told("--memory", "1MB")
+    assert "memory is '1MB'" in told("--set", "memory=1MB")
     place = np.array([500_001.0, 4_000_002.0, 0.0])
     cloud = write_points(tmp_path / "a.las", place + np.random.default_rng(0).uniform(0, 9, (100, 3)))
     ply = tmp_path / "a.ply"

@@ -28,7 +28,7 @@ def folder(make_field, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def route_map(folder):
-    return open_map([folder])
+    return open_map(folder)
 
 
 @pytest.fixture(scope="session")
@@ -39,4 +39,4 @@ def easy_folder(make_field, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def easy_map(easy_folder):
-    return open_map([easy_folder])
+    return open_map(easy_folder)

@@ -45,7 +45,7 @@ def load_graph(path):
 
 def pixel_factor(route_map):
     """Cost of a metre on each pixel, inf where the middle of the vehicle cannot be, as the files say it."""
-    with rasterio.open(route_map.folders[0] / "passage.tif") as file:
+    with rasterio.open(route_map.folder / "passage.tif") as file:
         passage = file.read(1)
     field = route_map.read(route_map.window)
     cost = field.rule.cost(field.c_r.astype(float), field.rule.hazard(field.p_fail))
@@ -198,7 +198,7 @@ def test_areas_of_pixels_are_joined_over_corners(seed, height, monkeypatch):
 
 
 def test_what_gives_no_graph(easy_map, make_map, write_map, tmp_path, monkeypatch):
-    lone = open_map([write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone")])
+    lone = open_map(write_map(make_map([5, 9], [5, 9], [0, 0], [0, 0], easy=True), tmp_path / "lone"))
     with pytest.raises(BadInputError, match="no two nodes are connected"):
         export_map(lone, tmp_path / "out", ExportSettings(to="graph"))
     monkeypatch.setattr("bumpymap.views.export.graph._MAX_NODES", 10)

@@ -107,7 +107,7 @@ def test_the_same_map_has_the_same_bytes(route_map, tmp_path):
 
 def test_classes_that_were_cut_off(easy_folder, tmp_path):
     shutil.copytree(easy_folder, tmp_path / "site")
-    site = open_map([tmp_path / "site"])
+    site = open_map(tmp_path / "site")
     whole = (tmp_path / "site" / "class.tif").read_bytes()
     (tmp_path / "site" / "class.tif").write_bytes(whole[: len(whole) // 2])
     with pytest.raises(BadInputError, match=r"class\.tif is cut off"):

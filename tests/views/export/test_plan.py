@@ -91,7 +91,7 @@ def test_home_is_as_high_as_the_ground_at_the_start(route_map, tmp_path):
 
 
 def test_the_route_in_the_folder_of_the_layers_is_taken(easy_folder, tmp_path):
-    easy_map = open_map([easy_folder])
+    easy_map = open_map(easy_folder)
     with pytest.raises(BadInputError, match="`route`"):
         export_map(easy_map, tmp_path / "out", ExportSettings(to="plan"))
     route = route_file(easy_folder / "route.geojson", {"type": "LineString", "coordinates": line_on(easy_map).tolist()})
@@ -132,7 +132,7 @@ def test_files_that_hold_no_route_on_the_map(route_map, tmp_path, text, told):
 
 def test_a_map_without_a_crs_has_no_longitudes(make_field, write_map, tmp_path):
     local = make_field(6, 5, georeference=Georeference(None), easy=True)
-    local_map = open_map([write_map(local, tmp_path / "local")])
+    local_map = open_map(write_map(local, tmp_path / "local"))
     route = route_file(tmp_path / "r.json", {"type": "LineString", "coordinates": [[1, 2], [1, 3]]})
     with pytest.raises(BadInputError, match="a mission is in longitude and latitude, and the map has no CRS"):
         export_map(local_map, tmp_path / "out", ExportSettings(to="plan", route=route))

@@ -88,7 +88,7 @@ def test_a_map_in_feet_is_exported_in_metres(make_field, write_map, tmp_path):
     crs = CRS.from_epsg(2274)  # Tennessee, US survey feet
     west, south = int(1_740_000 * foot / 3), int(660_000 * foot / 3)
     ground = make_field(8, 6, west=west, south=south, georeference=Georeference(crs, foot, foot), easy=True)
-    feet_map = open_map([write_map(ground, tmp_path / "feet")])
+    feet_map = open_map(write_map(ground, tmp_path / "feet"))
     record = export_map(feet_map, tmp_path / "out", NAV2).record
     assert record["resolution_m"] == 3.0
     area, window = record["area"], feet_map.window

@@ -16,12 +16,11 @@ from survey_pairs import survey
 import bumpymap
 from bumpymap.check.pipeline import write_check
 from bumpymap.core import CHANGE_KINDS, NO_CLASS, CostTable, Georeference
-from bumpymap.layers import SheetLayout, SheetRun, write_products, write_sheets
+from bumpymap.layers import write_products
 from bumpymap.layers.check_vectors import OFF_KINDS, MapOffset
 from bumpymap.layers.colours import CHANGE_COLOURS, CLASS_COLOURS, OFF_COLOURS
 from bumpymap.layers.products import PRODUCT_NAMES
 from bumpymap.views import write_map_views
-from bumpytiles import BLOCK_TILES
 
 pytestmark = pytest.mark.qgis
 
@@ -146,26 +145,6 @@ def test_a_map_without_a_crs_lies_where_its_coordinates_say(seen_local):
         assert not layer["crs_valid"]
         assert layer["extent"] == pytest.approx([330_000, 2_040_000, 330_060, 2_040_045])
     assert 329_900 < project["extent"][0] < 330_000
-    assert project["colours"] > 100
-
-
-def test_a_map_in_sheets_opens_as_one(tmp_path, cost_map):
-    table = CostTable.of(cost_map)
-    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
-    (tmp_path / "out").mkdir()
-    write_sheets(table, tmp_path / "out", run, views=write_map_views, local=False, manifest=RUN)
-    seen = load(tmp_path / "out")
-    assert len(list((tmp_path / "out" / "sheets").iterdir())) > 1
-    expected = {name.replace(".tif", ".vrt"): kind for name, kind in RASTERS.items()}
-    assert {name: layer["renderer"] for name, layer in seen["layers"].items()} == expected
-    assert all(layer["valid"] and layer["crs"] == "EPSG:32614" for layer in seen["layers"].values())
-    assert all(layer["colours"] > 1 for layer in seen["layers"].values())
-    project = seen["project"]
-    assert project["read"]
-    assert not project["error"]
-    assert project["crs"] == "EPSG:32614"
-    assert {Path(layer["source"]).name: layer["renderer"] for layer in project["layers"].values()} == expected
-    assert all(found for *_, found in project["tree"])
     assert project["colours"] > 100
 
 

@@ -20,7 +20,7 @@ from bumpymap.views.page.charts import along_chart, drive_chart
 
 def on_site(result, site):
     """The same stretches within a map."""
-    ground = open_map([site])
+    ground = open_map(site)
     bounds = ground.grid.window_bounds(ground.window)
     part = np.linspace(0.1, 0.9, len(result.stretches.drive))
     easting = bounds.west + part * (bounds.east - bounds.west)

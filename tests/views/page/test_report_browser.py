@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from route_maps import RUN, copy_folder
+from route_maps import copy_folder
 
-from bumpymap.core import CostTable
-from bumpymap.layers import SheetLayout, SheetRun, write_sheets
-from bumpymap.views import write_map_views, write_report
-from bumpytiles import BLOCK_TILES
+from bumpymap.views import write_report
 
 pytestmark = pytest.mark.chromium
 WIDE, PHONE = (1400, 900), (400, 800)
@@ -37,19 +34,14 @@ def visit(browser):
 
 
 @pytest.fixture(scope="module")
-def pages(site, comparison, make_field, tmp_path_factory):
-    """The page of a map, of one whose names are markup, of a map in sheets, and of what has changed."""
+def pages(site, comparison, tmp_path_factory):
+    """The page of a map, of one whose names are markup, and of what has changed."""
     folder = tmp_path_factory.mktemp("pages")
     bad = "<img src=x onerror=alert(1)>\"'</script><script>alert(2)</script>"
     odd = copy_folder(site, folder / "odd", survey={"name": bad, "dates": None}, inputs=[{"path": bad, "format": bad}])
-    table, sheets = CostTable.of(make_field(40, 30)), folder / "sheets"
-    sheets.mkdir()
-    run = SheetRun(SheetLayout(table.tiles.grid, BLOCK_TILES), "k", False, lambda _: RUN)
-    write_sheets(table, sheets, run, views=write_map_views, local=False, manifest=RUN)
     return {
         "one": site / "report.html",
         "odd": write_report(odd),
-        "sheets": sheets / "report.html",
         "change": comparison / "report.html",
     }
 
@@ -59,7 +51,7 @@ def outside(page):
 
 
 @pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
-@pytest.mark.parametrize("name", ["one", "odd", "sheets", "change"])
+@pytest.mark.parametrize("name", ["one", "odd", "change"])
 def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     from axe_playwright_python.sync_playwright import Axe
 
@@ -70,17 +62,6 @@ def test_no_error_no_request_and_axe_finds_nothing(visit, pages, name, size):
     assert outside(page) == []
     assert [url for url in page.requests if url.startswith("file:")] == [pages[name].as_uri()]
     assert page.evaluate("document.documentElement.scrollWidth") == size[0]
-
-
-def test_a_click_on_a_sheet_opens_its_page(visit, pages):
-    page = visit(pages["sheets"])
-    page.click("text=the sheets")
-    name = page.inner_text("td a, th a")
-    page.click(f"text={name}")
-    page.wait_for_selector("html[data-ready]")
-    assert page.url == (pages["sheets"].parent / "sheets" / name / "report.html").as_uri()
-    assert page.inner_text("h1").endswith(f"sheet {name}")
-    assert page.complaints == []
 
 
 def test_the_policy_of_the_page_stops_requests(visit, pages):

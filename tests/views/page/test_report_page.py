@@ -261,7 +261,6 @@ def test_what_cannot_be_made_says_why(site, tmp_path):
         {"inputs": [{"points": "many"}]},
         {"flight_lines": {"lines": "two"}},
         {"survey": {"dates": 5}},
-        {"sheet": "e0001"},
         {"metres_per_unit": {"horizontal": 1e308}},
         {"format": ["x"]},
         {"grid": {"tile_size_m": 3.0, "pixels": float("inf")}},

@@ -31,7 +31,7 @@ def drive(tmp_path):
 
 def test_a_report_holds_both_methods(drive, tmp_path):
     out = tmp_path / "out"
-    run = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)], catch_exceptions=False)
+    run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out)], catch_exceptions=False)
     assert run.exit_code == 0, run.output
     record = json.loads((out / "report.json").read_text())
     assert record["facts"]["scans"] == 2
@@ -46,7 +46,7 @@ def test_a_report_holds_both_methods(drive, tmp_path):
     assert "Compared with labels" not in text
     assert "## Ground" not in text
     assert "nan" not in text
-    again = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), "--out", str(out)])
+    again = CliRunner().invoke(main, ["evaluate", "scans", str(drive), "--out", str(out)])
     assert again.exit_code != 0
     assert "--overwrite" in again.output
 
@@ -61,7 +61,7 @@ def label_drive(folder, ids):
 def test_labels_set_both_methods_beside_constant_answers(drive, tmp_path):
     label_drive(drive, (14, 9))  # a fence all over the left side, road on the right
     out = tmp_path / "out"
-    words = ["evaluate", "--scans", str(drive), "--labels", "kitti", "--out", str(out)]
+    words = ["evaluate", "scans", str(drive), "--labels", "kitti", "--out", str(out)]
     run = CliRunner().invoke(main, words, catch_exceptions=False)
     assert run.exit_code == 0, run.output
     record = json.loads((out / "report.json").read_text())
@@ -93,7 +93,7 @@ def test_labels_set_both_methods_beside_constant_answers(drive, tmp_path):
 def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, message):
     if ids:
         label_drive(drive, ids)
-    run = CliRunner().invoke(main, ["evaluate", "--scans", str(drive), *words, "--out", str(tmp_path / "out")])
+    run = CliRunner().invoke(main, ["evaluate", "scans", str(drive), *words, "--out", str(tmp_path / "out")])
     assert run.exit_code == code, run.output
     assert re.search(message, run.output.replace("\n", " "))
     assert not (tmp_path / "out" / "report.md").exists()
@@ -101,6 +101,6 @@ def test_labels_of_another_set_are_refused(drive, tmp_path, ids, words, code, me
 
 def test_an_empty_drive_says_so(tmp_path):
     np.zeros((50, 4), "<f4").tofile(tmp_path / "0.bin")
-    run = CliRunner().invoke(main, ["evaluate", "--scans", str(tmp_path), "--out", str(tmp_path / "out")])
+    run = CliRunner().invoke(main, ["evaluate", "scans", str(tmp_path), "--out", str(tmp_path / "out")])
     assert run.exit_code == 3
     assert "no scan has a sector" in run.output

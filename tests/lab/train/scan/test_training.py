@@ -115,7 +115,7 @@ def test_the_whole_job_on_a_folder_of_the_data_set(tmp_path):
     assert told == [(1, 3), (2, 3), (3, 3), (1, 1)]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["Rellis-3D", "m.md", "m.onnx"]
     model = ScanModel.load(out)
-    assert model.metadata["command"].startswith("bumpymap train --scans RELLIS_FOLDER --set seed=1 --set epochs=2")
+    assert model.metadata["command"].startswith("bumpymap train scans RELLIS_FOLDER --set seed=1 --set epochs=2")
     card = made.card.read_text(encoding="utf-8")
     assert f"{100 * made.evaluation.every.accuracy:.2f} % of all sectors" in card
     again = make_scan_model(SMALL, tmp_path / "n.onnx", folder)

@@ -1,4 +1,4 @@
-"""Folders that are refused: no complete run, damaged files, sheets that do not belong together."""
+"""Folders that are refused: no complete run, damaged files, maps that cannot be compared."""
 
 import json
 from dataclasses import replace
@@ -7,8 +7,8 @@ import pytest
 from pyproj import CRS
 from route_maps import VEHICLE, copy_folder, write_folder
 
-from bumpymap.core import BadInputError, Georeference, UsageError
-from bumpymap.layers import open_map
+from bumpymap.core import BadInputError, Georeference, OutputError
+from bumpymap.layers import check_folder, open_map, open_pair
 from bumpytiles import Grid
 
 SMALL = Grid(3.0, 4)
@@ -28,34 +28,32 @@ def small(make_field, tmp_path_factory):
         ({"settings": {"rating": "table", "compat": "none"}}, "rating is ride and table"),
     ],
 )
-def test_layers_of_two_vehicles_are_refused(small, tmp_path, changes, words):
+def test_layers_of_two_vehicles_are_not_compared(small, tmp_path, changes, words):
     first, second = small, copy_folder(small, tmp_path / "two", **changes)
     with pytest.raises(BadInputError, match=words) as caught:
-        open_map([first, second])
+        open_pair(first, second)
     assert str(first) in str(caught.value)
     assert str(second) in str(caught.value)
 
 
-def test_other_grids_and_crs_are_refused(small, make_field, tmp_path):
+def test_other_grids_and_crs_are_not_compared(small, make_field, tmp_path):
     made = make_field(4, 3, grid=SMALL)
     first = small
     other = write_folder(tmp_path / "two", make_field(4, 3, grid=Grid(3.0, 5)))
     with pytest.raises(BadInputError, match="pixels along a tile is 4 and 5"):
-        open_map([first, other])
+        open_pair(first, other)
     north = write_folder(tmp_path / "three", replace(made, georeference=Georeference(CRS.from_epsg(32613))))
     with pytest.raises(BadInputError, match="UTM zone 14N and WGS 84 / UTM zone 13N"):
-        open_map([first, north])
+        open_pair(first, north)
 
 
 def test_what_is_no_complete_run_is_refused(small, tmp_path):
-    with pytest.raises(UsageError, match="no folder"):
-        open_map([])
     with pytest.raises(BadInputError, match="there is no folder"):
-        open_map([tmp_path / "none"])
+        open_map(tmp_path / "none")
     half = copy_folder(small, tmp_path / "half")
     (half / "run.json").unlink()
     with pytest.raises(BadInputError, match="no complete run"):
-        open_map([half])
+        open_map(half)
 
 
 @pytest.mark.parametrize("name", ["barred.tif", "roughness.tif", "cost.tif", "heightmap.tif", "obstacle.tif"])
@@ -65,15 +63,15 @@ def test_missing_cut_off_and_damaged_files_are_refused(small, tmp_path, name):
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 2 // 3])
     with pytest.raises(BadInputError, match=f"{name} is cut off"):
-        open_map([folder])
+        open_map(folder)
     path.unlink()
     with pytest.raises(BadInputError, match=f"{name} is missing"):
-        open_map([folder])
+        open_map(folder)
     path.write_bytes(content[:-400] + bytes(400))
     if name in {"heightmap.tif", "obstacle.tif"}:  # compared by size only
         return
     with pytest.raises(BadInputError, match=f"{name} is damaged"):
-        open_map([folder])
+        open_map(folder)
 
 
 def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
@@ -88,15 +86,26 @@ def test_rasters_of_another_place_are_refused(small, tmp_path, make_field):
     record["files"] = [entries[e["path"]] if e["path"] in swapped else e for e in record["files"]]
     (folder / "run.json").write_text(json.dumps(record))
     with pytest.raises(BadInputError, match=r"cost\.tif spans other tiles"):
-        open_map([folder])
+        open_map(folder)
     record["grid"]["tile_size_m"] = 2.5
     (folder / "run.json").write_text(json.dumps(record))
     with pytest.raises(BadInputError, match="does not lie on the grid"):
-        open_map([folder])
+        open_map(folder)
 
 
 @pytest.mark.parametrize("key", ["grid", "cost", "files", "metres_per_unit", "crs"])
 def test_a_damaged_manifest_is_refused(small, tmp_path, key):
     folder = copy_folder(small, tmp_path / "layers", **{key: {"a": 1}})
     with pytest.raises(BadInputError, match=r"run\.json is damaged"):
-        open_map([folder])
+        open_map(folder)
+
+
+def test_a_map_in_sheets_of_an_earlier_version_is_refused(small, tmp_path):
+    (tmp_path / "county" / "sheets").mkdir(parents=True)
+    folder = copy_folder(small, tmp_path / "county" / "sheets" / "e0001_n0002", sheet={"name": "e0001_n0002"})
+    (tmp_path / "county" / "run.json").write_text(json.dumps({"format": "bumpymap-sheets", "sheets": []}))
+    with pytest.raises(BadInputError, match=r"holds a map in sheets.*Give one of the folders in .*county/sheets"):
+        open_map(tmp_path / "county")
+    with pytest.raises(OutputError, match=r"holds a map in sheets.*Choose another `out`"):
+        check_folder(tmp_path / "county", overwrite=True)
+    assert open_map(folder).window == open_map(small).window
