@@ -86,10 +86,9 @@ def test_an_octree_built_around_another_place(las, tree, read):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shift", [2.0, 300.0])
-def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree, shift):
+def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree):
     """Counted one by one: a point is in the cube of its node, 1 m around it allowed."""
-    path = las.patch(tree(epsg=32614), INFO, "<d", 500_200.0 + shift)
+    path = las.patch(tree(epsg=32614), INFO, "<d", 500_202.0)
     reader = LasSurvey(path, ReadOptions())
     box = reader.info.bounds
     expected = 0
@@ -102,7 +101,7 @@ def test_points_outside_their_node_are_as_many_however_the_file_is_cut(las, tree
         whole = ((words >= [box.west - 1, box.south - 1]) & (words <= [box.east + 1, box.north + 1])).all(axis=1)
         expected += int((whole & ~inside).sum())
     assert expected > 0
-    for size in (1, 300, 1500, 100_000):
+    for size in (300, 1500, 100_000):
         total = PointStats()
         for chunk in reader.chunks(size):
             batch = reader.convert(chunk, reader.fetch(chunk))
