@@ -45,25 +45,20 @@ def test_order_and_chunks_of_the_input_change_no_bit(seed, cuts):
     assert flatten(gather(columns, shuffled, sorted(cuts))) == expected
 
 
-def test_every_point_is_in_its_own_tile_and_none_is_lost():
-    columns = survey(3)
-    seen = []
-    for block in gather(columns, np.arange(3000), [1000]):
-        for t in range(len(block.col)):
-            part = slice(block.starts[t], block.starts[t + 1])
-            bounds = GRID.bounds(int(block.col[t]), int(block.row[t]))
-            assert np.all((block.easting[part] >= bounds.west) & (block.easting[part] < bounds.east))
-            assert np.all((block.northing[part] >= bounds.south) & (block.northing[part] < bounds.north))
-            assert part.stop > part.start
-        seen += zip(block.easting, block.northing, block.upward, block.flag, strict=True)
-    assert sorted(seen) == sorted(set(zip(*columns, strict=True)))
-
-
-def test_exact_duplicates_count_once_and_a_flagged_twin_wins():
+def test_every_place_is_in_its_own_tile_once():
     columns = survey(5, duplicates=500)
-    distinct = set(zip(*columns[:3], strict=True))
-    blocks = gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700])
-    assert sum(len(block.easting) for block in blocks) == len(distinct)
+    seen = []
+    for block in gather(columns, np.random.default_rng(0).permutation(len(columns[0])), [700]):
+        points = [block.easting, block.northing, block.upward]
+        tile = np.repeat(np.arange(len(block.col)), np.diff(block.starts))
+        assert (np.diff(block.starts) > 0).all()
+        for axis, index in zip(points, (block.col, block.row), strict=False):
+            np.testing.assert_array_equal(np.floor(axis / GRID.tile_size), index[tile])
+        seen += zip(*points, strict=True)
+    assert sorted(seen) == sorted(set(zip(*columns[:3], strict=True)))
+
+
+def test_of_two_points_of_one_place_the_flagged_one_stays():
     x = np.full(2, 1.0)
     for flags, kept in (([1, 0], 1), ([0, 1], 1), ([3, 2], 2), ([0, 3], 3), ([2, 1], 1)):
         buckets = TileBuckets(GRID)
