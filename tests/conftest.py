@@ -35,7 +35,7 @@ def _why_without_open3d():
     try:
         import open3d  # noqa: F401
     except (ImportError, OSError) as error:
-        return f"open3d cannot be loaded: {error}"
+        return f"open3d cannot be loaded (Debian: apt-get install libusb-1.0-0 libegl1 libgl1 libx11-6): {error}"
     return None
 
 

@@ -97,6 +97,7 @@ def test_complete_blocks_are_finished_instead_of_spilled(tmp_path):
             if buckets.must_spill:
                 buckets.spill()
     assert sorted(finished) == in_memory(west)
+    buckets.wait()  # packs are written in the background
     assert list(tmp_path.iterdir())  # of the east, some must wait
     for key in list(buckets.keys()):
         finished.extend(flat(buckets.block(key)))
