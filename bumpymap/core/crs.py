@@ -491,7 +491,8 @@ def place_notes(place: Place, crs: CRS) -> list[str]:
     except (ProjError, CRSError) as error:
         raise BadInputError(
             f"the middle of {place.path}, {x:.10g}, {y:.10g}, is no place on Earth in {describe_crs(crs)}. "
-            f"{_other_reading(crs, x, y)}{FORCE_CRS}"
+            f"{_other_reading(crs, x, y)}{FORCE_CRS}. If only the extent in the header is wrong, `trust_points=True` "
+            "continues with that of the points"
         ) from error
     outside = _degrees_outside(crs, x, y)
     if outside > _NEAR_DEGREES:

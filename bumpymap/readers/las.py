@@ -201,9 +201,8 @@ class LasSurvey(SurveyReader):
         with decoding(path, "the header"), open_source(path) as stream:
             self._raw = raw = read_raw_header(stream, path)
             _refuse_numbers(path, raw)
-            place, notes = georeference(
-                Place(path, _middle(raw)), statement_of_las(raw), options.given_crs, options.z_unit
-            )
+            middle = None if options.trust_points else _middle(raw)
+            place, notes = georeference(Place(path, middle), statement_of_las(raw), options.given_crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
