@@ -3,7 +3,7 @@
 import math
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -56,8 +56,6 @@ class FileReport:
     """None with ``--quick``, and if no point is left."""
     dropped: dict[str, int] | None = None
     """Number of dropped points by reason; None with ``--quick``."""
-    classes: dict[int, int] = field(default_factory=dict)
-    """Number of points of each LAS class; empty with ``--quick``."""
     error: str = ""
     lines: FlightLines = FlightLines()  # noqa: RUF009 (frozen)
     """Height steps between flight lines; without ``--quick``."""
@@ -275,7 +273,7 @@ class Report:
             "bounds_crs_units": sides and tuple(side / place.metres_per_unit for side in sides),
             "density_per_m2": file.density,
             "has_classes": file.has_ground or info.has_classes,
-            "classes": {str(code): count for code, count in file.classes.items()},
+            "classes": {str(code): found.points for code, found in summary.classes.items()} if summary else {},
             "class_names": {str(code): name for code, name in info.class_names.items()},
             "notes": list(info.notes),
             "needs": self._needs(file),

@@ -94,6 +94,6 @@ def _inspect(
         summary = builder.summary()
         progress.advance(reader.info.point_count - (summary.points if summary else 0))  # read, but dropped
         lines = compare_lines(builder.lines)
-        return FileReport(path, reader.info, summary, reader.dropped, reader.classes, lines=lines)
+        return FileReport(path, reader.info, summary, reader.dropped, lines=lines)
     except BadInputError as error:
         return FileReport(path, error=str(error))

@@ -81,8 +81,6 @@ class RecordCounts(NamedTuple):
     """(6,) lowest and highest x, y and z."""
     counts: Counts
     """(4,) withheld, noise, outside, kept."""
-    classes: Counts
-    """(256,) points that count, by class."""
 
 
 @helper
@@ -120,7 +118,6 @@ def filter_records(records: Records, rules: RecordRules, out: ScaledLinedPoints,
         line = np.int64(records[i, layout[4]]) | np.int64(records[i, layout[4] + 1]) << 8
         out.x[to], out.y[to], out.z[to], out.kind[to] = x, y, z, rules.kinds[code]
         out.line[to] = line if line != 0 else layout[5]
-        seen.classes[code] += 1
         to += 1
     counts[2] += outside
     counts[3] = to

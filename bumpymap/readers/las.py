@@ -159,7 +159,7 @@ def convert_records(
     """
     x, y, z = (np.empty(chunk.points, np.int32) for _ in range(3))
     out = ScaledLinedPoints(x, y, z, np.empty(chunk.points, np.uint8), np.empty(chunk.points, np.uint16))
-    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64), np.zeros(256, np.int64))
+    seen = RecordCounts(np.array([_HIGHEST, _LOWEST] * 3), np.zeros(4, np.int64))
     number = 0
     for records in pieces:
         filter_records(records, rules, out, seen)
@@ -179,12 +179,12 @@ def convert_records(
         in_metres = LinedPoints(*ScaledPoints(x, y, z, kind, scaling).coordinates(), kind, line)
         lines.correct(in_metres)
         cloud = PointCloud(in_metres.x, in_metres.y, in_metres.z, kind)
-        return ChunkPoints(cloud, stats, lines.sums(in_metres), seen.classes)
+        return ChunkPoints(cloud, stats, lines.sums(in_metres))
     sums = lines.sums(ScaledLinedPoints(x, y, z, kind, line), scaling)
     if kept < number // 2:
         # A view would keep the memory of the dropped points.
         x, y, z, kind = x.copy(), y.copy(), z.copy(), kind.copy()
-    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums, seen.classes)
+    return ChunkPoints(ScaledPoints(x, y, z, kind, scaling), stats, sums)
 
 
 class LasSurvey(SurveyReader):

@@ -134,7 +134,7 @@ def read_raw_header(stream: BinaryIO, path: Location) -> RawHeader:
         size, f"{major}.{minor}", point_format, compressed, point_size, count, offset, bool(encoding & 0x10), is_copc,
         numbers[0:3], numbers[3:6], numbers[7::2], numbers[6::2],
         # Of several records with the same ids, the first is used.
-        {(user, number): data for user, number, data in reversed(plain + far) if data}, source_id,
+        {(user, number): data for user, number, data in reversed(plain + far) if _is_needed(user, number)}, source_id,
         _date(day, year),
     )  # fmt: skip
 
@@ -187,8 +187,12 @@ def _walk(
                 f"{index:,} exceeds the space for them. {_AGAIN}"
             )
         user = user.split(b"\0")[0]
-        needed = (user in _NEEDED or (user, number) == _CLASS_LOOKUP) and length <= _LONGEST_RECORD
+        needed = _is_needed(user, number) and length <= _LONGEST_RECORD
         yield user, number, stream.read(length) if needed else b""
+
+
+def _is_needed(user: bytes, number: int) -> bool:
+    return user in _NEEDED or (user, number) == _CLASS_LOOKUP
 
 
 _PROJECTION = b"LASF_Projection"

@@ -43,6 +43,7 @@ __all__ = [
     "PointStats",
     "cell_indices",
     "kinds_of",
+    "summed",
     "verify",
 ]
 
@@ -103,7 +104,8 @@ class LineSums:
     def merged(self) -> "LineSums":
         """Return the same with one part, reduced to the size of the sample."""
         step, rows = self.step, np.concatenate([np.zeros((0, 1 + SUMS), np.int64), *self.parts])
-        rows = _summed(rows[_sampled(rows[:, 0], step)])
+        rows = rows[_sampled(rows[:, 0], step)]
+        rows = np.column_stack(summed(rows[:, 0], rows[:, 1:]))
         while len(rows) > MOST_ROWS and step < _LARGEST_STEP:
             step *= 2
             rows = rows[_sampled(rows[:, 0], step)]
@@ -190,13 +192,12 @@ def _sampled(keys: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
     return chosen
 
 
-def _summed(rows: Rows) -> Rows:
-    """Add the rows that have the same key."""
-    rows = rows[np.argsort(rows[:, 0], kind="stable")]
-    first = np.flatnonzero(np.diff(rows[:, 0], prepend=-1))
-    if len(first) == len(rows):
-        return rows
-    return np.column_stack([rows[first, 0], np.add.reduceat(rows[:, 1:], first, axis=0)])
+def summed(keys: NDArray[np.int64], values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Add the values, (n, ...), of equal keys, (n,), at least 0; return increasing keys and their sums."""
+    order = np.argsort(keys, kind="stable")
+    keys, values = keys[order], values[order]
+    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    return (keys, values) if len(first) == len(keys) else (keys[first], np.add.reduceat(values, first, axis=0))
 
 
 _DROPPED = ("withheld", "noise", "not_a_number")

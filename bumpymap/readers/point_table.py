@@ -97,10 +97,9 @@ def convert_points(
     kept = ~(noise | no_return)
     if not kept.all():
         axes, codes = (axes[0][kept], axes[1][kept], axes[2][kept]), codes[kept]
-    classes = np.bincount(codes, minlength=256)
     if stats.bad:
         axes, codes = (axes[0][:0], axes[1][:0], axes[2][:0]), codes[:0]
-    return ChunkPoints(PointCloud(*axes, kinds[codes]), stats, classes=classes)
+    return ChunkPoints(PointCloud(*axes, kinds[codes]), stats)
 
 
 def _coordinate(column: Any, unit: float) -> NDArray[np.float64]:

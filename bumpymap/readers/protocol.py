@@ -136,8 +136,6 @@ class ChunkPoints:
     """Statistics of all points of the chunk, dropped ones included."""
     lines: LineSums = LineSums()  # noqa: RUF009 (frozen)
     """Sums to compare flight lines, if `ReadOptions.lines` asks for them and the file names lines."""
-    classes: NDArray[np.int64] = field(default_factory=lambda: np.zeros(256, np.int64))
-    """(256,) number of points of each LAS class."""
 
     @property
     def cloud(self) -> PointCloud:
@@ -176,7 +174,6 @@ class SurveyReader(ABC):
         with pinned_version(path, self._version):
             self._info = replace(self._open(options), version=self._version)
         self._dropped, self._line_sums = PointStats().dropped, LineSums()
-        self._classes = np.zeros(256, np.int64)
 
     @abstractmethod
     def _open(self, options: ReadOptions) -> SurveyInfo:
@@ -199,11 +196,6 @@ class SurveyReader(ABC):
     def dropped(self) -> dict[str, int]:
         """Number of dropped points, by reason; complete when ``clouds`` is exhausted."""
         return dict(self._dropped)
-
-    @property
-    def classes(self) -> dict[int, int]:
-        """Number of points of each LAS class, dropped ones left out; complete when ``clouds`` is exhausted."""
-        return {code: count for code, count in enumerate(self._classes.tolist()) if count}
 
     @property
     def lines(self) -> LineSums:
@@ -276,13 +268,12 @@ class SurveyReader(ABC):
         """
         if points < 1:
             raise UsageError(f"chunks of {points} points were requested; a chunk must hold at least 1")
-        stats, self._line_sums, self._classes = PointStats(), LineSums(), np.zeros(256, np.int64)
+        stats, self._line_sums = PointStats(), LineSums()
         for chunk in self.chunks(points):
             converted = self.convert(chunk, self.fetch(chunk))
             stats = stats.merge(converted.stats)
             self._dropped = stats.dropped
             self._line_sums = self._line_sums.merge(converted.lines)
-            self._classes += converted.classes
             for first in range(0, 0 if stats.bad else converted.cloud.easting.size, points):
                 part, cloud = slice(first, first + points), converted.cloud
                 yield PointCloud(cloud.easting[part], cloud.northing[part], cloud.upward[part], cloud.kind[part])

@@ -5,10 +5,10 @@ the tiles, chosen by a hash of their indices; the sample is halved whenever it g
 """
 
 import math
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from bumpymap.core import (
     PointCloud,
     Reason,
 )
-from bumpymap.readers.point_stats import LineSums, kinds_of
+from bumpymap.readers.point_stats import LineSums, kinds_of, summed
 from bumpymap.readers.protocol import SurveyReader
 from bumpytiles import Bounds, Grid
 
@@ -46,7 +46,7 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 class KeyCounts:
-    """Numbers of points by key, merged from time to time, so that memory grows with the number of keys only.
+    """Numbers of points by key, or sums, merged from time to time, so that memory grows with the number of keys only.
 
     Parameters
     ----------
@@ -58,12 +58,16 @@ class KeyCounts:
 
     def __init__(self, most: int | None = None, shift: int = 0) -> None:
         self._most, self._shift, self.step = most, shift, 1
-        self._parts: list[tuple[Ints, Ints]] = []
+        self._parts: list[tuple[Ints, NDArray[Any]]] = []
         self._waiting = 0
 
     def add(self, keys: Ints) -> None:
         """Count points by their keys."""
         self._append(*np.unique(keys, return_counts=True))
+
+    def add_sums(self, keys: Ints, values: Floats) -> None:
+        """Add values of points, (n, ...), by their keys."""
+        self._append(*summed(keys, values))
 
     def merge(self, other: "KeyCounts") -> None:
         """Add the counts of another file."""
@@ -75,13 +79,10 @@ class KeyCounts:
         mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
         return np.asarray((mixed & np.uint64(self.step - 1)) == 0)
 
-    def total(self) -> tuple[Ints, Ints]:
-        """Return the sorted keys, reduced to the size of the sample, and their counts."""
-        keys, counts = (np.concatenate([np.zeros(0, np.int64), *column]) for column in self._columns())
-        order = np.argsort(keys, kind="stable")
-        keys, counts = keys[order], counts[order]
-        first = np.flatnonzero(np.diff(keys, prepend=-1))
-        keys, counts = keys[first], np.add.reduceat(counts, first) if first.size else counts
+    def total(self) -> tuple[Ints, NDArray[Any]]:
+        """Return the sorted keys, reduced to the size of the sample, and their counts or sums."""
+        nothing = np.zeros(0, np.int64)
+        keys, counts = summed(*map(np.concatenate, zip(*self._parts, strict=True))) if self._parts else (nothing,) * 2
         while True:
             kept = self.sampled(keys >> self._shift)
             keys, counts = keys[kept], counts[kept]
@@ -91,10 +92,7 @@ class KeyCounts:
                 return keys, counts
             self.step *= 2
 
-    def _columns(self) -> Iterable[tuple[Ints, ...]]:
-        return zip(*self._parts, strict=True) if self._parts else ((), ())
-
-    def _append(self, keys: Ints, counts: Ints) -> None:
+    def _append(self, keys: Ints, counts: NDArray[Any]) -> None:
         self._parts.append((keys, counts))
         self._waiting += keys.size
         if self._waiting > (MERGE_AT if self._most is None else 3 * self._most):
@@ -141,69 +139,6 @@ class TileCounts:
         return bad / tiles.size if tiles.size else 0.0
 
 
-class ClassTiles:
-    """Number and sum of heights of the points of each class in each tile; memory grows with the number of these."""
-
-    def __init__(self) -> None:
-        self._parts: list[tuple[Ints, Floats]] = []
-        self._waiting = 0
-
-    def add(self, codes: Ints, classes: NDArray[np.uint8], upward: Floats) -> None:
-        """Add points by the codes of their tiles, their classes and heights, m."""
-        keys = (codes << 8) | classes
-        order = np.argsort(keys, kind="stable")
-        keys = keys[order]
-        first = np.flatnonzero(np.diff(keys, prepend=-1))
-        counts = np.diff(first, append=len(keys)).astype(np.float64)
-        self._append(keys[first], np.column_stack([counts, np.add.reduceat(upward[order], first)]))
-
-    def merge(self, other: "ClassTiles") -> None:
-        """Add the points of another file, on the same grid."""
-        self._append(*other.total())
-
-    def total(self) -> tuple[Ints, Floats]:
-        """Return codes of tile and class, (n,) with increasing numbers, and numbers and sums of heights, (n, 2)."""
-        keys = np.concatenate([np.zeros(0, np.int64), *(keys for keys, _ in self._parts)])
-        sums = np.concatenate([np.zeros((0, 2)), *(sums for _, sums in self._parts)])
-        order = np.argsort(keys, kind="stable")
-        keys, sums = keys[order], sums[order]
-        first = np.flatnonzero(np.diff(keys, prepend=-1))
-        keys, sums = keys[first], np.add.reduceat(sums, first) if first.size else sums
-        self._parts, self._waiting = [(keys, sums)], 0
-        return keys, sums
-
-    def _append(self, keys: Ints, sums: Floats) -> None:
-        self._parts.append((keys, sums))
-        self._waiting += keys.size
-        if self._waiting > MERGE_AT:
-            self.total()
-
-    def summaries(self, tiles: int, ground_classes: Collection[int]) -> "dict[int, ClassSummary]":
-        """Summarise each class; ``tiles`` hold a point."""
-        keys, sums = self.total()
-        code, tile = keys & 0xFF, keys >> 8
-        ground_tile, place = np.unique(tile[np.isin(code, list(ground_classes))], return_inverse=True)
-        on_ground = np.isin(code, list(ground_classes))
-        total = np.stack([np.bincount(place, column[on_ground], ground_tile.size) for column in sums.T], axis=1)
-        found = {}
-        for one in np.unique(code).tolist():
-            mine = code == one
-            above = np.full(int(mine.sum()), np.nan)
-            if one not in ground_classes and ground_tile.size:
-                beside = np.zeros((above.size, 2))
-                col, row = tile[mine] >> 23, tile[mine] & _INDEX_MASK
-                for east, north in product((-1, 0, 1), repeat=2):
-                    near = (((col + east) & _INDEX_MASK) << 23) | ((row + north) & _INDEX_MASK)
-                    at = np.minimum(np.searchsorted(ground_tile, near), ground_tile.size - 1)
-                    beside += np.where((ground_tile[at] == near)[:, None], total[at], 0.0)
-                with np.errstate(invalid="ignore", divide="ignore"):
-                    above = sums[mine, 1] / sums[mine, 0] - beside[:, 1] / beside[:, 0]
-            known = above[np.isfinite(above)]
-            height = float(np.median(known)) if known.size else math.nan
-            found[one] = ClassSummary(int(sums[mine, 0].sum()), float(mine.sum() / tiles), height)
-        return found
-
-
 @dataclass(frozen=True, slots=True)
 class ClassSummary:
     """The points of one class."""
@@ -213,6 +148,42 @@ class ClassSummary:
     """Share of the tiles that hold such points, 0..1."""
     height: float
     """Median over these tiles of their mean height above the ground in and around the tile, m; NaN if there is none."""
+
+
+def _summarise_classes(
+    keys: Ints, sums: Floats, tiles: int, ground_classes: tuple[int, ...]
+) -> dict[int, ClassSummary]:
+    """Summarise each class.
+
+    Parameters
+    ----------
+    keys : array (n,)
+        Codes of tiles in the bits above 8, LAS classes in those below.
+    sums : array (n, 2)
+        Number of these points, and sum of their heights, m.
+    tiles : int
+        Tiles that hold a point.
+    ground_classes : tuple of int
+    """
+    code, tile = keys & 0xFF, keys >> 8
+    on_ground = np.isin(code, ground_classes)
+    ground_tile, ground = summed(tile[on_ground], sums[on_ground])
+    found = {}
+    for one in np.unique(code).tolist():
+        mine = code == one
+        known = np.zeros(0)
+        if one not in ground_classes and ground_tile.size:
+            beside = np.zeros((int(mine.sum()), 2))
+            col, row = tile[mine] >> 23, tile[mine] & _INDEX_MASK
+            for east, north in product((-1, 0, 1), repeat=2):
+                near = (((col + east) & _INDEX_MASK) << 23) | ((row + north) & _INDEX_MASK)
+                at = np.minimum(np.searchsorted(ground_tile, near), ground_tile.size - 1)
+                beside += np.where((ground_tile[at] == near)[:, None], ground[at], 0.0)
+            has = beside[:, 0] > 0.0
+            known = sums[mine][has, 1] / sums[mine][has, 0] - beside[has, 1] / beside[has, 0]
+        height = float(np.median(known)) if known.size else math.nan
+        found[one] = ClassSummary(int(sums[mine, 0].sum()), float(mine.sum() / tiles), height)
+    return found
 
 
 def dense_rule(settings: FeatureSettings, pixel_size: float) -> Rule:
@@ -281,7 +252,7 @@ class PointSummary:
     ground_unknown: dict[Reason, float]
     """The same if only ground points are measured."""
     classes: dict[int, ClassSummary]
-    """By LAS class; empty without ground points."""
+    """By LAS class."""
 
 
 class PointSummaryBuilder:
@@ -307,11 +278,9 @@ class PointSummaryBuilder:
         thin: bool = True,
     ) -> None:
         self._grid, self._settings, self._thin = grid, settings, thin
-        self._ground_classes, self._is_ground = (
-            ground_classes,
-            np.isin(kinds_of(ground_classes), (POINT_GROUND, POINT_DECK)),
-        )
-        self.classes = ClassTiles()
+        self._ground_classes = ground_classes
+        self._is_ground = np.isin(kinds_of(ground_classes), (POINT_GROUND, POINT_DECK))
+        self.classes = KeyCounts()
         self.all_points, self.ground = TileCounts(grid), TileCounts(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self.lines = LineSums()
@@ -331,7 +300,7 @@ class PointSummaryBuilder:
             self.high = np.maximum(self.high, [axis.max() for axis in axes])
             codes, ground = _tile_codes(cloud, self._grid), self._is_ground[cloud.kind]
             self.all_points.add(codes, cloud.easting, cloud.northing)
-            self.classes.add(codes, cloud.kind, cloud.upward)
+            self.classes.add_sums((codes << 8) | cloud.kind, np.column_stack([np.ones(len(codes)), cloud.upward]))
             if ground.any():
                 self.ground.add(codes[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
@@ -367,7 +336,7 @@ class PointSummaryBuilder:
             ground_tiles=ground_counts.size,
             unknown=self._unknown(self.all_points),
             ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
-            classes=self.classes.summaries(counts.size, self._ground_classes) if ground_counts.size else {},
+            classes=_summarise_classes(*self.classes.total(), counts.size, self._ground_classes),
         )
 
     def _unknown(self, held: TileCounts) -> dict[Reason, float]:
