@@ -36,7 +36,7 @@ from bumpymap.route.planner import Planner
 from bumpymap.route.search import BYTES_PER_TILE, MOST_TILES
 from bumpymap.route.settings import CostSettings, RouteConfig
 from bumpymap.route.stops import Stops, find_stops
-from bumpymap.route.why import look_straight_ahead
+from bumpymap.route.why import measure_straight_line
 
 if TYPE_CHECKING:
     import xarray
@@ -318,7 +318,7 @@ def _routes(ground: CostGround, stops: Stops, config: RouteConfig) -> tuple[list
         )
     names = ["route", *(f"alternative {number}" for number in range(1, len(ways)))]
     order = [f"order of the points: {'; '.join(stops.names)}"] if config.visit else []
-    site, straight = ground.site, look_straight_ahead(ground, points, ways[0][0].figures)
+    site, straight = ground.site, measure_straight_line(ground, points, ways[0][0].figures)
     routes = [
         PlannedRoute(
             name=name,

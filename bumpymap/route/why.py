@@ -11,7 +11,7 @@ from bumpymap.route.ground import TOUCHING, CostGround, sample_line
 from bumpymap.route.measure import cut_into_tiles
 from bumpymap.route.stops import place_text
 
-__all__ = ["look_straight_ahead"]
+__all__ = ["measure_straight_line"]
 
 _NAMED = 3
 """Stretches that are named."""
@@ -19,7 +19,7 @@ _LEAST_M = 1.0
 """Least cost of a stretch beyond its length to be named, m."""
 
 
-def look_straight_ahead(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
+def measure_straight_line(ground: CostGround, stops: NDArray[np.float64], best: RouteFigures) -> StraightLine:
     """Measure the straight line through the stops of a way.
 
     Where it is closed, a metre counts as many times as one on which the vehicle touches an obstacle: by this

@@ -33,10 +33,8 @@ from .page.map_page import (
 from .page.page import (
     compile_pages as compile_pages,
 )
-from .pictures.reach_picture import (
-    write_reach_picture as write_reach_picture,
-)
 from .pictures.route_picture import (
+    write_reach_picture as write_reach_picture,
     write_route_picture as write_route_picture,
 )
 from .pictures.scan_picture import (

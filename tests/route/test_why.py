@@ -16,7 +16,7 @@ from bumpymap.route.ground import CostGround, sample_line
 from bumpymap.route.measure import measure_way
 from bumpymap.route.no_way import what_closes
 from bumpymap.route.settings import CostSettings
-from bumpymap.route.why import look_straight_ahead
+from bumpymap.route.why import measure_straight_line
 
 OPEN, ROUGH = 1.0 + 5.0 * 0.02, 1.0 + 5.0 * 0.4
 """Cost of a metre with a ride weight of 5 m/rad."""
@@ -26,7 +26,7 @@ def look(made, *corners):
     made.has_crs, made.to_crs = False, lambda x, y: (x, y)
     ground = CostGround(made, CostSettings(), 10**6)
     stops = np.array([made.at(*corner) for corner in corners])
-    return look_straight_ahead(ground, stops, measure_way(ground, stops, stops).figures), ground, stops
+    return measure_straight_line(ground, stops, measure_way(ground, stops, stops).figures), ground, stops
 
 
 def field(rows=9, cols=40):

@@ -30,9 +30,9 @@ __all__ = [
     "Pixels",
     "bar_length",
     "draw_closed",
-    "draw_north",
+    "draw_frame",
     "draw_profile",
-    "draw_scale",
+    "draw_swatch",
     "font",
     "hatched",
     "light_of",
@@ -460,20 +460,32 @@ def _nearest(known: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray
 _WHITE = (255, 255, 255)
 
 
+def draw_swatch(pen: Pen, left: int, row: int, colour: Colour | Pixels) -> None:
+    """Draw the colour of an entry of a legend, 40 x 24 pixels, with its frame."""
+    pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
+    pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
+
+
 def draw_closed(pen: Pen, left: int, row: int) -> int:
     """Draw what a legend says about ground that ways do not use; return the row, pixels, below it."""
     barred = np.broadcast_to(np.array(BARRED_SHADE, np.uint8), (24, 40, 3)).copy()
     barred[hatched(24, 40)] = HATCH
     swatches = ((barred, "not passable, or no room"), (UNKNOWN_SHADE, "unknown ground"), (NO_DATA, "not measured"))
     for colour, text in swatches:
-        pen.paste(left, row, np.broadcast_to(np.array(colour, np.uint8), (24, 40, 3)).copy())
-        pen.rectangle((left, row, left + 40, row + 24), None, FAINT)
+        draw_swatch(pen, left, row, colour)
         pen.text((left + 54, row + 12), text, INK, size=16)
         row += 34
     return row
 
 
-def draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> None:
+def draw_frame(pen: Pen, view: MapView, left: float, top: float) -> None:
+    """Draw what stands on a panel with a map: the scale bar, the arrow to the north, the frame."""
+    _draw_scale(pen, view, left, top)
+    _draw_north(pen, (left + view.width - 36, top + 44))
+    pen.rectangle((left, top, left + view.width, top + view.height), None, FAINT)
+
+
+def _draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> None:
     """Draw the scale bar at the lower left of a panel: a round length, a fifth of the panel at most."""
     metres = bar_length(view.width * view.metres / 5)
     length, left, bottom = metres / view.metres, left_edge + 20.0, top_edge + view.height - 22.0
@@ -485,7 +497,7 @@ def draw_scale(pen: Pen, view: MapView, left_edge: float, top_edge: float) -> No
     pen.text((left + length / 2, bottom - 20), text, INK, size=16, anchor="mm")
 
 
-def draw_north(pen: Pen, place: tuple[float, float]) -> None:
+def _draw_north(pen: Pen, place: tuple[float, float]) -> None:
     """Draw an arrow to the north of the grid, which is up."""
     x, y = place
     pen.disc((x, y), 27, _WHITE, FAINT)

@@ -1,4 +1,4 @@
-"""Write route.png: ways on the shaded relief in the colours of the ride cost, and the profile of the first."""
+"""Write route.png: ways on the shaded relief, and the profile of the first; and reach.png: what can be reached."""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from bumpymap.core import Route, atomic
-from bumpymap.layers import MapSource, RideScale, stop_roles
+from bumpymap.layers import MapSource, ReachField, RideScale, stop_roles
 from bumpymap.views.pictures.drawing import (
     FAINT,
     INK,
@@ -17,16 +17,16 @@ from bumpymap.views.pictures.drawing import (
     MapView,
     Pen,
     draw_closed,
-    draw_north,
+    draw_frame,
     draw_profile,
-    draw_scale,
+    draw_swatch,
     paint_ground,
     shortened,
     ticks,
 )
 from bumpymap.views.words import metres
 
-__all__ = ["ROUTE_COLOURS", "paint_route", "write_route_picture"]
+__all__ = ["ROUTE_COLOURS", "paint_route", "write_reach_picture", "write_route_picture"]
 
 WIDTH = 1600
 """Width of the picture, pixels."""
@@ -100,9 +100,7 @@ def paint_route(routes: Sequence[Route], source: MapSource) -> Image.Image:
         marks = list(enumerate(zip(stop_roles(len(route.stops)), view.pixels(route.stops) + corner, strict=True)))
         for number, (role, (x, y)) in reversed(marks):
             _draw_stop(pen, (float(x), float(y)), role, number)
-    draw_scale(pen, view, _EDGE, _TITLE)
-    draw_north(pen, (_EDGE + view.width - 36, _TITLE + 44))
-    pen.rectangle((_EDGE, _TITLE, _EDGE + view.width, _TITLE + view.height), None, FAINT)
+    draw_frame(pen, view, _EDGE, _TITLE)
     _draw_legend(pen, routes, scale)
     top = _TITLE + view.height + 40
     draw_profile(pen, first.profile, (_CHART_LEFT, top, _EDGE + _PANEL - _CHART_LEFT, _CHART), scale)
@@ -208,3 +206,75 @@ def _draw_chart_notes(pen: Pen, route: Route, routes: int, top: int) -> None:
     below = top + round(_CHART * 0.6) + 14
     pen.text((left, below + 12), "ride cost, with the 80 % interval", INK, size=15)
     pen.text((left, below + 34), "of each tile in grey", FAINT, size=15)
+
+
+_STEPS: tuple[Colour, ...] = (
+    *((253, 231, 37), (122, 209, 81), (34, 168, 132)),
+    *((42, 120, 142), (65, 68, 135), (68, 1, 84)),
+)
+"""Colours of what is reached, from the start outwards."""
+_REACH_HEIGHTS, _REACH_STRENGTH = (520, 1100), 0.55
+"""Heights of the panel, pixels, and strength of the colours over the ground."""
+_REACH_UNITS = {"cost": "m of cost", "minutes": "min"}
+
+
+def write_reach_picture(
+    reach: ReachField, source: MapSource, start: NDArray[np.float64], path: Path, *, levels: Sequence[float], by: str
+) -> None:
+    """Draw what can be reached and write the picture as PNG, 1600 pixels wide.
+
+    Parameters
+    ----------
+    reach : ReachField
+    source : MapSource
+        The map under it.
+    start : array (2,)
+        Easting and northing, m.
+    path : Path
+        The file, which appears only when it is complete.
+    levels : sequence of float
+        Upper ends of the steps, minutes or m of cost; none: round ones are chosen.
+    by : str
+        ``cost`` or ``minutes``.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    BadInputError
+        The layers cannot be read.
+    """
+    values = reach.minutes if by == "minutes" and reach.minutes is not None else reach.cost
+    highest = float(np.nanmax(values, initial=0.0))
+    steps = sorted(set(levels)) or [step for step in ticks(0.0, max(highest, 1.0), len(_STEPS) - 1)[0] if step > 0.0]
+    row, col = np.nonzero(values <= steps[-1]) if (values <= steps[-1]).any() else np.nonzero(np.isfinite(values))
+    size, window = reach.grid.tile_size, reach.window
+    corners = np.column_stack([window.col + col + 0.5, window.row + window.rows - row - 0.5]) * size
+    view = MapView.around(reach.grid, np.concatenate([corners, start[None]]), _PANEL, _REACH_HEIGHTS)
+    ground, _ = paint_ground(source, view)
+    at_row = window.row + window.rows - 1 - reach.grid.index(view.northings)
+    at_col = reach.grid.index(view.eastings) - window.col
+    inside = np.ix_((at_row >= 0) & (at_row < window.rows), (at_col >= 0) & (at_col < window.cols))
+    shown = np.full(ground.shape[:2], np.nan)
+    shown[inside] = values[np.ix_(at_row[inside[0][:, 0]], at_col[inside[1][0]])]
+    step = np.searchsorted(steps, shown)  # NaN comes after all
+    palette = np.array([_STEPS[round(n * (len(_STEPS) - 1) / max(len(steps) - 1, 1))] for n in range(len(steps))])
+    reached = step < len(steps)
+    ground[:] = ground.mean(axis=-1, keepdims=True)
+    ground[reached] = (1.0 - _REACH_STRENGTH) * ground[reached] + _REACH_STRENGTH * palette[step[reached]]
+    pen = Pen(WIDTH, _TITLE + view.height + _EDGE)
+    pen.text((_EDGE, _TITLE / 2 + 2), "what can be reached from the start", INK, size=24)
+    pen.paste(_EDGE, _TITLE, ground)
+    x, y = (view.pixels(start[None])[0] + (_EDGE, _TITLE)).tolist()
+    _draw_stop(pen, (x, y), "start")
+    draw_frame(pen, view, _EDGE, _TITLE)
+    left, top = _EDGE + _PANEL + 24, _TITLE + 12
+    for number, (upper, colour) in enumerate(zip(steps, palette, strict=True)):
+        inside_m2 = float((values <= upper).sum()) * size**2
+        place = top + 40 * number
+        draw_swatch(pen, left, place, colour)
+        pen.text((left + 54, place + 5), f"within {upper:g} {_REACH_UNITS[by]}", INK, size=16)
+        pen.text((left + 54, place + 23), f"{inside_m2 / 1e4:,.2f} ha", FAINT, size=14)
+    draw_closed(pen, left, top + 40 * len(steps) + 12)
+    with atomic(path) as temporary:
+        pen.finished().save(temporary, "PNG", compress_level=4)
