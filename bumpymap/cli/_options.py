@@ -46,6 +46,7 @@ __all__ = [
     "PATH",
     "RESUME",
     "CommandGroup",
+    "GroupedOption",
     "Run",
     "gone_option",
     "grouped_option",
@@ -91,17 +92,9 @@ LOCATION = _Location(path_type=Path)
 class GroupedOption(click.Option):
     """An option that the help page shows under the heading of its group."""
 
-    def __init__(
-        self,
-        *names: Any,
-        group: str = "Run",
-        key: str = "",
-        declared: bool = False,
-        common: bool = False,
-        **more: Any,
-    ) -> None:
+    def __init__(self, *names: Any, group: str = "Run", key: str = "", declared: bool = False, **more: Any) -> None:
         super().__init__(*names, **more)
-        self.group, self.key, self.declared, self.common = group, key, declared, common
+        self.group, self.key, self.declared = group, key, declared
 
 
 def _refuse_moved(ctx: click.Context, option: click.Parameter, value: Any) -> None:
@@ -134,7 +127,7 @@ class GroupedCommand(click.Command):
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under the headings of their groups."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
-        shown = [each for each in self.params if isinstance(each, GroupedOption) and not each.common]
+        shown = [each for each in self.params if isinstance(each, GroupedOption) and each not in COMMON_OPTIONS]
         records = [(each.group, each.get_help_record(ctx)) for each in shown]
         width = max((len(record[0]) for _, record in records if record), default=0)
         if width:
@@ -147,13 +140,9 @@ class GroupedCommand(click.Command):
                 formatter.write_heading(group)
                 with formatter.indentation():
                     formatter.write_dl(options, col_max=24)
-        common = [each for each in COMMON_OPTIONS if each in self.params]
+        common = [f"{each.opts[0]} {each.metavar or ''}".strip() for each in COMMON_OPTIONS if each in self.params]
         formatter.write_paragraph()
-        formatter.write_text(f"Also {', '.join(' '.join(_names(each)) for each in common)}: see bumpymap --help.")
-
-
-def _names(option: click.Option) -> tuple[str, ...]:
-    return (option.opts[0], option.metavar) if option.metavar else (option.opts[0],)
+        formatter.write_text(f"Also {', '.join(common)}: see bumpymap --help.")
 
 
 class CommandGroup(click.Group):
@@ -327,10 +316,10 @@ NO_SHEETS = gone_option(
 )
 _HELP_OF_SET = "Any setting of `bumpymap settings`, such as pixels=21."
 COMMON_OPTIONS = (
-    GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", common=True, help="TOML file with settings."),
-    GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", common=True, help=_HELP_OF_SET),
-    GroupedOption(["--quiet"], is_flag=True, common=True, help="Print no progress and no summary."),
-    GroupedOption(["--json", "log_json"], is_flag=True, common=True, help="Print result, events and errors as JSON."),
+    GroupedOption(["--config", "config_file"], type=PATH, metavar="FILE", help="TOML file with settings."),
+    GroupedOption(["--set", "assigned"], multiple=True, metavar="KEY=VALUE", help=_HELP_OF_SET),
+    GroupedOption(["--quiet"], is_flag=True, help="Print no progress and no summary."),
+    GroupedOption(["--json", "log_json"], is_flag=True, help="Print result, events and errors as JSON."),
 )
 """Options of all commands; the first two of those that have settings. The help page of bumpymap lists them."""
 _LOG_JSON = gone_option("--log-json", "give --json, as to every command")

@@ -1,7 +1,7 @@
 """``bumpymap evaluate``: compare a map with simulated drives over the same ground, or classes of scans with labels."""
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import field, fields, make_dataclass
 from itertools import chain
 from pathlib import Path
@@ -9,7 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import JOBS, LOCATION, PATH, CommandGroup, Run, grouped_option, job, settings_options
+from bumpymap.cli._options import (
+    JOBS,
+    LOCATION,
+    PATH,
+    CommandGroup,
+    GroupedOption,
+    Run,
+    grouped_option,
+    job,
+    settings_options,
+)
 from bumpymap.cli._text import DRIVES_KEPT, interrupt_note
 from bumpymap.core import OF_CRS, VEHICLE_OR_CALIBRATION, MapConfig, OutputError, locked
 from bumpymap.lab import EvaluateSettings, ScanEvaluateSettings
@@ -38,26 +48,23 @@ def command() -> None:
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
 
 
-def _out(function: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of the report's folder."""
-    function = grouped_option(
-        "--overwrite", is_flag=True, help="Replace the report, and drives of other settings.", group="Output"
-    )(function)
-    return grouped_option(
-        "--out", type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output"
-    )(function)
+_REPORT = (
+    GroupedOption(["--out"], type=PATH, required=True, metavar="DIR", help="Folder for the report.", group="Output"),
+    GroupedOption(
+        ["--overwrite"], is_flag=True, help="Replace the report, and drives of other settings.", group="Output"
+    ),
+)
 
 
 @job(
     "survey",
     EvaluateSettings,
     settings_options(Reading, moved=("crs", "force_crs", "z_unit", "local", "ground")),
-    [JOBS],
+    [*_REPORT, JOBS],
     owners=(EvaluateSettings, Reading),
     clashes=(VEHICLE_OR_CALIBRATION, *OF_CRS),
 )
 @click.argument("surveys", nargs=-1, required=True, type=LOCATION, metavar="SURVEY...")
-@_out
 def survey_command(run: Run, surveys: tuple[Any, ...], out: Path, jobs: int | None, overwrite: bool) -> None:
     """Compare the map of SURVEY with simulated drives.
 
@@ -87,10 +94,9 @@ def survey_command(run: Run, surveys: tuple[Any, ...], out: Path, jobs: int | No
     run.show(_record(out, files), _lines(findings, files))
 
 
-@job("scans", ScanEvaluateSettings, owners=(ScanEvaluateSettings,))
+@job("scans", ScanEvaluateSettings, _REPORT)
 @click.argument("frames", nargs=-1, required=True, type=PATH, metavar="FRAME...")
 @grouped_option("--labels", metavar="NAME|FILE", help="Label set [by the ids].", group="Input")
-@_out
 def scans_command(run: Run, frames: tuple[Path, ...], labels: str | None, out: Path, overwrite: bool) -> None:
     """Compare the classes of FRAME files or folders with labels.
 

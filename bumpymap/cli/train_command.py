@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from bumpymap.cli._options import FILE, PATH, CommandGroup, Run, grouped_option, job, settings_options
+from bumpymap.cli._options import FILE, PATH, CommandGroup, GroupedOption, Run, job, settings_options
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import interrupt_note
 from bumpymap.core import OutputError, Progress, UsageError
@@ -30,22 +30,13 @@ def command() -> None:
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
 
 
-def _out(function: Callable[..., None]) -> Callable[..., None]:
-    """Add the options of the file."""
-    help_text = "Replace the network of an earlier training."
-    function = grouped_option("--overwrite", is_flag=True, help=help_text, group="Output")(function)
-    return grouped_option(
-        "--out", required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output"
-    )(function)
-
-
-@job(
-    "textures",
-    TrainSettings,
-    settings_options(NetworkSettings, table="network"),
-    owners=(TrainSettings,),
+_NETWORK = (
+    GroupedOption(["--out"], required=True, type=FILE, metavar="FILE", help="ONNX file to write.", group="Output"),
+    GroupedOption(["--overwrite"], is_flag=True, help="Replace the network of an earlier training.", group="Output"),
 )
-@_out
+
+
+@job("textures", TrainSettings, settings_options(NetworkSettings, table="network"), _NETWORK)
 def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     """Train the texture network on synthetic terrain.
 
@@ -57,9 +48,8 @@ def textures_command(run: Run, out: Path, overwrite: bool) -> None:
     _train(run, out, overwrite, lambda progress: _train_textures(run.changed(), out, progress))
 
 
-@job("scans", ScanTrainSettings, owners=(ScanTrainSettings,))
+@job("scans", ScanTrainSettings, _NETWORK)
 @click.argument("folder", type=PATH, metavar="FOLDER")
-@_out
 def scans_command(run: Run, folder: Path, out: Path, overwrite: bool) -> None:
     """Train the scan network on labelled frames.
 

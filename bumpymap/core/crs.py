@@ -486,19 +486,22 @@ def place_notes(place: Place, crs: CRS) -> list[str]:
     x, y, _ = place.middle
     try:
         proj = Proj(crs)
+    except (ProjError, CRSError):
+        return [f"{crs.name} has no relation to longitude and latitude here: whether it fits was not checked"]
+    try:
         longitude, latitude = proj(x, y, inverse=True, errcheck=True)
         scale = proj.get_factors(longitude, latitude, errcheck=True).meridional_scale
     except (ProjError, CRSError) as error:
         raise BadInputError(
             f"the middle of {place.path}, {x:.10g}, {y:.10g}, is no place on Earth in {describe_crs(crs)}. "
-            f"{_other_reading(crs, x, y)}{FORCE_CRS}. If only the extent in the header is wrong, `trust_points=True` "
-            "continues with that of the points"
+            f"{_other_reading(crs, proj, x, y)}{FORCE_CRS}. If only the extent in the header is wrong, "
+            "`trust_points=True` continues with that of the points"
         ) from error
-    outside = _degrees_outside(crs, x, y)
+    outside = _degrees_outside(crs, longitude, latitude)
     if outside > _NEAR_DEGREES:
         note = (
             f"its middle, {x:.10g}, {y:.10g}, lies {outside:.1f} degrees outside the area of use of "
-            f"{describe_crs(crs)}. {_other_reading(crs, x, y)}If the CRS is wrong, give the right one with "
+            f"{describe_crs(crs)}. {_other_reading(crs, proj, x, y)}If the CRS is wrong, give the right one with "
             "`force_crs='EPSG:CODE'`"
         )
         return [note]
@@ -514,21 +517,20 @@ def place_notes(place: Place, crs: CRS) -> list[str]:
 _NEAR_DEGREES = 0.5
 """So far beyond the area of use of a CRS nothing is said: surveys cross the borders of zones."""
 _READINGS = {
-    "eastings and northings seem to be swapped": ((0.0, 1.0), (1.0, 0.0)),
-    "feet seem to have been read as metres": ((0.3048, 0.0), (0.0, 0.3048)),
-    "metres seem to have been read as feet": ((1 / 0.3048, 0.0), (0.0, 1 / 0.3048)),
+    "Eastings and northings seem to be swapped": ((0.0, 1.0), (1.0, 0.0)),
+    "Feet seem to have been read as metres": ((0.3048, 0.0), (0.0, 0.3048)),
+    "Metres seem to have been read as feet": ((1 / 0.3048, 0.0), (0.0, 1 / 0.3048)),
 }
 """Faults of coordinates, and the matrix that takes them out."""
 _LOCAL_FRAME = 10_000.0
 """Coordinates that are smaller than this look like those of a local frame."""
 
 
-def _degrees_outside(crs: CRS, x: float, y: float) -> float:
-    """Return how far a point lies outside the area of use of a CRS, degrees; 0 inside, inf if it is no place."""
+def _degrees_outside(crs: CRS, longitude: float, latitude: float) -> float:
+    """Return how far a place lies outside the area of use of a CRS, degrees; 0 inside or if it has none."""
     area = crs.area_of_use
     if area is None:
         return 0.0
-    longitude, latitude = Transformer.from_crs(crs, 4326, always_xy=True).transform(x, y)
     if not (math.isfinite(longitude) and math.isfinite(latitude)):
         return math.inf
     width = (area.east - area.west) % 360.0 or 360.0
@@ -537,16 +539,14 @@ def _degrees_outside(crs: CRS, x: float, y: float) -> float:
     return float(max(aside, area.south - latitude, latitude - area.north, 0.0))
 
 
-def _other_reading(crs: CRS, x: float, y: float) -> str:
+def _other_reading(crs: CRS, proj: Proj, x: float, y: float) -> str:
     """Return in a sentence how coordinates would lie in the area of use; empty if nobody knows."""
-    found = [
-        fault
-        for fault, ((a, b), (c, d)) in _READINGS.items()
-        if _degrees_outside(crs, a * x + b * y, c * x + d * y) == 0.0
-    ]
     if max(abs(x), abs(y)) < _LOCAL_FRAME:
-        found = ["they look like coordinates of a local frame, which map takes with `local=True` and without a CRS"]
-    return f"{found[0][0].upper()}{found[0][1:]}. " if found else ""
+        return "They look like coordinates of a local frame, which map takes with `local=True` and without a CRS. "
+    for fault, ((a, b), (c, d)) in _READINGS.items():
+        if _degrees_outside(crs, *proj(a * x + b * y, c * x + d * y, inverse=True)) == 0.0:
+            return f"{fault}. "
+    return ""
 
 
 def common_georeference(infos: Sequence[_HasGeoreference]) -> Georeference:

@@ -73,8 +73,9 @@ class SurveyInputs:
                 _skip(path, error, skipped, skip_bad=config.skip_bad)
         if not readers:
             raise BadInputError("none of the inputs could be read:", *skipped.values())
-        georeference = common_georeference([reader.info for reader in readers])
-        for doubt in file_doubts([reader.info for reader in readers]):
+        infos = [reader.info for reader in readers]
+        georeference = common_georeference(infos)
+        for doubt in file_doubts(infos):
             _log.warning("%s", doubt)
         _check_crs(georeference, readers[0].info.path, local=config.local)
         return cls(readers, georeference, config.skip_bad, skipped)
@@ -113,40 +114,35 @@ second; if it is more and the ratio of the heights is this near to that of feet 
 
 def file_doubts(infos: Sequence[SurveyInfo]) -> list[str]:
     """Return what the headers of files say that cannot be true of one survey: stray places, other units of height."""
-    known = [info for info in infos if info.bounds is not None]
-    boxes = np.array([astuple(info.bounds) for info in known if info.bounds is not None]).reshape(-1, 4)
-    (west, south, east, north), doubts = boxes.T, []
-    sides = np.maximum(east - west, north - south)
-    at_origin = np.minimum(np.abs(west), np.abs(east)) + np.minimum(np.abs(south), np.abs(north)) < 1.0
-    apart = np.hypot(
-        *(
-            np.maximum(np.maximum(low[:, None] - high, low - high[:, None]), 0.0)
-            for low, high in ((west, east), (south, north))
-        )
-    )
-    np.fill_diagonal(apart, np.inf)
-    for at, info in enumerate(known):
-        if sides[at] > _FAR:
+    known = [(info, astuple(info.bounds)) for info in infos if info.bounds is not None]
+    west, south, east, north = np.array([box for _, box in known]).reshape(-1, 4).T
+    low, high = np.array([info.heights or (np.nan, np.nan) for info, _ in known]).reshape(-1, 2).T
+    doubts, gaps = [], []
+    for at, (info, _) in enumerate(known):
+        aside = np.maximum(np.maximum(west - east[at], west[at] - east), 0.0)
+        apart = np.hypot(aside, np.maximum(np.maximum(south - north[at], south[at] - north), 0.0))
+        apart[at] = np.inf
+        side, nearest = max(east[at] - west[at], north[at] - south[at]), apart.min()
+        at_origin = min(abs(west[at]), abs(east[at])) + min(abs(south[at]), abs(north[at])) < 1.0
+        if side > _FAR:
             remove = "remove them, such as with: pdal translate IN OUT.laz range --filters.range.limits='X[1:],Y[1:]'"
-            reason = f"some lie at the origin (0, 0); {remove}" if at_origin[at] else "there may be stray coordinates"
-            doubts.append(f"the points of {info.path} are spread over {sides[at] / 1000:,.0f} km: {reason}")
-        elif np.isfinite(nearest := apart[at].min(initial=np.inf)) and nearest > _FAR:
-            place = ", at the origin (0, 0)" if at_origin[at] else ""
+            reason = f"some lie at the origin (0, 0); {remove}" if at_origin else "there may be stray coordinates"
+            doubts.append(f"the points of {info.path} are spread over {side / 1000:,.0f} km: {reason}")
+        elif _FAR < nearest < np.inf:
+            place = ", at the origin (0, 0)" if at_origin else ""
             doubts.append(f"{info.path} lies {nearest / 1000:,.0f} km from all other files{place}: leave it out?")
-    low, high = np.array([info.heights or (np.nan, np.nan) for info in known]).reshape(-1, 2).T
-    gap = np.where(apart <= _BESIDE_M, low[:, None] - high, np.nan)  # of the one above, less the one below
-    pairs = np.argwhere(gap > _GAP_M)
-    for above, below in pairs[:_NAMED].tolist():
-        ratio = (low[above] + high[above]) / (low[below] + high[below])
-        in_feet = abs(0.3048 * ratio - 1.0) < _LIKE
+        gaps += [(at, other) for other in np.flatnonzero((apart <= _BESIDE_M) & (low[at] - high > _GAP_M)).tolist()]
+    for at, other in gaps[:_NAMED]:
+        own, beside = low[at] + high[at], low[other] + high[other]
+        in_feet = abs(0.3048 * own - beside) < _LIKE * abs(beside)
         why = "in feet, which `z_unit` sets?" if in_feet else "of another datum, such as ellipsoid and geoid?"
         doubts.append(
-            f"the heights of {known[above].path}, from {low[above]:,.1f} m, lie {gap[above, below]:,.1f} m above those "
-            f"of {known[below].path} beside it, up to {high[below]:,.1f} m: is one of them {why} Bring both to one "
-            "before they are mapped together"
+            f"the heights of {known[at][0].path}, from {low[at]:,.1f} m, lie {low[at] - high[other]:,.1f} m above "
+            f"those of {known[other][0].path} beside it, up to {high[other]:,.1f} m: is one of them {why} Bring both "
+            "to one before they are mapped together"
         )
-    if len(pairs) > _NAMED:
-        doubts.append(f"so do those of {len(pairs) - _NAMED} more pairs of files")
+    if len(gaps) > _NAMED:
+        doubts.append(f"so do those of {len(gaps) - _NAMED} more pairs of files")
     return doubts
 
 

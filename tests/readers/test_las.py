@@ -4,6 +4,7 @@ from datetime import date
 import laspy
 import numpy as np
 import pytest
+from las_files import las_bytes, wkt
 from pyproj import CRS
 
 from bumpymap.core.errors import BadInputError
@@ -217,3 +218,10 @@ def test_the_date_in_the_header_counts_days_of_a_year_and_is_none_if_there_is_no
     assert open_survey(path, ReadOptions(crs="EPSG:32614")).info.header_date == expected
     if expected is not None:
         assert laspy.open(path).header.creation_date == expected
+
+
+def test_of_two_records_with_the_same_ids_the_first_is_used_even_if_it_is_empty(tmp_path, utm_wkt):
+    path = tmp_path / "a.las"
+    records = (("LASF_Projection", 2112, b""), wkt(utm_wkt))
+    path.write_bytes(las_bytes([(500_001.0, 4_000_001.0, 1.0)], version="1.4", fmt=6, wkt_bit=True, records=records))
+    assert open_survey(path).info.georeference.crs is None
