@@ -1,16 +1,11 @@
-"""Plan ways between random places of a map, and hold them against a plain search over its pixels, or against drives.
+"""Plan ways between random places of a map, and hold them against drives along them.
 
-    python tests/benchmarks/ways.py LAYERS [--pairs 40] [--seed 1] [--joined]
     python tests/benchmarks/ways.py LAYERS --drives FOLDER [--pairs 20] [--seed 7] [--repeats 4] [--calibration FILE]
 
-*Search*: places are drawn from all pixels on which the middle of the vehicle can be, at least 20 m apart. The search of
-scipy steps over the pixels of passage.tif in eight directions at the cost of their tiles, over a corner between closed
-pixels where the vehicle may do so. A way touches if it comes nearer than half the vehicle's width to an obstacle pixel.
-
-*Drives*: places are drawn on passable tiles, 40 to 150 m apart. The vehicle of the layers is driven along the best way
-and along the straight line between them, over the heights of the map and with its obstacles as walls. The map predicts
-C_r of the ground without the survey's noise, and the drives run over heights that contain it, so C_r is predicted
-without the correction for noise too. Drives are kept in FOLDER, and the same command goes on with them.
+Places are drawn on passable tiles, 40 to 150 m apart. The vehicle of the layers is driven along the best way and along
+the straight line between them, over the heights of the map and with its obstacles as walls. The map predicts C_r of the
+ground without the survey's noise, and the drives run over heights that contain it, so C_r is predicted without the
+correction for noise too. Drives are kept in FOLDER, and the same command goes on with them.
 """
 
 import argparse
@@ -24,13 +19,9 @@ from pathlib import Path
 from statistics import NormalDist
 
 import numpy as np
-import rasterio
-from scipy.ndimage import generate_binary_structure, label
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial import cKDTree
+from scipy.ndimage import label
 
-import bumpymap
-from bumpymap.core import OBSTACLE, Barred, corners_join
+from bumpymap.core import Barred
 from bumpymap.lab.evaluate.survey_trial import uniform_by_key
 from bumpymap.lab.simulate.drive import DriveSettings
 from bumpymap.lab.simulate.jobs import Journal, drive_jobs
@@ -43,11 +34,9 @@ from bumpymap.route.places import in_window, on_grid
 from bumpymap.route.planner import Planner
 from bumpytiles import TileWindow
 
-sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("helpers", "worlds")]
+sys.path.append(str(Path(__file__).resolve().parents[1] / "worlds"))
 from driven_ways import ReliefGround, WayDrive, drive_way, fill_gaps
-from route_oracles import pixel_graph
 
-_LEAST_APART_M = 20.0
 _DRIVEN_APART_M = (40.0, 150.0)
 _OFFSET_M = 0.1
 """Drives are up to this far beside the way, m: the margin beside the vehicle with which tiles are passable."""
@@ -65,55 +54,6 @@ def points_along(line, step=0.02):
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
     at = np.append(np.arange(0.0, along[-1], step), along[-1])
     return np.column_stack([np.interp(at, along, line[:, axis]) for axis in (0, 1)])
-
-
-def compare_searches(folder, pairs, seed, *, joined):
-    """Plan and search between pairs of pixels; print a line for each, and return the counts and ratios of costs."""
-    site = open_map(folder)
-    with rasterio.open(folder / "obstacle.tif") as file:
-        rows, cols = np.nonzero(file.read(1) == OBSTACLE)
-        transform = file.transform
-    obstacles = np.column_stack(transform @ (cols + 0.5, rows + 0.5))
-    near, pixel, width = cKDTree(obstacles) if len(obstacles) else None, site.grid.pixel_size, site.vehicle.width_m
-    tiles = site.read(site.window)
-    cost = site.rule.cost(tiles.c_r.astype(np.float64), np.nan_to_num(site.rule.hazard(tiles.p_fail)))
-    cost = np.where(
-        site.passage(site.window), np.repeat(np.repeat(cost, site.grid.pixels, 0), site.grid.pixels, 1), np.inf
-    )
-    corners = corners_join(width, site.vehicle.reach_m, pixel)
-    pieces = label(np.isfinite(cost), generate_binary_structure(2, 1 + corners))[0]
-    graph, number = pixel_graph(cost, pixel, past_corners=corners)
-    places, rng = np.argwhere(np.isfinite(cost)), np.random.default_rng(seed)
-    found = {"missing": 0, "extra": 0, "touches": 0, "ratios": []}
-    for pair in range(pairs):
-        while True:
-            start, goal = (tuple(map(int, place)) for place in places[rng.integers(len(places), size=2)])
-            is_joined = pieces[start] == pieces[goal]
-            is_far = np.hypot(*np.subtract(start, goal)) * pixel >= _LEAST_APART_M
-            if is_far and (is_joined or not joined):
-                break
-        ends = [transform @ (col + 0.5, row + 0.5) for row, col in (start, goal)]
-        try:
-            (route,) = bumpymap.find_routes(folder, *(f"crs:{x!r},{y!r}" for x, y in ends))
-        except bumpymap.BadInputError as error:
-            found["missing"] += is_joined
-            if is_joined:
-                print(pair, "MISSING", ends, str(error)[:300], flush=True)
-            continue
-        if not is_joined:
-            found["extra"] += 1
-            print(pair, "EXTRA", ends, flush=True)
-            continue
-        gap = math.inf if near is None else near.query(points_along(np.asarray(route.line)))[0].min()
-        best = float(dijkstra(graph, directed=False, indices=number[start])[number[goal]])
-        found["touches"] += gap < 0.5 * width
-        found["ratios"].append(route.figures.cost_m / best)
-        print(
-            f"{pair}: {route.figures.length_m:.0f} m, {found['ratios'][-1]:.3f} times the cost of the search, "
-            f"nearest obstacle {gap:.2f} m{' TOUCHES' if gap < 0.5 * width else ''}",
-            flush=True,
-        )
-    return found
 
 
 @dataclass(frozen=True)
@@ -306,29 +246,22 @@ def figures_of(pairs, driven):
 
 
 def main():
-    """Plan, compare or drive, and print."""
+    """Plan, drive, and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("layers", type=Path)
-    parser.add_argument("--pairs", type=int)
-    parser.add_argument("--seed", type=int)
-    parser.add_argument("--joined", action="store_true", help="draw only pairs with a way between them over pixels")
-    parser.add_argument("--drives", type=Path, metavar="FOLDER", help="drive along the ways, and keep the drives there")
+    parser.add_argument("--drives", type=Path, metavar="FOLDER", required=True, help="where drives are kept")
+    parser.add_argument("--pairs", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--repeats", type=int, default=4, help="drives along each way, each a little beside it")
     parser.add_argument("--calibration", type=Path)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     given = parser.parse_args()
-    if given.drives is None:
-        pairs = given.pairs or 40
-        found = compare_searches(given.layers, pairs, 1 if given.seed is None else given.seed, joined=given.joined)
-        ratios = found.pop("ratios")
-        print(f"{pairs} pairs, {len(ratios)} with a way over pixels; {found}; cost beside the search: ", end="")
-        print(f"median {np.median(ratios):.3f}, most {max(ratios):.3f}" if ratios else "no way")
-        return
     given.drives.mkdir(parents=True, exist_ok=True)
-    site, seed = open_map(given.layers), 7 if given.seed is None else given.seed
+    site = open_map(given.layers)
     trial = WayTrial(site, find_calibration(site.vehicle.name, given.calibration))
-    pairs = list(trial.choose(given.pairs or 20, seed))
-    for name, value in figures_of(pairs, trial.drive(pairs, given.repeats, seed, given.drives, given.jobs)).items():
+    pairs = list(trial.choose(given.pairs, given.seed))
+    driven = trial.drive(pairs, given.repeats, given.seed, given.drives, given.jobs)
+    for name, value in figures_of(pairs, driven).items():
         print(f"{name}: {' to '.join(f'{end:.3g}' for end in np.atleast_1d(value))}")
 
 

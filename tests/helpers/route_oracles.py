@@ -104,10 +104,10 @@ def integral(cost, line, points=20001):
     return total
 
 
-def pixel_graph(cost, pixel, *, past_corners=False):
+def pixel_graph(cost, pixel):
     """Moves over pixels in eight directions as a graph, costs in m, and the node of each pixel.
 
-    A move past a corner needs the pixels beside it to be free, but with ``past_corners``.
+    A move past a corner needs the pixels beside it to be free.
     """
     rows, cols = cost.shape
     free, number = np.isfinite(cost), np.arange(cost.size).reshape(cost.shape)
@@ -116,7 +116,7 @@ def pixel_graph(cost, pixel, *, past_corners=False):
         here = np.s_[: rows - down, max(0, -right) : cols - max(0, right)]
         there = np.s_[down:, max(0, right) : cols + min(0, right)]
         corners = np.s_[: rows - down, max(0, right) : cols + min(0, right)], np.s_[down:, here[1].start : here[1].stop]
-        kept = free[here] & free[there] & (past_corners | free[corners[0]] & free[corners[1]])
+        kept = free[here] & free[there] & free[corners[0]] & free[corners[1]]
         length = np.hypot(down, right) * pixel
         parts.append((number[here][kept], number[there][kept], length * 0.5 * (cost[here][kept] + cost[there][kept])))
     first, last, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
