@@ -11,7 +11,7 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
-from made_quarry import tiles_inside
+from made_quarry import tiles_of
 from pyproj import CRS
 from small_surveys import layers_of, run, write_las
 
@@ -282,14 +282,14 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
     with rasterio.open(demo / "layers" / "roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
 
-    def median(zone):
-        col, row = tiles_inside(zone)
+    def median(symbol):
+        col, row = tiles_of(symbol)
         return np.nanmedian(c_r[np.round(north / 3).astype(int) - 1 - row, col - np.round(west / 3).astype(int)])
 
-    cost = {zone: median(zone) for zone in ("pad", "road", "washboard", "ruts", "rubble", "bank")}
-    assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
-    assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
-    assert cost["rubble"] > 0.273  # rough or worse
+    pad, road, washboard, ruts, rubble, bank = map(median, "PRWUXB")
+    assert pad < road < washboard < ruts < rubble < bank
+    assert road < 0.107 < ruts  # smooth; fair or worse
+    assert rubble > 0.273  # rough or worse
 
 
 def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
