@@ -1,13 +1,14 @@
-"""The driver of ways: drives round a wall arrive where the map says."""
+"""The driver of ways: drives shake as the closed form says, and arrive round a wall where the map says."""
 
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from known_grounds import sine_c_r
 from tile_maps import TileMap
 
-from bumpymap.rating import Calibration
+from bumpymap.rating import Calibration, load_profile
 
 sys.path.append(str(Path(__file__).parent))
 import ways
@@ -28,6 +29,16 @@ def wall_map():
 
     made.height, made.manifest = height, {"files": []}
     return made
+
+
+@pytest.mark.slow
+def test_a_way_over_waves_costs_what_the_closed_form_says():
+    pytest.importorskip("dartpy")
+    profile, east = load_profile("warthog"), (np.arange(200) + 0.5) * 0.2
+    waves = ways.ReliefGround.from_heightmap(np.tile(0.02 * np.sin(2 * np.pi * east / 3), (30, 1)), 0.2)
+    made = ways.drive_way(profile, waves, np.array([[3.0, 3.0], [33.0, 3.0]]))
+    assert made.outcome == "completed"
+    assert made.c_r == pytest.approx(sine_c_r(profile, 0.02, 3.0), rel=0.1)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Drive along ways over the relief of a survey in DART, and record the motion as the truth of a drive log.
+"""Drive along ways over the relief of a survey in DART.
 
 C_r is measured as in the drives of a calibration, after settling and acceleration: the integral of abs(omega_y) dt over
 the horizontal length of the path. The vehicle steers to a point ahead on the line. The more it has to turn, the slower
@@ -6,19 +6,16 @@ it drives; at 90 degrees and more it turns on the spot. What it pitches while it
 board would measure it.
 
 Coordinates are metres east and north of a window's south-west corner: easting and northing themselves do not fit the
-single precision of a mesh. A recorded drive begins and ends with a standstill and may stop on its way.
+single precision of a mesh.
 """
 
 import math
 from collections import deque
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import convolve, distance_transform_edt, uniform_filter1d
-from sensed_drives import TrueDrive
 
 from bumpymap.core import OBSTACLE
 from bumpymap.lab.simulate.drive import DriveSettings, Outcome
@@ -224,16 +221,6 @@ _STUCK_WINDOW_S = 10.0
 """A vehicle is stuck if it covers too little of the line in this time."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """A stop on the way."""
-
-    at_m: float
-    """Distance along the line at which the vehicle begins to brake, m."""
-    seconds: float
-    """How long it stands, s."""
-
-
 @dataclass(slots=True)
 class WayDrive:
     """Result of one drive along a way."""
@@ -279,29 +266,20 @@ def _start(
     return ground.sloped_at(easting, northing), strip, settings.physics, triangles
 
 
-def follow_guide(
-    vehicle: DartVehicle, guide: GuideLine, profile: Vehicle, settings: DriveSettings, stops: Sequence[Stop] = ()
-) -> WayDrive:
+def follow_guide(vehicle: DartVehicle, guide: GuideLine, profile: Vehicle, settings: DriveSettings) -> WayDrive:
     """Drive a vehicle along a line and integrate its gyroscope readings; it stands at the start of the line.
 
-    ``stops`` are in the order of their distances. The drive ends with the line, or when the vehicle is stuck.
+    The drive ends with the line, or when the vehicle is stuck.
     """
     period = 1 / settings.sample_hz
     quiet = round((settings.settle_s + settings.ramp_s + settings.cruise_s) / period)
     made = WayDrive("completed")
     recent: deque[int] = deque(maxlen=round(_STUCK_WINDOW_S / period))
     least = settings.stuck_share * profile.speed_mps * _STUCK_WINDOW_S
-    pose, speed, stood, sample, at = vehicle.pose(), 0.0, 0.0, 0, 0
-    ahead = deque(stops)
+    pose, speed, sample, at = vehicle.pose(), 0.0, 0, 0
     while at < len(guide.points) - 1:
         angle = _angle_to(guide.ahead(at, _LOOK_AHEAD * profile.wheelbase_m), pose)
         held = sample * period < settings.settle_s
-        if not held and ahead and at * guide.step >= ahead[0].at_m:
-            stood += period if speed == 0 else 0.0
-            held = stood < ahead[0].seconds
-            if not held:
-                ahead.popleft()
-                stood = 0.0
         speed = _next_speed(speed, 0.0 if held else max(math.cos(angle), 0.0) ** 2, profile, settings)
         _command(vehicle, angle, speed, profile)
         vehicle.advance(settings.steps_per_sample)
@@ -342,71 +320,3 @@ def _command(vehicle: DartVehicle, angle: float, speed: float, profile: Vehicle)
     most = _MAX_STEERING * profile.speed_mps if speed > 0 or abs(angle) >= math.pi / 2 else 0.0
     difference = min(max(_YAW_GAIN * angle * profile.track_m / 2, -most), most)
     vehicle.command(speed - difference, speed + difference)
-
-
-@dataclass(frozen=True, slots=True)
-class RecordSettings:
-    """How a recorded drive begins, pauses and ends."""
-
-    drive: DriveSettings = field(default_factory=DriveSettings)
-    stand_before_s: float = 10.0
-    """Standstill before the way, after the vehicle has settled."""
-    stand_after_s: float = 5.0
-    stops: Sequence[Stop] = ()
-    """In the order of their distances."""
-
-
-class RecordedVehicle(DartVehicle):
-    """A vehicle in DART whose motion is recorded at every time step after the first ``unrecorded`` ones."""
-
-    def __init__(self, profile: Vehicle, unrecorded: int, *start: Any) -> None:
-        super().__init__(profile, *start)
-        self._unrecorded = unrecorded
-        self._rows: list[_Floats] = []
-
-    def advance(self, steps: int) -> None:
-        """Simulate ``steps`` time steps and record the motion after each."""
-        for _ in range(steps):
-            super().advance(1)
-            matrix = self.chassis.getWorldTransform().matrix()
-            motion = [matrix[:3, :3].ravel(), matrix[:3, 3], self.chassis.getSpatialVelocity()]
-            self._rows.append(np.concatenate(motion))
-
-    def motion(self, time_step: float) -> TrueDrive:
-        """Return what was recorded."""
-        rows = np.array(self._rows[self._unrecorded :])
-        rotation, place, rates, velocity = np.split(rows, [9, 12, 15], axis=1)
-        return TrueDrive(1 / time_step, place, rotation.reshape(-1, 3, 3), rates, velocity)
-
-
-def record_way(
-    profile: Vehicle, ground: ReliefGround, corners: _Floats, settings: RecordSettings | None = None
-) -> tuple[WayDrive, TrueDrive]:
-    """Drive along a line in DART and record the motion; the same arguments give the same bits in any process.
-
-    Parameters
-    ----------
-    profile : Vehicle
-    ground : ReliefGround
-    corners : array (n, 2)
-        The line, m east and north of the ground's south-west corner.
-    settings : RecordSettings, optional
-
-    Returns
-    -------
-    WayDrive
-    TrueDrive
-        Places are in the coordinates of the ground.
-    """
-    settings = settings or RecordSettings()
-    drive, physics = settings.drive, settings.drive.physics
-    guide = GuideLine.along(corners)
-    start = _start(profile, ground, guide, drive)
-    vehicle = RecordedVehicle(profile, round(drive.settle_s / physics.time_step), *start)
-    standing = replace(drive, settle_s=drive.settle_s + settings.stand_before_s)
-    result = follow_guide(vehicle, guide, profile, standing, settings.stops)
-    brake = np.linspace(1.0, 0.0, max(round(drive.ramp_s * drive.sample_hz), 1))
-    for share in np.append(brake, np.zeros(round(settings.stand_after_s * drive.sample_hz))):
-        vehicle.command(share * profile.speed_mps, share * profile.speed_mps)
-        vehicle.advance(drive.steps_per_sample)
-    return result, vehicle.motion(physics.time_step)
