@@ -215,8 +215,6 @@ _YAW_GAIN = 2.0
 """Yaw rate per angle between heading and that point, 1/s."""
 _MAX_STEERING = 0.5
 """Largest speed difference that steering may command, as a share of the profile's speed."""
-_TURNING_RAD = math.radians(15)
-"""At a larger angle to the point ahead, the vehicle counts as turning."""
 _STUCK_WINDOW_S = 10.0
 """A vehicle is stuck if it covers too little of the line in this time."""
 
