@@ -62,7 +62,7 @@ class Lines:
     def _start(self):
         # One thread each: the pools of libraries would reserve memory for as many as the machine has cores.
         pools = dict.fromkeys(("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MALLOC_ARENA_MAX"), "1")
-        with self.said.open("wb") as said:
+        with self.said.open("w+b") as said:  # the child reads it too
             self._child = subprocess.Popen(
                 [sys.executable, *map(str, self._command)],
                 stdin=subprocess.PIPE,
