@@ -16,6 +16,7 @@ from pyproj import CRS
 from small_surveys import layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
+from bumpymap.layers.products import VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -138,6 +139,29 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert first["already_done"] is True
     assert first == second
     assert inodes(layers) == before
+
+
+def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_complete_run(survey, layers, tmp_path):
+    """As QGIS leaves them; views that are deleted are not missed, and overwriting brings them back."""
+    out = shutil.copytree(layers, tmp_path / "viewed")
+    for name in VIEW_NAMES:
+        if (out / name).suffix in {".qml", ".qgs"}:
+            (out / name).write_text("<qgis/>", encoding="utf-8")
+    (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
+    for raster in out.glob("*.tif"):
+        side = raster.with_name(f"{raster.name}.aux.xml")
+        if not side.exists():
+            side.write_text("<PAMDataset/>", encoding="utf-8")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    assert "Already done" in run("map", survey, "--out", out).output
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    for name in VIEW_NAMES:
+        (out / name).unlink(missing_ok=True)
+    assert "Already done" in run("map", survey, "--out", out).output
+    assert run("map", survey, "--out", out, "--overwrite").exit_code == 0
+    for name in ("class.qml", "map.qgs"):
+        assert (out / name).read_bytes() == (layers / name).read_bytes()
+    assert not (out / "roughness.tif.aux.xml").exists()
 
 
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
