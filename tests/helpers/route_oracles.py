@@ -104,8 +104,8 @@ def integral(cost, line, points=20001):
     return total
 
 
-def pixel_graph(cost, pixel):
-    """Moves over pixels in eight directions as a graph, costs in m, and the node of each pixel.
+def cheapest_on_pixels(cost, start, goal, pixel):
+    """Cost [m] of the cheapest path over pixels in eight directions; inf if there is none.
 
     A move past a corner needs the pixels beside it to be free.
     """
@@ -120,10 +120,5 @@ def pixel_graph(cost, pixel):
         length = np.hypot(down, right) * pixel
         parts.append((number[here][kept], number[there][kept], length * 0.5 * (cost[here][kept] + cost[there][kept])))
     first, last, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2), number
-
-
-def cheapest_on_pixels(cost, start, goal, pixel):
-    """Cost [m] of the cheapest path over pixels in eight directions, past closed corners; inf if there is none."""
-    graph, number = pixel_graph(cost, pixel)
+    graph = csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2)
     return dijkstra(graph, directed=False, indices=number[tuple(start)])[number[tuple(goal)]]
