@@ -22,8 +22,6 @@ import bumpymap
 from bumpymap.core.errors import BumpymapError
 from bumpymap.readers import PointStats, open_survey
 
-__all__ = ["Judge", "Verdict"]
-
 _SECONDS = 15
 """Of processor time; of time four times as many, for what waits."""
 _HOUSE = str(Path(bumpymap.__file__).parent)

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from .bases import bases
 
-__all__ = ["MEMORY", "SECONDS", "Lines", "Outcome", "Runner"]
-
 SECONDS = 10.0
 MEMORY = 1_500_000_000
 _DRIVER = Path(__file__).parents[1] / "driver.py"
