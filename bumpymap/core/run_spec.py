@@ -258,7 +258,9 @@ def differences(
     return found if len(found) <= _MOST_LISTED else [*found[:_MOST_LISTED], f"and {len(found) - _MOST_LISTED} more"]
 
 
-def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+def same_content(
+    path: str, known: Mapping[str, Any], here: Mapping[str, Any], hashed: Callable[[Path], str] = hash_file
+) -> bool:
     """Return whether an input file is unchanged: by size and time, or by its checksum if the time differs.
 
     Parameters
@@ -269,7 +271,9 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if they were recorded, ``mtime_ns`` or
         the ``version`` reported by a server.
     here : mapping
-        From `bumpymap.readers.source.identity`.
+        From `bumpymap.readers.identity`.
+    hashed : callable
+        Returns the checksum of an input.
     """
     if known.get("bytes") is not None and known["bytes"] != here["size"]:
         return False
@@ -280,7 +284,7 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         return False
     checksum, sha256 = known.get("checksum"), known.get("sha256")
     if checksum is not None:
-        return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hash_file(Path(path)) == checksum)
+        return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hashed(Path(path)) == checksum)
     if sha256 is None:
         return False
     with Path(path).open("rb") as file:

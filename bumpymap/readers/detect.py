@@ -11,10 +11,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, FileHash, hash_file
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
+    EPT_NAME,
     Location,
+    identity as file_identity,
+    is_ept,
     is_folder,
     is_url,
     list_folder,
@@ -24,12 +27,12 @@ from bumpymap.readers.source import (
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted
 
-__all__ = ["SUFFIXES", "find_surveys", "open_survey", "read_columns", "reopen_survey"]
+__all__ = ["SUFFIXES", "find_surveys", "hash_survey", "identity", "open_survey", "read_columns", "reopen_survey"]
 
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+_READABLE = "bumpymap reads LAS, LAZ, COPC, EPT, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
 
 _FOREIGN = (
@@ -74,6 +77,10 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
+    if is_ept(path):
+        from bumpymap.readers.ept import EptSurvey
+
+        return EptSurvey(path, options)
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey
@@ -82,6 +89,29 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
     from bumpymap.readers.point_table import TableSurvey
 
     return TableSurvey(path, options, partial(_open_table, kind))
+
+
+def identity(location: Location) -> dict[str, Any]:
+    """Return what identifies a survey and its version, as `bumpymap.readers.source.identity` does for a file.
+
+    The digest of an EPT is the SHA-256 of its files of JSON and of the sizes of its nodes.
+    """
+    if not is_ept(location):
+        return file_identity(location)
+    from bumpymap.readers.ept import EptFiles
+
+    files = EptFiles.find(location)
+    return {**files.version, "digest": files.digest}
+
+
+def hash_survey(path: Path) -> str:
+    """Return the checksum of a survey, see `FileHash`; raise OSError or BadInputError if it cannot be read."""
+    if not is_ept(path):
+        return hash_file(path)
+    from bumpymap.readers.ept import EptFiles
+
+    files = EptFiles.find(path)
+    return FileHash(files.version["size"]).finish(files.read)
 
 
 def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
@@ -182,8 +212,8 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
     Parameters
     ----------
     paths : sequence of Path or str
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
-        ones. URLs, as str, may be files or folders too.
+        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES`` and ``ept.json``
+        of EPTs, except hidden ones and the nodes of EPTs. URLs, as str, may be files or folders too.
 
     Returns
     -------
@@ -213,16 +243,19 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
 def _urls_of(url: str) -> list[str]:
     # The server is only asked if the suffix does not decide: every request takes time.
-    if url.lower().endswith(SUFFIXES) or not is_folder(url):
+    if is_ept(url) or url.lower().endswith(SUFFIXES) or not is_folder(url):
         return [url]
-    return _some([name for name in list_folder(url) if name.lower().endswith(SUFFIXES)], url)
+    files = list_folder(url)
+    nodes = tuple(f"{name.removesuffix(EPT_NAME)}ept-data/" for name in files if is_ept(name))
+    found = [name for name in files if name.lower().endswith(SUFFIXES) and not name.startswith(nodes)]
+    return _some([*filter(is_ept, files), *found], url)
 
 
 def _some(files: list[Any], folder: Location) -> list[Any]:
     if not files:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched for, "
-            "in its subfolders too. A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} and {EPT_NAME} are "
+            "searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
 
@@ -241,7 +274,8 @@ def _walk(folder: Path) -> Iterator[Path]:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
     for parent, folders, names in os.walk(folder, onerror=refuse):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        nodes = "ept-data" if EPT_NAME in names else None
+        folders[:] = [name for name in folders if not name.startswith(".") and name != nodes]
         for name in names:
-            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
+            if not name.startswith(".") and name.lower().endswith((*SUFFIXES, EPT_NAME)):
                 yield Path(parent) / name

@@ -4,11 +4,20 @@ import math
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, Georeference, Place, PointCloud, georeference
+from bumpymap.core import (
+    BadInputError,
+    CrsStatement,
+    Georeference,
+    Place,
+    PointCloud,
+    SharedBytes,
+    georeference,
+)
 from bumpymap.readers._kernels import (
     LinedPoints,
     RecordCounts,
@@ -48,7 +57,7 @@ from bumpymap.readers.source import (
 )
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
-__all__ = ["LasSurvey"]
+__all__ = ["LasSurvey", "Records", "refuse_numbers"]
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
@@ -199,20 +208,17 @@ class LasSurvey(SurveyReader):
     def _open(self, options: ReadOptions) -> SurveyInfo:
         path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
-            self._raw = raw = read_raw_header(stream, path)
-            _refuse_numbers(path, raw)
+            self._raw = raw = self._read_header(stream)
+            refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
-            place, notes = georeference(Place(path, middle), statement_of_las(raw), options.given_crs, options.z_unit)
+            place, notes = georeference(Place(path, middle), self._statement(raw), options.given_crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
             self._table: ChunkTable | None = None
             if raw.compressed:
                 self._laszip = laz_record(path, raw)
-                self._table = read_table(stream, path, raw, self._laszip)
-                if raw.is_copc:
-                    unit = None if bounds is None else place.metres_per_unit
-                    self._table = read_octree(stream, path, raw, self._table, unit)
+                self._table = self._read_table(stream, raw, None if bounds is None else place.metres_per_unit)
                 self._ends = np.cumsum(self._table.counts)
         units = (place.metres_per_unit, place.metres_per_unit, place.metres_per_unit_z)
         self._scaling = Scaling(raw.scales, raw.offsets, units)
@@ -226,14 +232,28 @@ class LasSurvey(SurveyReader):
         )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
-        kind = f"COPC ({kind})" if raw.is_copc else kind
         notes += _degrees_note(place, raw)
-        info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
+        info = SurveyInfo(path, self._format(raw).format(kind), raw.size, raw.point_count, place, bounds, None, notes)
         low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
         heights = None if bounds is None else (low, high)
         return replace(
             info, parallel=raw.compressed, header_date=raw.created, heights=heights, class_names=raw.class_names
         )
+
+    def _read_header(self, stream: BinaryIO) -> RawHeader:
+        return read_raw_header(stream, self._path)
+
+    def _statement(self, raw: RawHeader) -> CrsStatement:
+        return statement_of_las(raw)
+
+    def _format(self, raw: RawHeader) -> str:
+        """Return the name of the format, around that of the points."""
+        return "COPC ({})" if raw.is_copc else "{}"
+
+    def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
+        """Read where the LAZ chunks are; without their bounds if ``metres_per_unit`` is None."""
+        table = read_table(stream, self._path, raw, self._laszip)
+        return read_octree(stream, self._path, raw, table, metres_per_unit) if raw.is_copc else table
 
     def chunks(self, points: int = CHUNK_POINTS) -> Sequence[Chunk]:
         """Split the file between points, LAZ chunks, or nodes of the octree, whose chunks have bounds."""
@@ -246,7 +266,7 @@ class LasSurvey(SurveyReader):
         """Return the records of a chunk; uncompressed ones of a local file are read when they are converted."""
         path, raw = self._path, self._raw
         if self._table is not None:
-            return self._decoded(chunk, self._part(chunk, self._table))
+            return self._read_laz(self._part(chunk, self._table))
         if not isinstance(path, str):
             return _read_pieces(path, raw, chunk)
         data = read_range(path, raw.offset_to_points + chunk.first * raw.point_size, chunk.points * raw.point_size)
@@ -255,22 +275,26 @@ class LasSurvey(SurveyReader):
             refuse_count(path, raw.point_count, chunk.first + held)
         return data.reshape(held, raw.point_size)
 
-    def _decoded(self, chunk: Chunk, part: ChunkTable) -> Records:
-        """Read the bytes of the LAZ chunks of a chunk, adjacent ones with one request, and decode them on all cores."""
+    def _read_laz(self, part: ChunkTable) -> Records:
+        """Read the bytes of LAZ chunks, adjacent ones with one request, and decode them."""
         compressed = decoder().allocate(int(part.sizes.sum()))
         held = 0
         gaps = np.flatnonzero(part.starts[1:] != part.starts[:-1] + part.sizes[:-1]) + 1
         for starts, sizes in zip(np.split(part.starts, gaps), np.split(part.sizes, gaps), strict=True):
             held += read_into(self._path, int(starts[0]), compressed.data[held : held + int(sizes.sum())])
         refuse_count(self._path, compressed.data.size, held, "bytes of LAZ chunks")
+        return self._decode(self._path, part, compressed)
+
+    def _decode(self, path: Location, part: ChunkTable, compressed: SharedBytes) -> Records:
+        """Check adjacent LAZ chunks, and decode them on all cores."""
         table = list(zip(part.counts.tolist(), part.sizes.tolist(), strict=True))
         at = 0
         for points, size in table:
-            check_layers(self._path, self._raw, compressed.data[at : at + size], points)
+            check_layers(path, self._raw, compressed.data[at : at + size], points)
             at += size
-        with decoding(self._path, "LAZ chunks"):
-            records = decoder().chunks(self._laszip, table, compressed, chunk.points * self._raw.point_size)
-        return records.reshape(chunk.points, self._raw.point_size)
+        points, size = int(part.counts.sum()), self._raw.point_size
+        with decoding(path, "LAZ chunks"):
+            return decoder().chunks(self._laszip, table, compressed, points * size).reshape(points, size)
 
     def _part(self, chunk: Chunk, table: ChunkTable) -> ChunkTable:
         """Return the LAZ chunks of a chunk, by their offsets in the file."""
@@ -291,7 +315,7 @@ class LasSurvey(SurveyReader):
         return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
 
 
-def _refuse_numbers(path: Location, raw: RawHeader) -> None:
+def refuse_numbers(path: Location, raw: RawHeader) -> None:
     """Refuse scales and offsets that do not make finite coordinates of all integers."""
     scaling = Scaling(raw.scales, raw.offsets, (1.0, 1.0, 1.0))
     ends = [scaling.coordinates(axis, np.array([_LOWEST, _HIGHEST])) for axis in range(3)]

@@ -24,6 +24,7 @@ from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_res
 from bumpytiles import Bounds
 
 __all__ = [
+    "EPT_NAME",
     "TRUST",
     "Location",
     "Version",
@@ -32,6 +33,7 @@ __all__ = [
     "decoding",
     "file_changed",
     "identity",
+    "is_ept",
     "is_folder",
     "is_url",
     "list_folder",
@@ -118,6 +120,14 @@ _BLOCK = 1 << 18
 def is_url(location: object) -> bool:
     """Return whether this is a URL."""
     return isinstance(location, str) and "://" in location
+
+
+EPT_NAME = "ept.json"
+
+
+def is_ept(location: Location) -> bool:
+    """Return whether a path or a URL is that of an EPT: of its file ``ept.json``."""
+    return Path(str(location).partition("?")[0] if is_url(location) else location).name == EPT_NAME
 
 
 class RangeFile(io.RawIOBase):

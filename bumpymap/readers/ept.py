@@ -1,0 +1,387 @@
+"""EPT (Entwine Point Tile): an octree whose nodes are LAZ files, listed with their numbers of points in files of JSON.
+
+The files count as one, in which they follow each other: ``ept.json``, those of the hierarchy, then the nodes in reading
+order. It has a size, a version and a checksum, and the nodes are chunks of it as those of COPC are. A node is opened
+when its points are read. The layout follows the specification of Entwine; nodes are named ``level-x-y-z``.
+
+Entwine gives each node an offset of its own. The integers of its points are moved to the offset of the first node,
+which must be a whole number of steps away, so that coordinates keep their bits.
+"""
+
+import hashlib
+import io
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bumpymap.core import (
+    BadInputError,
+    CrsStatement,
+    Each,
+    FileHash,
+    Number,
+    parse_json,
+    shape_fault,
+    statement_from_wkt,
+    with_vertical,
+)
+from bumpymap.readers.copc import DEEPEST, ChunkTable, depth_first_order, node_boxes, read_table, refuse_sizes
+from bumpymap.readers.decoder import decoder
+from bumpymap.readers.las import LasSurvey, Records
+from bumpymap.readers.las_header import RawHeader, joined_statement, read_raw_header, statement_of_las
+from bumpymap.readers.protocol import Chunk
+from bumpymap.readers.source import (
+    EPT_NAME,
+    Location,
+    Version,
+    decoding,
+    is_url,
+    open_source,
+    pinned_version,
+    read_into,
+    read_range,
+    refuse_count,
+    require_unchanged,
+    version_of,
+)
+
+__all__ = ["EptFiles", "EptSurvey"]
+
+_KEY = re.compile("-".join(["(0|[1-9][0-9]{0,9})"] * 4))
+_NODE = np.dtype([("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("points", "<i8")])
+_ROOT: tuple[int, ...] = (0, 0, 0, 0)
+_ELSEWHERE = -1
+"""Number of points of a node that a hierarchy file of its own lists, with all nodes below it."""
+MOST_NODES = 1_000_000
+_MOST_JSON = 32 << 20
+"""Bytes of a file of JSON at most: a million nodes need fewer."""
+_MOST_BESIDE = 1 << 20
+"""Bytes of a node at most, beyond twice those of its points when decoded."""
+_REQUESTS = 16
+"""Requests at a time for the versions of nodes on a server."""
+_BOX = (Number(),) * 6
+_HEAD = {
+    "bounds": _BOX,
+    "boundsConforming?": _BOX,
+    "dataType": str,
+    "hierarchyType?": str,
+    "points": Number(1, 1e15, whole=True),
+    "srs?": {"wkt?": str},
+}
+_HIERARCHY = Each(Number(_ELSEWHERE, (1 << 31) - 1, whole=True))
+_REBUILD = "Build the EPT again, or copy it again"
+_ONE_FILE = "Write it as one file: pdal translate --reader readers.ept EPT OUT.copc.laz"
+
+
+@dataclass(frozen=True, slots=True)
+class EptFiles:
+    """The files of an EPT, as one."""
+
+    head: Mapping[str, Any]
+    """Content of ``ept.json``."""
+    nodes: NDArray[np.void]
+    """Nodes with points, in reading order."""
+    places: Sequence[Location]
+    """``ept.json``, the hierarchy, and as the last the files of ``nodes``."""
+    versions: Sequence[Version]
+    digest: str
+    """SHA-256 of the files of JSON, and of the sizes of the nodes."""
+
+    @classmethod
+    def find(cls, location: Location) -> "EptFiles":
+        """Read ``ept.json`` and the hierarchy, and look up the nodes.
+
+        Raises
+        ------
+        BadInputError
+            A file is missing, leads out of the folder or cannot be read; the hierarchy is none of an octree, or has
+            fewer points than ``ept.json`` says; or the points are not LAZ.
+        """
+        digest = hashlib.sha256()
+        head, version = _read_json(location, _HEAD, digest.update)
+        for name, read in (("dataType", "laszip"), ("hierarchyType", "json")):
+            if (found := head.get(name, read)) != read:
+                raise BadInputError(f"the {name} of {location} is {found[:40]!r}; {read!r} is read. {_ONE_FILE}")
+        places, versions = [location], [version]
+        waiting, listed = [_ROOT], list[tuple[int, ...]]()
+        while waiting:
+            top = waiting.pop()
+            places.append(_beside(location, "ept-hierarchy", top, "json"))
+            entries, version = _read_json(places[-1], _HIERARCHY, digest.update)
+            versions.append(version)
+            for key, points in entries.items():
+                node = _node_below(top, key)
+                if node is None or (points == _ELSEWHERE and node == top):
+                    raise BadInputError(
+                        f"{places[-1]} gives {key[:60]!r} {points} points: its nodes must be {_name(top)} and nodes of "
+                        f"that octree below it, and -1 stands for one in another file. {_REBUILD}"
+                    )
+                if points == _ELSEWHERE:
+                    waiting.append(node)
+                elif points:
+                    listed.append((*node, points))
+            if len(places) + len(waiting) + len(listed) > MOST_NODES:
+                raise BadInputError(f"{location} lists more than {MOST_NODES:,} nodes, the most that are read")
+        nodes = np.array(listed, _NODE)
+        nodes = nodes[depth_first_order(nodes)]
+        keys = nodes[["level", "x", "y", "z"]]
+        if (twice := np.flatnonzero(keys[1:] == keys[:-1])).size:
+            raise BadInputError(f"the hierarchy of {location} lists {_name(keys[twice[0]])} twice. {_REBUILD}")
+        refuse_count(location, head["points"], int(nodes["points"].sum()))
+        found = [_beside(location, "ept-data", key, "laz") for key in keys.tolist()]
+        looked_up = _each(_look_up, found)
+        digest.update(np.array([own["size"] for own in looked_up], "<i8").tobytes())
+        return cls(head, nodes, [*places, *found], [*versions, *looked_up], digest.hexdigest())
+
+    @property
+    def node_places(self) -> Sequence[Location]:
+        """The files of ``nodes``."""
+        return self.places[-len(self.nodes) :]
+
+    @property
+    def sizes(self) -> NDArray[np.int64]:
+        """Bytes of each file."""
+        return np.array([version["size"] for version in self.versions], np.int64)
+
+    @property
+    def version(self) -> Version:
+        """Version of all files as one; ``version`` is empty if a server reports none for a file."""
+        told = [version.get("mtime_ns") or version["version"] for version in self.versions]
+        text = "\n".join(f"{size} {own}" for size, own in zip(self.sizes, told, strict=True))
+        whole = f"files {hashlib.sha256(text.encode()).hexdigest()}" if all(told) else ""
+        return {"size": int(self.sizes.sum()), "version": whole}
+
+    def read(self, start: int, size: int) -> NDArray[np.uint8]:
+        """Read ``size`` bytes from offset ``start`` of all files as one; fewer at the end.
+
+        Raises
+        ------
+        BadInputError
+            A file has changed, or cannot be read.
+        """
+        data, held = np.empty(size, np.uint8), 0
+        ends = np.cumsum(self.sizes)
+        for file in range(int(np.searchsorted(ends, start, side="right")), len(self.places)):
+            place, version = self.places[file], self.versions[file]
+            first = start + held - int(ends[file]) + version["size"]
+            wanted = min(size - held, version["size"] - first)
+            if not wanted:
+                break
+            with pinned_version(place, version):
+                refuse_count(place, wanted, read_into(place, first, data[held : held + wanted]), "bytes")
+            if not is_url(place):
+                require_unchanged(place, version)
+            held += wanted
+        return data[:held]
+
+
+class EptSurvey(LasSurvey):
+    """An EPT, by the path or the URL of its file ``ept.json``."""
+
+    def _read_header(self, stream: BinaryIO) -> RawHeader:
+        """Return the header of the first node, with the extent and the number of points of all."""
+        self._files = files = EptFiles.find(self._path)
+        self._version = files.version
+        place, box = files.node_places[0], files.head.get("boundsConforming", files.head["bounds"])
+        with decoding(place, "the header"), open_source(place) as node:
+            raw = read_raw_header(node, place)
+        low, high = ((float(x), float(y), float(z)) for x, y, z in (box[:3], box[3:]))
+        size, points = files.version["size"], int(files.nodes["points"].sum())
+        return replace(raw, compressed=True, size=size, point_count=points, mins=low, maxs=high)
+
+    def _statement(self, raw: RawHeader) -> CrsStatement:
+        own, of_nodes = _stated(self._files.head.get("srs", {})), statement_of_las(raw)
+        if own.crs is None:
+            return of_nodes if of_nodes.crs is not None or not own.trouble else own
+        return joined_statement(own, of_nodes, (EPT_NAME, "nodes"))
+
+    def _format(self, raw: RawHeader) -> str:
+        return f"EPT of {len(self._files.nodes):,} nodes ({{}})"
+
+    def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
+        """Return the nodes, with their place among the bytes of all files."""
+        files, every = self._files, self._files.sizes
+        counts, sizes = files.nodes["points"], every[-len(files.nodes) :]
+        if (large := np.flatnonzero(sizes > 2 * counts * raw.point_size + _MOST_BESIDE)).size:
+            worst = large[0]
+            raise BadInputError(
+                f"{files.node_places[worst]} takes {sizes[worst]:,} bytes, too many for its {counts[worst]:,} points: "
+                f"damaged. {_REBUILD}"
+            )
+        root = np.array(files.head["bounds"], np.float64)[[0, 1, 3, 4]]
+        starts = (np.cumsum(every) - every)[-len(files.nodes) :]
+        self._nodes = ChunkTable(counts, starts, sizes, node_boxes(files.nodes, root, metres_per_unit))
+        refuse_sizes(self._path, raw, self._nodes)
+        return self._nodes
+
+    def _require_unchanged(self) -> None:
+        """Check every file; while points are read, those that are read were checked alone."""
+        _each(require_unchanged, self._files.places, self._files.versions)
+
+    def _finish_hash(self, own: FileHash) -> None:
+        own.finish(self._files.read)
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Each file is checked on its own when it is read, see `EptFiles.read`."""
+        yield
+
+    def _fetch(self, chunk: Chunk) -> Records:
+        """Read the nodes of a chunk, decode all LAZ chunks in them at once, and bring them to one offset."""
+        part, first = self._part(chunk, self._nodes), int(np.searchsorted(self._ends, chunk.first, side="right"))
+        data = self._files.read(int(part.starts[0]), int(part.sizes.sum()))
+        if self._hash is not None:
+            self._hash.add(int(part.starts[0]), data)
+        parts = np.split(data, np.cumsum(part.sizes)[:-1])
+        nodes = [self._open_node(number, own) for number, own in enumerate(parts, first)]
+        try:
+            records = self._decode_nodes(nodes)
+        except BadInputError:
+            for node in nodes:
+                self._decode_nodes([node])  # raises an error that names the damaged one
+            raise
+        for node, own in zip(nodes, np.split(records, np.cumsum(part.counts)[:-1]), strict=True):
+            if any(node.steps):
+                node.move(own)
+        return records
+
+    def _open_node(self, number: int, data: NDArray[np.uint8]) -> "_Node":
+        """Read the header and the chunk table of a node, whose points must be stored as those of the first one."""
+        place, points = self._files.node_places[number], int(self._nodes.counts[number])
+        stream = io.BytesIO(data.tobytes())
+        with decoding(place, "the header"):
+            header = read_raw_header(stream, place)
+            if header.point_count != points:
+                raise BadInputError(
+                    f"{place} holds {header.point_count:,} points, and the hierarchy of its EPT says {points:,}: "
+                    f"damaged. {_REBUILD}"
+                )
+            steps = _steps(self._raw, header)
+            if steps is None or _storage(header) != _storage(self._raw):
+                raise BadInputError(
+                    f"the points of {place} are not stored as those of {self._files.node_places[0]}: point format, "
+                    f"scale and LASzip record must be the same, and offsets whole steps of the scale apart. {_ONE_FILE}"
+                )
+            table = read_table(stream, place, header, self._laszip)
+        return _Node(place, steps, table, data[table.starts[0] : table.starts[-1] + table.sizes[-1]])
+
+    def _decode_nodes(self, nodes: Sequence["_Node"]) -> Records:
+        compressed = decoder().allocate(sum(node.data.size for node in nodes))
+        np.concatenate([node.data for node in nodes], out=compressed.data)
+        tables = [node.table for node in nodes]
+        counts, starts, sizes = (
+            np.concatenate([getattr(table, name) for table in tables]) for name in ("counts", "starts", "sizes")
+        )
+        place = nodes[0].place if len(nodes) == 1 else self._path
+        return self._decode(place, ChunkTable(counts, starts, sizes), compressed)
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """A node that was read."""
+
+    place: Location
+    steps: tuple[int, int, int]
+    """To add to the integers of its points for the offset of the first node."""
+    table: ChunkTable
+    data: NDArray[np.uint8]
+    """Its LAZ chunks."""
+
+    def move(self, records: Records) -> None:
+        """Add the steps to its records."""
+        words = records[:, :12].view("<i4")
+        moved = words + np.array(self.steps)
+        if abs(moved).max() >= 1 << 31:
+            raise BadInputError(f"{self.place} holds points too far from the first node for its scale. {_ONE_FILE}")
+        words[...] = moved
+
+
+def _storage(header: RawHeader) -> tuple[Any, ...]:
+    record = header.records.get((b"laszip encoded", 22204))
+    return header.compressed, header.point_format, header.point_size, header.scales, header.source_id, record
+
+
+def _steps(first: RawHeader, other: RawHeader) -> tuple[int, int, int] | None:
+    """Return how many steps of the scale the offsets of another node lie from those of the first one.
+
+    None if they are not whole, by the decimals of the numbers, or too many.
+    """
+    offsets = zip(other.offsets, first.offsets, first.scales, strict=True)
+    x, y, z = ((Fraction(repr(own)) - Fraction(repr(to))) / Fraction(repr(scale)) for own, to, scale in offsets)
+    whole = all(step.denominator == 1 and abs(step) <= 1 << 32 for step in (x, y, z))
+    return (int(x), int(y), int(z)) if whole else None
+
+
+def _stated(srs: Mapping[str, Any]) -> CrsStatement:
+    """Return what ``ept.json`` states: its WKT, or codes of an authority; the vertical code, if the WKT has none."""
+    authority = srs.get("authority") or "EPSG"
+    codes = [f"{authority}:{srs[key]}" for key in ("horizontal", "vertical") if srs.get(key)]
+    if not (srs.get("wkt") or codes):
+        return CrsStatement()
+    stated = statement_from_wkt(srs.get("wkt") or codes[0])
+    vertical = statement_from_wkt(codes[1]).crs if len(codes) > 1 else None
+    if vertical is None or not vertical.is_vertical or stated.crs is None or stated.crs.is_compound:
+        return stated
+    return replace(stated, crs=with_vertical(stated.crs, vertical))
+
+
+def _read_json(place: Location, shape: Any, hashed: Callable[[bytes], None]) -> tuple[Any, Version]:
+    version = _look_up(place)
+    if version["size"] > _MOST_JSON:
+        raise BadInputError(f"{place} has {version['size']:,} bytes; at most {_MOST_JSON:,} are read. {_ONE_FILE}")
+    with pinned_version(place, version), decoding(place, "the JSON"):
+        data = read_range(place, 0, version["size"]).tobytes()
+        content = parse_json(data.decode())
+    hashed(data)
+    if fault := shape_fault(content, shape):
+        raise BadInputError(f"{place} is not a file of an EPT: {fault}. {_REBUILD}")
+    return content, version
+
+
+def _look_up(place: Location) -> Version:
+    """Return the version of a file; a link must not lead out of the folder of ``ept.json``."""
+    if isinstance(place, Path) and place.name != EPT_NAME and (place.is_symlink() or place.parent.is_symlink()):
+        folder = os.path.realpath(place.parents[1])
+        if not Path(os.path.realpath(place)).is_relative_to(folder):
+            raise BadInputError(f"{place} is a link out of {folder}, which is not followed. Copy the file to its place")
+    return version_of(place)
+
+
+def _each(function: Callable[..., Any], places: Sequence[Location], *values: Sequence[Any]) -> list[Any]:
+    """Call a function for each file; for files on a server, several at a time."""
+    if not is_url(places[0]):
+        return list(map(function, places, *values))
+    with ThreadPoolExecutor(_REQUESTS) as pool:
+        return list(pool.map(function, places, *values))
+
+
+def _beside(location: Location, folder: str, node: Iterable[int], suffix: str) -> Location:
+    """Return the place of a file of a node; a query of the URL, which may be a key, stays."""
+    name = f"{folder}/{_name(node)}.{suffix}"
+    if isinstance(location, Path):
+        return location.parent / name
+    plain, mark, query = location.partition("?")
+    return f"{plain.removesuffix(EPT_NAME)}{name}{mark}{query}"
+
+
+def _name(node: Iterable[int]) -> str:
+    return "-".join(map(str, node))
+
+
+def _node_below(top: tuple[int, ...], key: str) -> tuple[int, ...] | None:
+    """Return the level, x, y and z of a key; None if it is not that of a node of an octree, at or below ``top``."""
+    match = _KEY.fullmatch(key)
+    level, *place = map(int, match.groups()) if match else (-1, 0, 0, 0)
+    depth = level - top[0]
+    if depth < 0 or level > DEEPEST or any(at >> depth != above for at, above in zip(place, top[1:], strict=True)):
+        return None
+    return (level, *place)
