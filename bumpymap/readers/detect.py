@@ -1,9 +1,10 @@
 """Find the survey files that the user named, detect their format by content, not by suffix, and open them."""
 
+import hashlib
 import logging
 import os
 from codecs import getincrementaldecoder
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,17 +12,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError, FileHash, hash_file
+from bumpymap.core import BadInputError, FileHash
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
     EPT_NAME,
     Location,
-    identity as file_identity,
+    Version,
     is_ept,
     is_folder,
     is_url,
     list_folder,
     open_source,
+    pinned_version,
+    read_range,
+    version_of,
 )
 
 if TYPE_CHECKING:
@@ -34,6 +38,8 @@ _log = logging.getLogger(__name__)
 Kind = Literal["las", "ply", "pcd"]
 _READABLE = "bumpymap reads LAS, LAZ, COPC, EPT, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
+_HEAD_BYTES = 65_536
+"""Bytes at each end of a survey that its digest covers."""
 
 _FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the data itself. Fetch the data with: git lfs pull"),
@@ -92,26 +98,39 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
 
 
 def identity(location: Location) -> dict[str, Any]:
-    """Return what identifies a survey and its version, as `bumpymap.readers.source.identity` does for a file.
+    """Return what identifies a survey and its version. For one that is being read, see `require_unchanged`.
 
-    The digest of an EPT is the SHA-256 of its files of JSON and of the sizes of its nodes.
+    Returns
+    -------
+    dict
+        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
+        ``digest``: SHA-256 of the first and the last 64 KiB. All files of an EPT count as one.
     """
-    if not is_ept(location):
-        return file_identity(location)
-    from bumpymap.readers.ept import EptFiles
-
-    files = EptFiles.find(location)
-    return {**files.version, "digest": files.digest}
+    version, read = _bytes_of(location)
+    ends = [read(start, _HEAD_BYTES).tobytes() for start in (0, max(version["size"] - _HEAD_BYTES, 0))]
+    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def hash_survey(path: Path) -> str:
-    """Return the checksum of a survey, see `FileHash`; raise OSError or BadInputError if it cannot be read."""
-    if not is_ept(path):
-        return hash_file(path)
-    from bumpymap.readers.ept import EptFiles
+    """Return the checksum of a survey, see `FileHash`; raise BadInputError if it cannot be read."""
+    version, read = _bytes_of(path)
+    return FileHash(version["size"]).finish(read)
 
-    files = EptFiles.find(path)
-    return FileHash(files.version["size"]).finish(files.read)
+
+def _bytes_of(location: Location) -> tuple[Version, Callable[[int, int], NDArray[np.uint8]]]:
+    """Return the version of a survey, and what reads some of its bytes; all files of an EPT count as one."""
+    if is_ept(location):
+        from bumpymap.readers.ept import EptFiles
+
+        files = EptFiles.find(location)
+        return files.version, files.read
+    version = version_of(location)
+
+    def read(start: int, size: int) -> NDArray[np.uint8]:
+        with pinned_version(location, version):
+            return read_range(location, start, size)
+
+    return version, read
 
 
 def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":

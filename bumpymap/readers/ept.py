@@ -10,6 +10,7 @@ which must be a whole number of steps away, so that coordinates keep their bits.
 
 import hashlib
 import io
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -18,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ _ELSEWHERE = -1
 MOST_NODES = 1_000_000
 _MOST_JSON = 32 << 20
 """Bytes of a file of JSON at most: a million nodes need fewer."""
-_MOST_BESIDE = 1 << 20
+_MOST_BESIDE = 1 << 17
 """Bytes of a node at most, beyond twice those of its points when decoded."""
 _REQUESTS = 16
 """Requests at a time for the versions of nodes on a server."""
@@ -93,8 +94,8 @@ class EptFiles:
     places: Sequence[Location]
     """``ept.json``, the hierarchy, and as the last the files of ``nodes``."""
     versions: Sequence[Version]
-    digest: str
-    """SHA-256 of the files of JSON, and of the sizes of the nodes."""
+    ends: NDArray[np.int64]
+    """Offset behind each file."""
 
     @classmethod
     def find(cls, location: Location) -> "EptFiles":
@@ -106,8 +107,7 @@ class EptFiles:
             A file is missing, leads out of the folder or cannot be read; the hierarchy is none of an octree, or has
             fewer points than ``ept.json`` says; or the points are not LAZ.
         """
-        digest = hashlib.sha256()
-        head, version = _read_json(location, _HEAD, digest.update)
+        head, version = _read_json(location, _HEAD)
         for name, read in (("dataType", "laszip"), ("hierarchyType", "json")):
             if (found := head.get(name, read)) != read:
                 raise BadInputError(f"the {name} of {location} is {found[:40]!r}; {read!r} is read. {_ONE_FILE}")
@@ -116,7 +116,7 @@ class EptFiles:
         while waiting:
             top = waiting.pop()
             places.append(_beside(location, "ept-hierarchy", top, "json"))
-            entries, version = _read_json(places[-1], _HIERARCHY, digest.update)
+            entries, version = _read_json(places[-1], _HIERARCHY)
             versions.append(version)
             for key, points in entries.items():
                 node = _node_below(top, key)
@@ -137,28 +137,16 @@ class EptFiles:
         if (twice := np.flatnonzero(keys[1:] == keys[:-1])).size:
             raise BadInputError(f"the hierarchy of {location} lists {_name(keys[twice[0]])} twice. {_REBUILD}")
         refuse_count(location, head["points"], int(nodes["points"].sum()))
-        found = [_beside(location, "ept-data", key, "laz") for key in keys.tolist()]
-        looked_up = _each(_look_up, found)
-        digest.update(np.array([own["size"] for own in looked_up], "<i8").tobytes())
-        return cls(head, nodes, [*places, *found], [*versions, *looked_up], digest.hexdigest())
-
-    @property
-    def node_places(self) -> Sequence[Location]:
-        """The files of ``nodes``."""
-        return self.places[-len(self.nodes) :]
-
-    @property
-    def sizes(self) -> NDArray[np.int64]:
-        """Bytes of each file."""
-        return np.array([version["size"] for version in self.versions], np.int64)
+        of_nodes = [_beside(location, "ept-data", key, "laz") for key in keys.tolist()]
+        versions += _each(_look_up, of_nodes)
+        return cls(head, nodes, places + of_nodes, versions, np.cumsum([version["size"] for version in versions]))
 
     @property
     def version(self) -> Version:
         """Version of all files as one; ``version`` is empty if a server reports none for a file."""
-        told = [version.get("mtime_ns") or version["version"] for version in self.versions]
-        text = "\n".join(f"{size} {own}" for size, own in zip(self.sizes, told, strict=True))
-        whole = f"files {hashlib.sha256(text.encode()).hexdigest()}" if all(told) else ""
-        return {"size": int(self.sizes.sum()), "version": whole}
+        known = all(version.get("version", "time") for version in self.versions)
+        digest = hashlib.sha256(json.dumps(self.versions).encode()).hexdigest()
+        return {"size": int(self.ends[-1]), "version": f"files {digest}" if known else ""}
 
     def read(self, start: int, size: int) -> NDArray[np.uint8]:
         """Read ``size`` bytes from offset ``start`` of all files as one; fewer at the end.
@@ -168,63 +156,64 @@ class EptFiles:
         BadInputError
             A file has changed, or cannot be read.
         """
+        size = min(size, int(self.ends[-1]) - start)
         data, held = np.empty(size, np.uint8), 0
-        ends = np.cumsum(self.sizes)
-        for file in range(int(np.searchsorted(ends, start, side="right")), len(self.places)):
-            place, version = self.places[file], self.versions[file]
-            first = start + held - int(ends[file]) + version["size"]
-            wanted = min(size - held, version["size"] - first)
-            if not wanted:
-                break
+        file = int(np.searchsorted(self.ends, start, side="right"))
+        while held < size:
+            place, version, left = self.places[file], self.versions[file], int(self.ends[file]) - start - held
+            wanted = min(size - held, left)
             with pinned_version(place, version):
-                refuse_count(place, wanted, read_into(place, first, data[held : held + wanted]), "bytes")
+                got = read_into(place, version["size"] - left, data[held : held + wanted])
+                refuse_count(place, wanted, got, "bytes")
             if not is_url(place):
                 require_unchanged(place, version)
-            held += wanted
-        return data[:held]
+            held, file = held + wanted, file + 1
+        return data
+
+
+class _Node(NamedTuple):
+    """A node that was read."""
+
+    place: Location
+    steps: tuple[int, int, int]
+    """To add to the integers of its points for the offset of the first node."""
+    table: ChunkTable
+    data: NDArray[np.uint8]
+    """Its LAZ chunks."""
 
 
 class EptSurvey(LasSurvey):
     """An EPT, by the path or the URL of its file ``ept.json``."""
 
-    def _read_header(self, stream: BinaryIO) -> RawHeader:
+    def _read_header(self, stream: BinaryIO) -> tuple[RawHeader, CrsStatement, str]:
         """Return the header of the first node, with the extent and the number of points of all."""
         self._files = files = EptFiles.find(self._path)
-        self._version = files.version
-        place, box = files.node_places[0], files.head.get("boundsConforming", files.head["bounds"])
+        self._version, count = files.version, len(files.nodes)
+        place, box = files.places[-count], files.head.get("boundsConforming", files.head["bounds"])
         with decoding(place, "the header"), open_source(place) as node:
             raw = read_raw_header(node, place)
         low, high = ((float(x), float(y), float(z)) for x, y, z in (box[:3], box[3:]))
-        size, points = files.version["size"], int(files.nodes["points"].sum())
-        return replace(raw, compressed=True, size=size, point_count=points, mins=low, maxs=high)
-
-    def _statement(self, raw: RawHeader) -> CrsStatement:
-        own, of_nodes = _stated(self._files.head.get("srs", {})), statement_of_las(raw)
-        if own.crs is None:
-            return of_nodes if of_nodes.crs is not None or not own.trouble else own
-        return joined_statement(own, of_nodes, (EPT_NAME, "nodes"))
-
-    def _format(self, raw: RawHeader) -> str:
-        return f"EPT of {len(self._files.nodes):,} nodes ({{}})"
+        size, points = self._version["size"], int(files.nodes["points"].sum())
+        raw = replace(raw, compressed=True, size=size, point_count=points, mins=low, maxs=high)
+        return raw, _statement(files.head.get("srs", {}), statement_of_las(raw)), f"EPT of {count:,} nodes"
 
     def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
         """Return the nodes, with their place among the bytes of all files."""
-        files, every = self._files, self._files.sizes
-        counts, sizes = files.nodes["points"], every[-len(files.nodes) :]
+        files, count = self._files, len(self._files.nodes)
+        counts, starts = files.nodes["points"], files.ends[-count - 1 : -1]
+        sizes = files.ends[-count:] - starts
         if (large := np.flatnonzero(sizes > 2 * counts * raw.point_size + _MOST_BESIDE)).size:
             worst = large[0]
             raise BadInputError(
-                f"{files.node_places[worst]} takes {sizes[worst]:,} bytes, too many for its {counts[worst]:,} points: "
-                f"damaged. {_REBUILD}"
+                f"{files.places[worst - count]} takes {sizes[worst]:,} bytes, too many for its {counts[worst]:,} "
+                f"points: damaged. {_REBUILD}"
             )
         root = np.array(files.head["bounds"], np.float64)[[0, 1, 3, 4]]
-        starts = (np.cumsum(every) - every)[-len(files.nodes) :]
         self._nodes = ChunkTable(counts, starts, sizes, node_boxes(files.nodes, root, metres_per_unit))
         refuse_sizes(self._path, raw, self._nodes)
         return self._nodes
 
     def _require_unchanged(self) -> None:
-        """Check every file; while points are read, those that are read were checked alone."""
         _each(require_unchanged, self._files.places, self._files.versions)
 
     def _finish_hash(self, own: FileHash) -> None:
@@ -244,20 +233,24 @@ class EptSurvey(LasSurvey):
         parts = np.split(data, np.cumsum(part.sizes)[:-1])
         nodes = [self._open_node(number, own) for number, own in enumerate(parts, first)]
         try:
-            records = self._decode_nodes(nodes)
+            records = self._decode_nodes(self._path, nodes)
         except BadInputError:
             for node in nodes:
-                self._decode_nodes([node])  # raises an error that names the damaged one
+                self._decode_nodes(node.place, [node])  # raises an error that names the damaged one
             raise
         for node, own in zip(nodes, np.split(records, np.cumsum(part.counts)[:-1]), strict=True):
             if any(node.steps):
-                node.move(own)
+                words = own[:, :12].view("<i4")
+                moved = words + np.array(node.steps)
+                if abs(moved).max() >= 1 << 31:
+                    raise BadInputError(f"{node.place} lies too far from the first node for its scale. {_ONE_FILE}")
+                words[...] = moved
         return records
 
-    def _open_node(self, number: int, data: NDArray[np.uint8]) -> "_Node":
+    def _open_node(self, number: int, data: NDArray[np.uint8]) -> _Node:
         """Read the header and the chunk table of a node, whose points must be stored as those of the first one."""
-        place, points = self._files.node_places[number], int(self._nodes.counts[number])
-        stream = io.BytesIO(data.tobytes())
+        places, count, points = self._files.places, len(self._files.nodes), int(self._nodes.counts[number])
+        place, stream = places[number - count], io.BytesIO(data.tobytes())
         with decoding(place, "the header"):
             header = read_raw_header(stream, place)
             if header.point_count != points:
@@ -268,41 +261,17 @@ class EptSurvey(LasSurvey):
             steps = _steps(self._raw, header)
             if steps is None or _storage(header) != _storage(self._raw):
                 raise BadInputError(
-                    f"the points of {place} are not stored as those of {self._files.node_places[0]}: point format, "
-                    f"scale and LASzip record must be the same, and offsets whole steps of the scale apart. {_ONE_FILE}"
+                    f"the points of {place} are not stored as those of {places[-count]}: point format, scale and "
+                    f"LASzip record must be the same, and offsets whole steps of the scale apart. {_ONE_FILE}"
                 )
             table = read_table(stream, place, header, self._laszip)
         return _Node(place, steps, table, data[table.starts[0] : table.starts[-1] + table.sizes[-1]])
 
-    def _decode_nodes(self, nodes: Sequence["_Node"]) -> Records:
+    def _decode_nodes(self, place: Location, nodes: Sequence[_Node]) -> Records:
         compressed = decoder().allocate(sum(node.data.size for node in nodes))
         np.concatenate([node.data for node in nodes], out=compressed.data)
-        tables = [node.table for node in nodes]
-        counts, starts, sizes = (
-            np.concatenate([getattr(table, name) for table in tables]) for name in ("counts", "starts", "sizes")
-        )
-        place = nodes[0].place if len(nodes) == 1 else self._path
-        return self._decode(place, ChunkTable(counts, starts, sizes), compressed)
-
-
-@dataclass(frozen=True, slots=True)
-class _Node:
-    """A node that was read."""
-
-    place: Location
-    steps: tuple[int, int, int]
-    """To add to the integers of its points for the offset of the first node."""
-    table: ChunkTable
-    data: NDArray[np.uint8]
-    """Its LAZ chunks."""
-
-    def move(self, records: Records) -> None:
-        """Add the steps to its records."""
-        words = records[:, :12].view("<i4")
-        moved = words + np.array(self.steps)
-        if abs(moved).max() >= 1 << 31:
-            raise BadInputError(f"{self.place} holds points too far from the first node for its scale. {_ONE_FILE}")
-        words[...] = moved
+        columns = zip(*((node.table.counts, node.table.starts, node.table.sizes) for node in nodes), strict=True)
+        return self._decode(place, ChunkTable(*map(np.concatenate, columns)), compressed)
 
 
 def _storage(header: RawHeader) -> tuple[Any, ...]:
@@ -321,27 +290,28 @@ def _steps(first: RawHeader, other: RawHeader) -> tuple[int, int, int] | None:
     return (int(x), int(y), int(z)) if whole else None
 
 
-def _stated(srs: Mapping[str, Any]) -> CrsStatement:
-    """Return what ``ept.json`` states: its WKT, or codes of an authority; the vertical code, if the WKT has none."""
+def _statement(srs: Mapping[str, Any], of_nodes: CrsStatement) -> CrsStatement:
+    """Return the CRS of ``ept.json``: its WKT, or codes of an authority, the vertical one if the WKT has none.
+
+    If there is none, or none that is understood, it is that of the nodes.
+    """
     authority = srs.get("authority") or "EPSG"
     codes = [f"{authority}:{srs[key]}" for key in ("horizontal", "vertical") if srs.get(key)]
-    if not (srs.get("wkt") or codes):
-        return CrsStatement()
-    stated = statement_from_wkt(srs.get("wkt") or codes[0])
-    vertical = statement_from_wkt(codes[1]).crs if len(codes) > 1 else None
-    if vertical is None or not vertical.is_vertical or stated.crs is None or stated.crs.is_compound:
-        return stated
-    return replace(stated, crs=with_vertical(stated.crs, vertical))
+    own = statement_from_wkt(srs.get("wkt") or codes[0]) if srs.get("wkt") or codes else CrsStatement()
+    if own.crs is None:
+        return own if own.trouble and of_nodes.crs is None else of_nodes
+    vertical = statement_from_wkt(codes[1]).crs if len(codes) > 1 and not own.crs.is_compound else None
+    if vertical is not None and vertical.is_vertical:
+        own = replace(own, crs=with_vertical(own.crs, vertical))
+    return joined_statement(own, of_nodes, (EPT_NAME, "nodes"))
 
 
-def _read_json(place: Location, shape: Any, hashed: Callable[[bytes], None]) -> tuple[Any, Version]:
+def _read_json(place: Location, shape: Any) -> tuple[Any, Version]:
     version = _look_up(place)
     if version["size"] > _MOST_JSON:
         raise BadInputError(f"{place} has {version['size']:,} bytes; at most {_MOST_JSON:,} are read. {_ONE_FILE}")
     with pinned_version(place, version), decoding(place, "the JSON"):
-        data = read_range(place, 0, version["size"]).tobytes()
-        content = parse_json(data.decode())
-    hashed(data)
+        content = parse_json(read_range(place, 0, version["size"]).tobytes().decode())
     if fault := shape_fault(content, shape):
         raise BadInputError(f"{place} is not a file of an EPT: {fault}. {_REBUILD}")
     return content, version

@@ -57,7 +57,7 @@ from bumpymap.readers.source import (
 )
 from bumpytiles import DECIMALS, Bounds, ScaledPoints, Scaling
 
-__all__ = ["LasSurvey", "Records", "refuse_numbers"]
+__all__ = ["LasSurvey", "Records"]
 
 Records = NDArray[np.uint8]
 """Point records, (n, bytes of a point)."""
@@ -208,10 +208,11 @@ class LasSurvey(SurveyReader):
     def _open(self, options: ReadOptions) -> SurveyInfo:
         path = self._path
         with decoding(path, "the header"), open_source(path) as stream:
-            self._raw = raw = self._read_header(stream)
-            refuse_numbers(path, raw)
+            raw, statement, around = self._read_header(stream)
+            self._raw = raw
+            _refuse_numbers(path, raw)
             middle = None if options.trust_points else _middle(raw)
-            place, notes = georeference(Place(path, middle), self._statement(raw), options.given_crs, options.z_unit)
+            place, notes = georeference(Place(path, middle), statement, options.given_crs, options.z_unit)
             bounds = None if options.trust_points else _bounds(raw, place)
             if bounds is not None:
                 refuse_header_bounds(path, bounds)
@@ -232,23 +233,19 @@ class LasSurvey(SurveyReader):
         )
         self._lines = LineRules(measure=options.lines, corrections=options.corrections)
         kind = f"{'LAZ' if raw.compressed else 'LAS'} {raw.version}, point format {raw.point_format}"
+        kind = f"{around} ({kind})" if around else kind
         notes += _degrees_note(place, raw)
-        info = SurveyInfo(path, self._format(raw).format(kind), raw.size, raw.point_count, place, bounds, None, notes)
+        info = SurveyInfo(path, kind, raw.size, raw.point_count, place, bounds, None, notes)
         low, high = (end * place.metres_per_unit_z for end in (raw.mins[2], raw.maxs[2]))
         heights = None if bounds is None else (low, high)
         return replace(
             info, parallel=raw.compressed, header_date=raw.created, heights=heights, class_names=raw.class_names
         )
 
-    def _read_header(self, stream: BinaryIO) -> RawHeader:
-        return read_raw_header(stream, self._path)
-
-    def _statement(self, raw: RawHeader) -> CrsStatement:
-        return statement_of_las(raw)
-
-    def _format(self, raw: RawHeader) -> str:
-        """Return the name of the format, around that of the points."""
-        return "COPC ({})" if raw.is_copc else "{}"
+    def _read_header(self, stream: BinaryIO) -> tuple[RawHeader, CrsStatement, str]:
+        """Return the header, what it states of the CRS, and the name of a format around that of the points."""
+        raw = read_raw_header(stream, self._path)
+        return raw, statement_of_las(raw), "COPC" if raw.is_copc else ""
 
     def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
         """Read where the LAZ chunks are; without their bounds if ``metres_per_unit`` is None."""
@@ -315,7 +312,7 @@ class LasSurvey(SurveyReader):
         return ChunkPoints(empty, replace(converted.stats, points_outside_node=outside))
 
 
-def refuse_numbers(path: Location, raw: RawHeader) -> None:
+def _refuse_numbers(path: Location, raw: RawHeader) -> None:
     """Refuse scales and offsets that do not make finite coordinates of all integers."""
     scaling = Scaling(raw.scales, raw.offsets, (1.0, 1.0, 1.0))
     ends = [scaling.coordinates(axis, np.array([_LOWEST, _HIGHEST])) for axis in range(3)]

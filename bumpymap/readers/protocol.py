@@ -306,6 +306,8 @@ class SurveyReader(ABC):
 
 _MOST_BYTES = 1 << 26
 """Bytes of a chunk in memory at most, unless a single LAZ chunk is larger."""
+MOST_LAZ_CHUNKS = 1000
+"""LAZ chunks, or nodes of an EPT, of a chunk at most: each may take bytes beside its points."""
 
 
 def chunk_capacity(points: int, point_size: int) -> int:
@@ -340,7 +342,8 @@ def group_laz_chunks(
     chunks: list[Chunk] = []
     first, before = 0, 0
     while first < ends.size:
-        last = max(int(np.searchsorted(ends, before + step, side="right")), first + 1)
+        last = int(np.searchsorted(ends, before + step, side="right"))
+        last = max(min(last, first + MOST_LAZ_CHUNKS), first + 1)
         end = int(ends[last - 1])
         bounds = None
         if boxes is not None:

@@ -4,7 +4,6 @@ Readers request byte ranges only, so a file on a server is never downloaded as a
 is read.
 """
 
-import hashlib
 import io
 import os
 import re
@@ -32,7 +31,6 @@ __all__ = [
     "box_text",
     "decoding",
     "file_changed",
-    "identity",
     "is_ept",
     "is_folder",
     "is_url",
@@ -111,8 +109,6 @@ def version_text(said: Mapping[str, Any]) -> str:
     return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
 
 
-_HEAD_BYTES = 65_536
-"""Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
 """Bytes of each request while a header is read from a server."""
 
@@ -274,22 +270,6 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
         raise file_changed(location, f"it was removed ({error})") from cause or error
     if now != version:
         raise file_changed(location, difference(version, now)) from cause
-
-
-def identity(location: Location) -> dict[str, Any]:
-    """Return what identifies a file and its version. For a file that is being read, see `require_unchanged`.
-
-    Returns
-    -------
-    dict
-        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
-        ``digest``: SHA-256 of the first and the last 64 KiB.
-    """
-    version = version_of(location)
-    size = version["size"]
-    with pinned_version(location, version):
-        ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
-    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
 
 
 def is_folder(url: str) -> bool:

@@ -223,7 +223,10 @@ HOSTILE = {
     "another format": (lambda f: of_other_points(f, fmt=7), "1-0-0-0.laz are not stored as those of .*0-0-0-0.laz"),
     "another scale": (lambda f: of_other_points(f, scale=0.01), "are not stored as those of"),
     "another grid": (lambda f: of_other_points(f, offset=(5e5 + 0.0005, 4e6, 0.0)), "are not stored as those of"),
-    "beyond the grid": (lambda f: of_other_points(f, 2.3e6, offset=(2.8e6, 4e6, 0.0)), "too far from the first node"),
+    "beyond the grid": (
+        lambda f: of_other_points(f, 2.3e6, offset=(2.8e6, 4e6, 0.0)),
+        "lies too far from",
+    ),
     "in another place": (of_other_points, "lie outside the octree node"),
     "linked node": (lambda f: linked(f, ROOT), "0-0-0-0.laz is a link out of .*site, which is not followed"),
     "linked hierarchy": (lambda f: linked(f, "ept-hierarchy/0-0-0-0.json"), "is a link out of"),
