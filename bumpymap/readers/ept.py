@@ -29,6 +29,7 @@ from bumpymap.core import (
     CrsStatement,
     Each,
     FileHash,
+    Nullable,
     Number,
     parse_json,
     shape_fault,
@@ -58,6 +59,7 @@ from bumpymap.readers.source import (
 __all__ = ["EptFiles", "EptSurvey"]
 
 _KEY = re.compile("-".join(["(0|[1-9][0-9]{0,9})"] * 4))
+_KEY_NAMES = ["level", "x", "y", "z"]
 _NODE = np.dtype([("level", "<i4"), ("x", "<i4"), ("y", "<i4"), ("z", "<i4"), ("points", "<i8")])
 _ROOT: tuple[int, ...] = (0, 0, 0, 0)
 _ELSEWHERE = -1
@@ -76,7 +78,7 @@ _HEAD = {
     "dataType": str,
     "hierarchyType?": str,
     "points": Number(1, 1e15, whole=True),
-    "srs?": {"wkt?": str},
+    "srs?": Nullable({"wkt?": Nullable(str)}),
 }
 _HIERARCHY = Each(Number(_ELSEWHERE, (1 << 31) - 1, whole=True))
 _REBUILD = "Build the EPT again, or copy it again"
@@ -104,42 +106,18 @@ class EptFiles:
         Raises
         ------
         BadInputError
-            A file is missing, leads out of the folder or cannot be read; the hierarchy is none of an octree, or has
-            fewer points than ``ept.json`` says; or the points are not LAZ.
+            A file is missing, leads out of the folder or cannot be read; the hierarchy is none of an octree, or has no
+            points; or the points are not LAZ.
         """
         head, version = _read_json(location, _HEAD)
         for name, read in (("dataType", "laszip"), ("hierarchyType", "json")):
             if (found := head.get(name, read)) != read:
                 raise BadInputError(f"the {name} of {location} is {found[:40]!r}; {read!r} is read. {_ONE_FILE}")
-        places, versions = [location], [version]
-        waiting, listed = [_ROOT], list[tuple[int, ...]]()
-        while waiting:
-            top = waiting.pop()
-            places.append(_beside(location, "ept-hierarchy", top, "json"))
-            entries, version = _read_json(places[-1], _HIERARCHY)
-            versions.append(version)
-            for key, points in entries.items():
-                node = _node_below(top, key)
-                if node is None or (points == _ELSEWHERE and node == top):
-                    raise BadInputError(
-                        f"{places[-1]} gives {key[:60]!r} {points} points: its nodes must be {_name(top)} and nodes of "
-                        f"that octree below it, and -1 stands for one in another file. {_REBUILD}"
-                    )
-                if points == _ELSEWHERE:
-                    waiting.append(node)
-                elif points:
-                    listed.append((*node, points))
-            if len(places) + len(waiting) + len(listed) > MOST_NODES:
-                raise BadInputError(f"{location} lists more than {MOST_NODES:,} nodes, the most that are read")
-        nodes = np.array(listed, _NODE)
-        nodes = nodes[depth_first_order(nodes)]
-        keys = nodes[["level", "x", "y", "z"]]
-        if (twice := np.flatnonzero(keys[1:] == keys[:-1])).size:
-            raise BadInputError(f"the hierarchy of {location} lists {_name(keys[twice[0]])} twice. {_REBUILD}")
-        refuse_count(location, head["points"], int(nodes["points"].sum()))
-        of_nodes = [_beside(location, "ept-data", key, "laz") for key in keys.tolist()]
-        versions += _each(_look_up, of_nodes)
-        return cls(head, nodes, places + of_nodes, versions, np.cumsum([version["size"] for version in versions]))
+        nodes, places, versions = _read_hierarchy(location)
+        of_nodes = [_beside(location, "ept-data", key, "laz") for key in nodes[_KEY_NAMES].tolist()]
+        versions = [version, *versions, *_each(_look_up, of_nodes)]
+        ends = np.cumsum([version["size"] for version in versions])
+        return cls(head, nodes, [location, *places, *of_nodes], versions, ends)
 
     @property
     def version(self) -> Version:
@@ -195,7 +173,11 @@ class EptSurvey(LasSurvey):
         low, high = ((float(x), float(y), float(z)) for x, y, z in (box[:3], box[3:]))
         size, points = self._version["size"], int(files.nodes["points"].sum())
         raw = replace(raw, compressed=True, size=size, point_count=points, mins=low, maxs=high)
-        return raw, _statement(files.head.get("srs", {}), statement_of_las(raw)), f"EPT of {count:,} nodes"
+        stated = _statement(files.head.get("srs") or {}, statement_of_las(raw))
+        if points != files.head["points"]:  # Entwine counts those that it left out too
+            note = f"its ept.json counts {files.head['points']:,} points, and its hierarchy {points:,}, which are read"
+            stated = replace(stated, notes=(*stated.notes, note))
+        return raw, stated, f"EPT of {count:,} nodes"
 
     def _read_table(self, stream: BinaryIO, raw: RawHeader, metres_per_unit: float | None) -> ChunkTable:
         """Return the nodes, with their place among the bytes of all files."""
@@ -304,6 +286,38 @@ def _statement(srs: Mapping[str, Any], of_nodes: CrsStatement) -> CrsStatement:
     if vertical is not None and vertical.is_vertical:
         own = replace(own, crs=with_vertical(own.crs, vertical))
     return joined_statement(own, of_nodes, (EPT_NAME, "nodes"))
+
+
+def _read_hierarchy(location: Location) -> tuple[NDArray[np.void], list[Location], list[Version]]:
+    """Return the nodes with points, depth first, and the files that list them."""
+    places, versions = list[Location](), list[Version]()
+    waiting, listed = [_ROOT], list[tuple[int, ...]]()
+    while waiting:
+        top = waiting.pop()
+        places.append(_beside(location, "ept-hierarchy", top, "json"))
+        entries, version = _read_json(places[-1], _HIERARCHY)
+        versions.append(version)
+        for key, points in entries.items():
+            node = _node_below(top, key)
+            if node is None or (points == _ELSEWHERE and node == top):
+                raise BadInputError(
+                    f"{places[-1]} gives {key[:60]!r} {points} points: its nodes must be {_name(top)} and nodes of "
+                    f"that octree below it, and -1 stands for one in another file. {_REBUILD}"
+                )
+            if points == _ELSEWHERE:
+                waiting.append(node)
+            elif points:
+                listed.append((*node, points))
+        if len(places) + len(waiting) + len(listed) > MOST_NODES:
+            raise BadInputError(f"{location} lists more than {MOST_NODES:,} nodes, the most that are read")
+    nodes = np.array(listed, _NODE)
+    nodes = nodes[depth_first_order(nodes)]
+    keys = nodes[_KEY_NAMES]
+    if (twice := np.flatnonzero(keys[1:] == keys[:-1])).size:
+        raise BadInputError(f"the hierarchy of {location} lists {_name(keys[twice[0]])} twice. {_REBUILD}")
+    if not nodes.size:
+        raise BadInputError(f"{location} holds no points (its hierarchy lists none): nothing to map. {_REBUILD}")
+    return nodes, places, versions
 
 
 def _read_json(place: Location, shape: Any) -> tuple[Any, Version]:
