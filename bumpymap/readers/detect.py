@@ -19,7 +19,6 @@ from bumpymap.readers.source import (
     Location,
     Version,
     is_ept,
-    is_folder,
     is_url,
     list_folder,
     open_source,
@@ -262,9 +261,9 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
 def _urls_of(url: str) -> list[str]:
     # The server is only asked if the suffix does not decide: every request takes time.
-    if is_ept(url) or url.lower().endswith(SUFFIXES) or not is_folder(url):
+    files = None if is_ept(url) or url.lower().endswith(SUFFIXES) else list_folder(url)
+    if files is None:
         return [url]
-    files = list_folder(url)
     nodes = tuple(f"{name.removesuffix(EPT_NAME)}ept-data/" for name in files if is_ept(name))
     found = [name for name in files if name.lower().endswith(SUFFIXES) and not name.startswith(nodes)]
     return _some([*filter(is_ept, files), *found], url)

@@ -32,7 +32,6 @@ __all__ = [
     "decoding",
     "file_changed",
     "is_ept",
-    "is_folder",
     "is_url",
     "list_folder",
     "open_source",
@@ -272,17 +271,12 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
         raise file_changed(location, difference(version, now)) from cause
 
 
-def is_folder(url: str) -> bool:
-    """Return whether a URL is a folder; a web server has files alone."""
-    with _reading(url):
-        files, name = remote_files(url)
-        return not is_web(url) and bool(files.isdir(name))
-
-
-def list_folder(url: str) -> list[str]:
-    """Return the URLs of all files below a URL, except hidden ones."""
+def list_folder(url: str) -> list[str] | None:
+    """Return the URLs of all files below a URL, except hidden ones; None if it is no folder: a web server has none."""
     with _reading(url):
         files, folder = remote_files(url)
+        if is_web(url) or not files.isdir(folder):
+            return None
         found: list[str] = files.find(folder)
         visible = [name for name in found if "/." not in f"/{name.removeprefix(folder).lstrip('/')}"]
         return [files.unstrip_protocol(name) for name in visible]
