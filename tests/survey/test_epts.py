@@ -47,6 +47,8 @@ def test_the_layers_are_those_of_the_same_points_in_one_file(made, tmp_path, tig
 
 def test_an_ept_is_one_input_and_known_again(made, tmp_path):
     path, out = made[1], tmp_path / "out"
+    (told,) = json.loads(run("info", path.parent, "--quick", "--json").stdout)["files"]
+    assert (told["path"], told["format"].split(" (")[0]) == (str(path), "EPT of 21 nodes")
     assert run("map", path, "--out", out).exit_code == 0
     record = json.loads((out / "run.json").read_text())
     (known,) = record["inputs"]
@@ -94,10 +96,3 @@ def test_an_ept_with_a_damaged_node_is_skipped_as_a_whole(ept, tmp_path):
     assert [*record["skipped"]] == [str(ept)]
     assert str(node) in record["skipped"][str(ept)]
     assert layers_of(tmp_path / "out") == layers_of(tmp_path / "alone")
-
-
-def test_info_says_what_it_is(made):
-    result = run("info", made[1].parent, "--quick", "--json")
-    (file,) = json.loads(result.stdout)["files"]
-    assert file["format"].startswith("EPT of ")
-    assert file["points_promised"] == 100_000
