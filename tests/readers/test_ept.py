@@ -255,3 +255,15 @@ def test_points_that_ept_json_alone_counts_are_a_note(made):
     reader = open_survey(made(points=3001))
     assert len(sorted_points(reader)) == 3000
     assert reader.info.notes == ("its ept.json counts 3,001 points, and its hierarchy 3,000, which are read",)
+
+
+def test_an_ept_in_a_folder_of_an_object_store(made):
+    fsspec, path = pytest.importorskip("fsspec"), made(split=1)
+    store = fsspec.filesystem("memory")
+    store.put(str(path.parent), "/epts/site", recursive=True)
+    try:
+        (url,) = find_surveys(["memory://epts"])
+        assert np.array_equal(sorted_points(open_survey(url)), sorted_points(open_survey(path)))
+        assert identity(url)["size"] == identity(path)["size"]
+    finally:
+        store.rm("/epts", recursive=True)
