@@ -23,7 +23,7 @@ ROOMS = {
         {"geopandas", "laspy", "lazrs", "numpy", "pyarrow", "pyogrio", "pyproj", "rasterio", "shapely", "xarray"},
     ),
     "views": ({"core", "layers"}, {"PIL", "jinja2", "numpy", "pyproj", "rosbags", "scipy"}),
-    "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy"}),
+    "survey": ({"core", "readers", "patches", "rating", "layers", "views"}, {"numpy", "scipy"}),
     "scan": (
         {"core", "readers", "patches", "rating", "layers", "views", "survey"},
         {"numpy", "pyproj"},

@@ -35,6 +35,7 @@ __all__ = [
     "OBSTACLE",
     "OPEN_THROUGH",
     "POINT_BUILDING",
+    "POINT_CLASSED",
     "POINT_DECK",
     "POINT_GROUND",
     "POINT_OTHER",
@@ -178,7 +179,7 @@ class Georeference:
     """Vertical: metres = file units x this."""
 
 
-POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK = range(5)
+POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK, POINT_CLASSED = range(6)
 """Kinds of points, by their LAS class: what a reader hands over as the flag of each point."""
 
 
@@ -194,7 +195,8 @@ class PointCloud:
     """(n,) m."""
     kind: NDArray[np.uint8]
     """(n,) ``POINT_GROUND`` (classes 2 and 11), ``POINT_DECK`` (17), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5),
-    else ``POINT_OTHER``, also if the file has no classes. `MapConfig.ground_classes` may name other ground."""
+    ``POINT_OTHER`` (0 and 1, and all if the file has no classes), else ``POINT_CLASSED``.
+    `MapConfig.ground_classes` may name other ground."""
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:

@@ -15,7 +15,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DECK_CLASS, POINT_BUILDING, POINT_DECK, POINT_GROUND, POINT_PLANT, BadInputError
+from bumpymap.core import (
+    DECK_CLASS,
+    POINT_BUILDING,
+    POINT_CLASSED,
+    POINT_DECK,
+    POINT_GROUND,
+    POINT_OTHER,
+    POINT_PLANT,
+    BadInputError,
+)
 from bumpymap.readers._kernels import (
     AXIS_BITS,
     LINE_BITS,
@@ -57,8 +66,8 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return the kind of the points of each LAS class, (256,)."""
-    kinds = np.zeros(256, np.uint8)
-    kinds[3:6], kinds[6] = POINT_PLANT, POINT_BUILDING
+    kinds = np.full(256, POINT_CLASSED, np.uint8)
+    kinds[:2], kinds[3:6], kinds[6] = POINT_OTHER, POINT_PLANT, POINT_BUILDING
     for code in ground_classes:
         kinds[code] = POINT_DECK if code == DECK_CLASS else POINT_GROUND
     return kinds
