@@ -230,6 +230,7 @@ from .types import (
     EMPTY as EMPTY,
     FAIL_SHARE as FAIL_SHARE,
     FREE as FREE,
+    GROUND_SOURCE as GROUND_SOURCE,
     HOLE_POINTS as HOLE_POINTS,
     HOLE_SHARE as HOLE_SHARE,
     LONE as LONE,

@@ -27,6 +27,7 @@ __all__ = [
     "EMPTY",
     "FAIL_SHARE",
     "FREE",
+    "GROUND_SOURCE",
     "HOLE_POINTS",
     "HOLE_SHARE",
     "LONE",
@@ -531,6 +532,10 @@ def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     own = rated_columns(pixels, speeds)
     known = {column.name for column in own}
     return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
+
+
+GROUND_SOURCE = Column("ground_source", "|u1")
+"""Of the tiles of a survey of which a part is not classified: 1 if measured from all points, 0 from ground points."""
 
 
 @dataclass(frozen=True, slots=True)

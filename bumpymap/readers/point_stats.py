@@ -201,12 +201,14 @@ def _sampled(keys: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
     return chosen
 
 
-def summed(keys: NDArray[np.int64], values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """Add the values, (n, ...), of equal keys, (n,), at least 0; return increasing keys and their sums."""
+def summed(
+    keys: NDArray[np.int64], values: NDArray[Any], join: np.ufunc = np.add
+) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Join the values, (n, ...), of equal keys, (n,), at least 0; return increasing keys and their sums, or other."""
     order = np.argsort(keys, kind="stable")
     keys, values = keys[order], values[order]
     first = np.flatnonzero(np.diff(keys, prepend=-1))
-    return (keys, values) if len(first) == len(keys) else (keys[first], np.add.reduceat(values, first, axis=0))
+    return (keys, values) if len(first) == len(keys) else (keys[first], join.reduceat(values, first, axis=0))
 
 
 _DROPPED = ("withheld", "noise", "not_a_number")

@@ -113,6 +113,10 @@ class TileTable:
         table._set(self.grid, codes, counts, [added, *self._sources])  # noqa: SLF001 (of the same class)
         return table
 
+    def has(self, name: str) -> bool:
+        """Return whether there is a column of this name."""
+        return any(name in source.columns for source in self._sources)
+
     @property
     def keys(self) -> list[BlockKey]:
         """The blocks with tiles, south-west first."""

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Ground, OutputError, PatchStack, UsageError, write_remedy
+from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageError, write_remedy
 from bumpymap.patches import join_stacks
-from bumpymap.readers import LineSums
+from bumpymap.readers import LineSums, tile_marks
 from bumpymap.survey.engine.budget import Budget, Workspace
-from bumpymap.survey.unclassified import tile_marks
 from bumpytiles import (
     BLOCK_TILES,
     BlockKey,
@@ -92,8 +91,6 @@ class TileSink:
 
 TileColumns = dict[str, NDArray[Any]]
 ALL_POINTS, GROUND_POINTS, JOINED_POINTS = "all", "ground", "joined"
-SOURCE = Column("ground_source", "|u1")
-"""Of the tiles of a survey of which a part is not classified: 1 if measured from all points, 0 from ground points."""
 _GROUP_POINTS = 4096
 """Most points in a group of blocks that are rated together; a denser block is rated by itself."""
 
@@ -195,7 +192,7 @@ class MeasuredTiles:
     ground_only: bool
     from_all: int
     """Tiles measured from all of their points nevertheless, because that part of the survey is not classified; then
-    the table has the column ``ground_source``."""
+    the table has the column `GROUND_SOURCE`."""
     dropped: list[dict[str, int] | None]
     """For each input the number of dropped points by reason; None if it was skipped."""
     points: int
@@ -211,7 +208,7 @@ class MeasuredTiles:
         kind = GROUND_POINTS if record["ground_only"] else ALL_POINTS
         table = finished_tiles(work, space, kind, *([JOINED_POINTS] if record["from_all"] else []))
         if record["from_all"]:
-            table = table.with_columns([Pack(path) for path in space.tiles(SOURCE.name)])
+            table = table.with_columns([Pack(path) for path in space.tiles(GROUND_SOURCE.name)])
         lines, only, joined = LineSums.from_record(record["lines"]), record["ground_only"], record["from_all"]
         return cls(table, only, joined, record["dropped"], record["points"], lines, record["checksums"])
 

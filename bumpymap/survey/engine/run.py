@@ -4,7 +4,7 @@ The plan is always the same: ranges of chunks are read, a catalogue says which p
 groups of blocks are rated, and one collector saves the results. An executor does the tasks.
 """
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,32 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
-from bumpymap.readers import Chunk, SurveyReader
+from bumpymap.readers import BLANK, GROUND, Chunk, SurveyReader, UnclassifiedPart
 from bumpymap.survey.engine.block_work import (
     ALL_POINTS,
     GROUND_POINTS,
-    JOINED_POINTS,
-    SOURCE,
     BlockWork,
     MeasuredTiles,
-    TileSink,
     engine_errors,
     finished_tiles,
 )
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, ReadResult, ResultCollector
+from bumpymap.survey.engine.joined import lowest_points, save_joined
 from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
-from bumpymap.survey.unclassified import (
-    BLANK,
-    GROUND,
-    JoinedBlock,
-    UnclassifiedPart,
-    joined_blocks,
-    lowest_points,
-)
-from bumpytiles import BlockKey, Pack, TileTable
+from bumpytiles import BlockKey, Pack
 
 __all__ = ["Executor", "ReadPlan", "run_engine"]
 
@@ -184,8 +174,7 @@ def _measure(
     found = part.never_classified(lowest_points(part, ground, every))
     if not decide_ground(work.ground, tiles - int(found.sum()), with_ground):
         return False, 0
-    names = [column.name for column in work.columns]
-    return True, _save_joined(work, space, ground, joined_blocks(part, found, ground, every, names))
+    return True, save_joined(part, found, ground, every, work, space) if found.any() else 0
 
 
 def _marks(collector: ResultCollector, executor: Executor) -> dict[BlockKey, NDArray[np.uint8]]:
@@ -217,21 +206,3 @@ def _finish(
             for packs in results:
                 for kind, own in zip(kinds, packs, strict=True):
                     collector.add_tiles(kind, own)
-
-
-def _save_joined(work: BlockWork, space: Workspace, ground: TileTable, blocks: Iterable[JoinedBlock]) -> int:
-    """Save blocks in which tiles are measured from all points, and of every tile from which; return how many are."""
-    for path in (*space.tiles(JOINED_POINTS), *space.tiles(SOURCE.name)):
-        path.unlink()  # of an earlier run, which did not come to its end
-    joined, source = (TileSink(space.folder, *of) for of in ((JOINED_POINTS, work.columns), (SOURCE.name, (SOURCE,))))
-    which = {key: np.zeros(ground.count(key), np.uint8) for key in ground.keys}
-    for key, columns, taken in blocks:
-        joined.add(key, columns)
-        which[key] = taken.astype(np.uint8)
-    total = sum(int(taken.sum()) for taken in which.values())
-    joined.flush()
-    if total:
-        for key, taken in which.items():
-            source.add(key, {"col": taken, SOURCE.name: taken})
-        source.flush()
-    return total

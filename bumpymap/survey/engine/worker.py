@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Progress
+from bumpymap.readers import tile_marks
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, ReadResult
 from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
-from bumpymap.survey.unclassified import tile_marks
 from bumpytiles import BlockKey, MemoryLimits, Pack, TileBuckets, run_blocks
 
 __all__ = ["LocalExecutor", "Worker", "new_folder"]

@@ -21,8 +21,8 @@ from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
     RunContext,
-    count_marks,
     finish_group,
+    mark_tiles,
     missing_on_worker,
     opened,
     read_ranges,
@@ -146,7 +146,7 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     assert layers_of(out) == layers_of(plain / ground)
     assert list((tmp_path / "scratch").iterdir()) == []
     assert here.done.count(read_ranges) == tasks
-    assert (count_marks in here.done) == (ground == "auto" and tasks > 1)
+    assert (mark_tiles in here.done) == (ground == "auto" and tasks > 1)
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
     assert record["inputs"] == single["inputs"]

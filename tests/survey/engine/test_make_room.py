@@ -136,7 +136,7 @@ def counts(early, late):
 def rest_of(store, work, packs, done):
     store.packs = [Pack(path) for path in packs]
     store.done = set(done)
-    return [columns for _, columns in work.finish(store, store.keys(), 2, ground_only=False)]
+    return [columns["all"] for _, columns in work.finish(store, store.keys(), 2, ("all",))]
 
 
 def test_an_octree_is_read_without_points_on_disk(tmp_path):

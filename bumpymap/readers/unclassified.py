@@ -16,18 +16,17 @@ class 1 that reaches the edge of the survey, 27 m wide, and level with its shore
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import NO_CLASS, POINT_GROUND, POINT_OTHER
-from bumpymap.rating import is_rateable
-from bumpytiles import BLOCK_TILES, BlockKey, TileTable
+from bumpymap.core import POINT_GROUND, POINT_OTHER
+from bumpytiles import BLOCK_TILES, BlockKey
 
-__all__ = ["BLANK", "GROUND", "JoinedBlock", "UnclassifiedPart", "joined_blocks", "lowest_points", "tile_marks"]
+__all__ = ["BLANK", "GROUND", "REACH", "Lowest", "UnclassifiedPart", "tile_marks"]
 
 NO_POINT, BLANK, CLASSED, GROUND, MIXED = range(5)
 """Marks of a tile: without points; all points of class 0 or 1; of other classes too, but no ground; ground; ground and
@@ -42,9 +41,11 @@ _VOTERS = 9
 """Side of the square whose tiles say together whether a border is level there."""
 _JUMP_REACH_M = 60.0
 
+REACH = _GAP + 1
+"""Tiles up to so many from those in question are compared with them."""
 Marks = NDArray[np.bool_]
-JoinedBlock = tuple[BlockKey, dict[str, NDArray[Any]], Marks]
-"""A block, the columns of its n tiles, and (n,) which of them are measured from all points."""
+Lowest = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64], bool]
+"""Rows, columns and lowest points of some tiles, (n,) each, m; and whether of their ground points alone."""
 
 
 def tile_marks(flags: NDArray[np.bool_]) -> NDArray[np.uint8]:
@@ -116,18 +117,26 @@ class UnclassifiedPart:
         keys = np.stack([row + self.south, col + self.west], axis=1) // BLOCK_TILES
         return {(north, east) for north, east in np.unique(keys, axis=0).tolist()}
 
-    def never_classified(self, lowest: NDArray[np.float32]) -> Marks:
+    def never_classified(self, lowest: Iterable[Lowest]) -> Marks:
         """Return which tiles, (rows, cols), nobody has classified, as the module says.
 
         Parameters
         ----------
-        lowest : array (rows, cols)
-            Lowest point of the tiles in question, and lowest ground point of those around them, m; else NaN.
+        lowest : iterable of Lowest
+            The lowest points of the tiles in question, and the lowest ground points of those up to ``REACH`` away from
+            them; of other tiles as may be.
         """
         from scipy import ndimage
 
+        heights = np.full(self.marks.shape, np.nan)
+        for row, col, z_min, of_ground in lowest:
+            at = np.stack([row - self.south, col - self.west])
+            inside = ((at >= 0) & (at < np.array(self.marks.shape)[:, None])).all(axis=0)
+            north, east = at[:, inside]
+            wanted = self.marks[north, east] >= GROUND if of_ground else self.labels[north, east] > 0
+            heights[north[wanted], east[wanted]] = z_min[inside][wanted]
         asked = self.labels > 0
-        level, jump = self._compared(lowest)
+        level, jump = self._compared(heights)
         areas = [np.bincount(self.labels[marks], minlength=int(self.labels.max()) + 1) for marks in (level, jump)]
         found = asked & (areas[0] >= areas[1])[self.labels]
         jumps = _around(jump, _VOTERS) > _around(level, _VOTERS)
@@ -137,9 +146,9 @@ class UnclassifiedPart:
         )
         return np.asarray(found & ((of_jump > _JUMP_REACH_M / self.tile_size) | (of_level <= of_jump)))
 
-    def _compared(self, lowest: NDArray[np.float32]) -> tuple[Marks, Marks]:
+    def _compared(self, lowest: NDArray[np.float64]) -> tuple[Marks, Marks]:
         """Return which of the tiles in question are level with ground beside them, and which are not."""
-        asked, ground = self.labels > 0, np.where(self.marks >= GROUND, lowest, np.float32(np.nan))
+        asked, ground = self.labels > 0, np.where(self.marks >= GROUND, lowest, np.nan)
         has_ground = np.isfinite(ground)
         level, jump = np.zeros_like(asked), np.zeros_like(asked)
         for axis in (0, 1):
@@ -153,36 +162,12 @@ class UnclassifiedPart:
                     level, jump, left = level | (here & is_level), jump | (here & ~is_level), left & ~here
         return level, jump
 
+    def beside(self, found: Marks) -> Marks:
+        """Return which tiles, (rows, cols), lie beside found ones and hold points of class 0 or 1.
 
-def lowest_points(part: UnclassifiedPart, ground: TileTable, every: TileTable) -> NDArray[np.float32]:
-    """Return the ``lowest`` of `UnclassifiedPart.never_classified` from tiles measured by ground and by all points."""
-    lowest = np.full(part.marks.shape, np.nan, np.float32)
-    for reach, table, wanted in ((2 * _GAP, ground, part.marks >= GROUND), (0, every, part.labels > 0)):
-        for key in filter(table.count, part.blocks(reach)):
-            rows = table.read_blocks([key], ("col", "row", "z_min"))
-            at = rows["row"] - part.south, rows["col"] - part.west
-            lowest[at] = np.where(wanted[at], rows["z_min"], lowest[at])
-    return lowest
-
-
-def joined_blocks(
-    part: UnclassifiedPart, found: Marks, ground: TileTable, every: TileTable, names: list[str]
-) -> Iterator[JoinedBlock]:
-    """Yield the blocks with tiles that are measured from all points, with the rows of each tile that count.
-
-    These are the tiles of ``found``, and those beside them in which its border lies or that it leaves at its corners:
-    they hold points of class 0 or 1, and too little ground to be rated from that alone.
-    """
-    beside = (_around(found, 3) > 0) & ((part.marks == BLANK) | (part.marks == MIXED))
-    for key in sorted(filter(every.count, part.blocks(1))):
-        own, other = (table.read_blocks([key], names) for table in (ground, every))
-        at = own["row"] - part.south, own["col"] - part.west
-        unknown = (own["class_id"] == NO_CLASS) & ~is_rateable(own["thin"], own["reason"])
-        taken = found[at] | (beside[at] & unknown)
-        if taken.any():
-            for name in names:
-                own[name][taken] = other[name][taken]
-            yield key, own, taken
+        The border of the part lies in them, or it leaves them at its corners.
+        """
+        return np.asarray((_around(found, 3) > 0) & ~found & np.isin(self.marks, (BLANK, MIXED)))
 
 
 def _around(marks: Marks, side: int) -> NDArray[np.int32]:
