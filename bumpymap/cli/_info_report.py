@@ -387,6 +387,8 @@ _CLASS_NAMES = (
 """Of LAS classes 0 to 18."""
 
 
+_CLASSIFIED = 2
+"""Lower LAS classes are those of points that are not classified."""
 _LOW_M, _MANY = 0.3, 0.01
 """Median height above the ground, m, up to which points lie on it, and the share of tiles from which that is said."""
 
@@ -406,7 +408,8 @@ def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> Iterator[t
         above = "" if math.isnan(found.height) else f", {found.height:.2f} m above the ground (median)"
         share = f"{found.points / file.summary.points:.1%} of the points, in {found.tiles:.0%} of the tiles{above}"
         yield f"class {code}", f"{f'{name}: ' if name else ''}{share}; {taken}"
-        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY:
+        apart = code < _CLASSIFIED and file.summary.never_classified > 0
+        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY and not apart:
             missed.append(code)
     if any(code != 6 and code not in ground_classes for code in file.summary.classes):
         yield "by height", "obstacle or canopy, and if no ground is seen beneath, obstacle"

@@ -36,7 +36,8 @@ _SIDE_M, _FILLED = 27.0, 0.75
 _GAP = 3
 """Most tiles from one of the unclassified part to the ground beside it."""
 _LEVEL_M = 0.5
-"""Two tiles side by side are level if their lowest points differ by no more, and by what the slope explains, m."""
+"""A tile is level with ground beside it if its lowest point lies so near that of the ground, or where the slope of the
+ground leads, or between both, m."""
 _VOTERS = 9
 """Side of the square whose tiles say together whether a border is level there."""
 _JUMP_REACH_M = 60.0
@@ -138,7 +139,7 @@ class UnclassifiedPart:
         asked = self.labels > 0
         level, jump = self._compared(heights)
         areas = [np.bincount(self.labels[marks], minlength=int(self.labels.max()) + 1) for marks in (level, jump)]
-        found = asked & (areas[0] >= areas[1])[self.labels]
+        found = asked & ((areas[0] > areas[1]) | (areas[1] == 0))[self.labels]
         jumps = _around(jump, _VOTERS) > _around(level, _VOTERS)
         of_jump, of_level = (
             ndimage.distance_transform_edt(~border) if border.any() else np.full(border.shape, np.inf)
@@ -157,8 +158,8 @@ class UnclassifiedPart:
                 for away in range(1, _GAP + 1):
                     here = left & np.roll(has_ground, towards * away, axis)
                     height, beyond = (np.roll(ground, towards * step, axis) for step in (away, away + 1))
-                    slope = np.nan_to_num(np.abs(height - beyond))
-                    is_level = np.abs(lowest - height) <= _LEVEL_M + away * slope
+                    ahead = height + away * np.nan_to_num(height - beyond)
+                    is_level = np.abs(lowest - np.clip(lowest, *np.sort([height, ahead], axis=0))) <= _LEVEL_M
                     level, jump, left = level | (here & is_level), jump | (here & ~is_level), left & ~here
         return level, jump
 

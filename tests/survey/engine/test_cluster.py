@@ -153,6 +153,23 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     assert [entry["checksum"] for entry in record["inputs"]] == [hash_file(path) for path in sorted(surveys.iterdir())]
 
 
+def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeypatch):
+    rng = np.random.default_rng(6)
+    x, y = rng.uniform(0.01, 119.99, 80_000), rng.uniform(0.01, 47.99, 80_000)
+    columns = (x + 500_001, y + 4_000_002, 0.02 * x + 0.01 * rng.normal(size=len(x)), np.where(x < 61, 2, 1))
+    for number, chosen in enumerate((np.flatnonzero(x < 80), np.flatnonzero(x > 50))):
+        write_part(tmp_path / "site" / f"{number}.las", columns, chosen, (500_000, 4_000_000, 0))
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    records = []
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
+        result = run("map", tmp_path / "site", "--out", tmp_path / name, *extra)
+        assert result.exit_code == 0, result.output
+        records.append(json.loads((tmp_path / name / "run.json").read_text()))
+    assert records[0]["tiles_from_all_points"] == records[1]["tiles_from_all_points"] > 300
+    assert here.done.count(finish_group) > 1
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize("most", [20_000, 10**9])
 def test_parts_of_an_octree_give_the_same_bits(shared_data, tmp_path, here, monkeypatch, most):
