@@ -254,8 +254,8 @@ class Report:
         """Say how many tiles of a classified survey are of a part that is not; empty if none is."""
         if summary is None or not summary.never_classified or self.config.ground != "auto":
             return ""
-        apart = count_text(summary.never_classified, "tile")
-        return f"{apart} of {summary.tiles:,} are of a part that is not classified: all of its points will be measured"
+        about = f"about {count_text(summary.never_classified, 'tile')} of {summary.tiles:,}"
+        return f"{about} are of a part that is not classified: all of its points will be measured"
 
     def _estimate(self) -> Estimate | None:
         """Estimate one run over all files that can be read; None if there are none, or no run can map them together."""
