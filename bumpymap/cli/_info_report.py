@@ -18,6 +18,7 @@ from bumpymap.core import (
     FeatureSettings,
     Georeference,
     MapConfig,
+    Reason,
     common_georeference,
     count_text,
     decide_ground,
@@ -195,10 +196,16 @@ class Report:
             return None
         # Without ground points although they are required, map ends with an error; here all tiles lack ground.
         ground = self.config.ground
-        ground_only = ground == "class" or decide_ground(ground, summary.tiles, summary.ground_tiles)
+        apart = summary.never_classified if ground == "auto" else 0
+        ground_only = ground == "class" or decide_ground(ground, summary.tiles - apart, summary.ground_tiles)
+        unknown = dict(summary.ground_unknown if ground_only else summary.unknown)
+        if ground_only and apart:
+            unknown[Reason.NO_GROUND] = max(0.0, unknown[Reason.NO_GROUND] - apart)
+            for reason, count in summary.unknown.items():
+                unknown[reason] += count * apart / summary.tiles
         return Outcome(
             tiles=summary.tiles,
-            unknown=summary.ground_unknown if ground_only else summary.unknown,
+            unknown=unknown,
             measured="ground points" if ground_only else "points",
             points_per_tile=summary.ground_points_per_tile if ground_only else summary.points_per_tile,
             all_points_per_tile=summary.points / summary.tiles,
@@ -252,7 +259,15 @@ class Report:
             return [text]
         advice = advise(outcome, FeatureSettings(), before_run=True)
         steps = describe_lines(compare_lines(self.whole.lines), "report")
-        return [advice or f"about {outcome.share:.0%} of the tiles will be unknown", *filter(None, [steps]), text]
+        few = advice or f"about {outcome.share:.0%} of the tiles will be unknown"
+        return [few, *filter(None, [self._apart(self.whole.summary()), steps]), text]
+
+    def _apart(self, summary: PointSummary | None) -> str:
+        """Say how many tiles of a classified survey are of a part that is not; empty if none is."""
+        if summary is None or not summary.never_classified or self.config.ground != "auto":
+            return ""
+        about = f"about {count_text(summary.never_classified, 'tile')} of {summary.tiles:,}"
+        return f"{about} are of a part that is not classified: all of its points will be measured"
 
     def _estimate(self) -> Estimate | None:
         """Estimate one run over all files that can be read; None if there are none, or no run can map them together."""
@@ -301,6 +316,7 @@ class Report:
                 "points_per_tile": summary.points_per_tile,
                 "ground_points": summary.ground_share,
                 "ground_tiles": summary.ground_tiles / summary.tiles,
+                "never_classified_tiles": summary.never_classified / summary.tiles,
                 "unknown_tiles_about": unknown,
                 "class_tiles": {str(code): round(found.tiles, 4) for code, found in summary.classes.items()},
                 "class_heights_m": {
@@ -342,6 +358,8 @@ class Report:
             rows.append(("density", self._density(file.density, summary)))
         if file.dropped is not None or info.has_classes is False:
             rows += _classified(file, self.config.ground_classes)
+        if apart := self._apart(summary):
+            rows.append(("not classified", apart))
         if text := describe_lines(file.lines, "report"):
             rows.append(("flight lines", as_options(text.removeprefix("Flight lines: "))))
         return rows + [("note", note) for note in info.notes]
@@ -381,6 +399,8 @@ _CLASS_NAMES = (
 """Of LAS classes 0 to 18."""
 
 
+_CLASSIFIED = 2
+"""Lower LAS classes are those of points that are not classified."""
 _MANY_UNSEEN = 0.1
 _LOW_M, _MANY = 0.3, 0.01
 """Median height above the ground, m, up to which points lie on it, and the share of tiles from which that is said."""
@@ -401,7 +421,8 @@ def _classified(file: FileReport, ground_classes: tuple[int, ...]) -> Iterator[t
         above = "" if math.isnan(found.height) else f", {found.height:.2f} m above the ground (median)"
         share = f"{found.points / file.summary.points:.1%} of the points, in {found.tiles:.0%} of the tiles{above}"
         yield f"class {code}", f"{f'{name}: ' if name else ''}{share}; {taken}"
-        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY:
+        apart = code < _CLASSIFIED and file.summary.never_classified > 0
+        if taken == "by height" and abs(found.height) <= _LOW_M and found.tiles >= _MANY and not apart:
             missed.append(code)
     if any(code != 6 and code not in ground_classes for code in file.summary.classes):
         yield "by height", "obstacle or canopy, and if no ground is seen beneath, obstacle"

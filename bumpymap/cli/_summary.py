@@ -20,9 +20,12 @@ def map_lines(result: MapResult, config: MapConfig) -> Iterator[str | Table]:
     if result.already_done:
         yield f"Already done: {config.out} {ALREADY_DONE}"
     which = outcome_of_run(result, config).measured
+    rest = (
+        f", {result.from_all:,} from all points: that part of the survey is not classified" if result.from_all else ""
+    )
     yield (
-        f"{count_text(result.points, 'point')}, {count_text(summary.tiles, 'tile')} of {config.tile_size:g} m measured "
-        f"from {'all points' if which == 'points' else which}, "
+        f"{count_text(result.points, 'point')}, {count_text(summary.tiles - result.from_all, 'tile')} of "
+        f"{config.tile_size:g} m measured from {'all points' if which == 'points' else which}{rest}, "
         f"{sum(result.seconds.values()):.1f} s"
     )
     yield Table(_rows(summary), _TITLES)
@@ -99,6 +102,7 @@ def map_record(result: MapResult, config: MapConfig) -> dict[str, object]:
         "advice": unknown_line(result, config),
         "ground_advice": as_options(ground_line(result)),
         "ground_only": result.ground_only,
+        "tiles_from_all_points": result.from_all,
         "flight_lines": _steps(result, config),
         "skipped": result.skipped,
         "seconds": result.seconds,

@@ -53,7 +53,8 @@ _MOST_SECTORS = 32_767
 """Cells of a polar grid: sectors and rings are counted in 16 bits, and each takes some kilobytes."""
 _MOST_GRID_CELLS = 4_000_000
 _CLASSIFIED_SHARE = 0.5
-"""``ground = "auto"`` uses only ground points if more than this share of the tiles has such points."""
+"""``ground = "auto"`` uses only ground points if more than this share of the tiles has such points, but for a part that
+was never classified."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +149,8 @@ class MapConfig:
     """`with_pixels` sets those of the tile size."""
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
     """Points that are measured: ``all``; those whose ``class`` is ground; ``auto``: these if most tiles have such
-    points, else all; or those found by a cloth simulation filter (``csf``)."""
+    points, but all in a part that was never classified, else all; or those that a cloth simulation filter finds
+    (``csf``)."""
     ground_classes: Annotated[
         tuple[int, ...], Setting("Classes of ground: 2,8,11,40", "LIST", 1, 255, default="2,11,17", group="Ground")
     ] = GROUND_CLASSES
@@ -372,7 +374,7 @@ def decide_ground(ground: Ground, tiles: int, flagged: float) -> bool:
     ----------
     ground : Ground
     tiles : int
-        Tiles of the survey that hold points.
+        Tiles of the survey that hold points, without those of a part that was never classified.
     flagged : float
         Those of them that hold ground points.
     """

@@ -27,6 +27,7 @@ __all__ = [
     "EMPTY",
     "FAIL_SHARE",
     "FREE",
+    "GROUND_SOURCE",
     "HOLE_POINTS",
     "HOLE_SHARE",
     "LONE",
@@ -35,6 +36,7 @@ __all__ = [
     "OBSTACLE",
     "OPEN_THROUGH",
     "POINT_BUILDING",
+    "POINT_CLASSED",
     "POINT_DECK",
     "POINT_GROUND",
     "POINT_OTHER",
@@ -186,7 +188,7 @@ class Georeference:
     """Vertical: metres = file units x this."""
 
 
-POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK = range(5)
+POINT_OTHER, POINT_GROUND, POINT_BUILDING, POINT_PLANT, POINT_DECK, POINT_CLASSED = range(6)
 """Kinds of points, by their LAS class: what a reader hands over as the flag of each point."""
 
 
@@ -202,7 +204,8 @@ class PointCloud:
     """(n,) m."""
     kind: NDArray[np.uint8]
     """(n,) ``POINT_GROUND`` (classes 2 and 11), ``POINT_DECK`` (17), ``POINT_BUILDING`` (6), ``POINT_PLANT`` (3 to 5),
-    else ``POINT_OTHER``, also if the file has no classes. `MapConfig.ground_classes` may name other ground."""
+    ``POINT_OTHER`` (0 and 1, and all if the file has no classes), else ``POINT_CLASSED``.
+    `MapConfig.ground_classes` may name other ground."""
 
     @property
     def is_ground(self) -> NDArray[np.bool_]:
@@ -537,6 +540,10 @@ def tile_columns(pixels: int, speeds: int = 0) -> tuple[Column, ...]:
     own = rated_columns(pixels, speeds)
     known = {column.name for column in own}
     return (*own, *(column for column in neighbour_columns(pixels, speeds) if column.name not in known))
+
+
+GROUND_SOURCE = Column("ground_source", "|u1")
+"""Of the tiles of a survey of which a part is not classified: 1 if measured from all points, 0 from ground points."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from bumpymap.core import (
     BANDS,
     BARRED_TEXT,
+    GROUND_SOURCE,
     NO_CLASS,
     REASON_TEXT,
     SIDES,
@@ -55,6 +56,9 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
     """
     place = Placement.of(table)
     fields = tile_fields(place.grid.pixels, table.speeds)
+    if table.tiles.has(GROUND_SOURCE.name):
+        text = "0: measured from points of ground classes, 1: from all points, where the survey is not classified"
+        fields.append(_field(GROUND_SOURCE.name, pa.int8(), text, nullable=False))
     schema = pa.schema(fields, metadata={**(about or {}), "geo": json.dumps(_geo(place))})
     with (
         atomic(path, (pa.ArrowException,)) as temporary,
@@ -75,7 +79,8 @@ def write_tiles(table: CostTable, path: Path, about: Mapping[str, str] | None = 
 
 def _groups(tiles: TileTable, speeds: int) -> Iterator[dict[str, NDArray[Any]]]:
     """Yield the columns of each row group, which takes as many strips as fit."""
-    names = [column.name for column in tile_columns(tiles.grid.pixels, speeds)]
+    names = [column.name for column in (*tile_columns(tiles.grid.pixels, speeds), GROUND_SOURCE)]
+    names = list(filter(tiles.has, names))
     held: list[dict[str, NDArray[Any]]] = []
     for strip in tiles.strips(_ROW_GROUP):
         found = tiles.read(names, strip)
@@ -158,6 +163,7 @@ def _rows(found: dict[str, NDArray[Any]], place: Placement, schema: pa.Schema, s
         "heights": pa.FixedSizeListArray.from_arrays(heights, place.grid.pixels**2),
     }
     columns |= {name: found[name] for name in (*_NUMBERS, *(band.name for band in BANDS))}
+    columns |= {name: found[name] for name in (GROUND_SOURCE.name,) if name in found}
     columns["passable"] = found["passable"] > 0
     columns |= {band.name: found["motion"][:, number] for number, band in enumerate(speed_bands(speeds))}
     columns |= {f"p_{texture}": chance[:, number] for number, texture in enumerate(TEXTURES)}

@@ -69,3 +69,11 @@ from .summary import (
     PointSummary as PointSummary,
     PointSummaryBuilder as PointSummaryBuilder,
 )
+from .unclassified import (
+    BLANK as BLANK,
+    GROUND as GROUND,
+    REACH as REACH,
+    Lowest as Lowest,
+    UnclassifiedPart as UnclassifiedPart,
+    tile_marks as tile_marks,
+)

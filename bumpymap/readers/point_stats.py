@@ -15,7 +15,16 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DECK_CLASS, POINT_BUILDING, POINT_DECK, POINT_GROUND, POINT_PLANT, BadInputError
+from bumpymap.core import (
+    DECK_CLASS,
+    POINT_BUILDING,
+    POINT_CLASSED,
+    POINT_DECK,
+    POINT_GROUND,
+    POINT_OTHER,
+    POINT_PLANT,
+    BadInputError,
+)
 from bumpymap.readers._kernels import (
     AXIS_BITS,
     LINE_BITS,
@@ -58,8 +67,8 @@ _MIX = np.uint64(0x9E3779B97F4A7C15)
 
 def kinds_of(ground_classes: tuple[int, ...]) -> NDArray[np.uint8]:
     """Return the kind of the points of each LAS class, (256,)."""
-    kinds = np.zeros(256, np.uint8)
-    kinds[3:6], kinds[6] = POINT_PLANT, POINT_BUILDING
+    kinds = np.full(256, POINT_CLASSED, np.uint8)
+    kinds[:2], kinds[3:6], kinds[6] = POINT_OTHER, POINT_PLANT, POINT_BUILDING
     for code in ground_classes:
         kinds[code] = POINT_DECK if code == DECK_CLASS else POINT_GROUND
     return kinds
@@ -192,12 +201,14 @@ def sampled(codes: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
     return np.asarray((mixed & np.uint64(step - 1)) == 0)
 
 
-def summed(keys: NDArray[np.int64], values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:
-    """Add the values, (n, ...), of equal keys, (n,), at least 0; return increasing keys and their sums."""
+def summed(
+    keys: NDArray[np.int64], values: NDArray[Any], join: np.ufunc = np.add
+) -> tuple[NDArray[np.int64], NDArray[Any]]:
+    """Join the values, (n, ...), of equal keys, (n,), at least 0; return increasing keys and their sums, or other."""
     order = np.argsort(keys, kind="stable")
     keys, values = keys[order], values[order]
     first = np.flatnonzero(np.diff(keys, prepend=-1))
-    return (keys, values) if len(first) == len(keys) else (keys[first], np.add.reduceat(values, first, axis=0))
+    return (keys, values) if len(first) == len(keys) else (keys[first], join.reduceat(values, first, axis=0))
 
 
 _DROPPED = ("withheld", "noise", "not_a_number")

@@ -29,7 +29,8 @@ from bumpymap.core import (
 )
 from bumpymap.readers.point_stats import LineSums, kinds_of, sampled, summed
 from bumpymap.readers.protocol import SurveyReader
-from bumpytiles import Bounds, Grid
+from bumpymap.readers.unclassified import UnclassifiedPart, tile_marks
+from bumpytiles import BLOCK_TILES, Bounds, Grid
 
 __all__ = ["PointSummary", "PointSummaryBuilder", "thin_rule"]
 
@@ -55,10 +56,12 @@ class KeyCounts:
         Keys at most: only the keys of one tile in ``step`` are kept, and ``step``, a power of two, grows as necessary.
     shift : int
         Bits of a key below the code of its tile.
+    join : ufunc
+        What becomes of two values of a key: their sum, or the lower one.
     """
 
-    def __init__(self, most: int | None = None, shift: int = 0) -> None:
-        self._most, self._shift, self.step = most, shift, 1
+    def __init__(self, most: int | None = None, shift: int = 0, join: np.ufunc = np.add) -> None:
+        self._most, self._shift, self._join, self.step = most, shift, join, 1
         self._parts: list[tuple[Ints, NDArray[Any]]] = []
         self._waiting = 0
 
@@ -68,7 +71,7 @@ class KeyCounts:
 
     def add_sums(self, keys: Ints, values: Floats) -> None:
         """Add values of points, (n, ...), by their keys."""
-        self._append(*summed(keys, values))
+        self._append(*summed(keys, values, self._join))
 
     def merge(self, other: "KeyCounts") -> None:
         """Add the counts of another file."""
@@ -82,7 +85,8 @@ class KeyCounts:
     def total(self) -> tuple[Ints, NDArray[Any]]:
         """Return the sorted keys, reduced to the size of the sample, and their counts or sums."""
         nothing = np.zeros(0, np.int64)
-        keys, counts = summed(*map(np.concatenate, zip(*self._parts, strict=True))) if self._parts else (nothing,) * 2
+        parts = [*map(np.concatenate, zip(*self._parts, strict=True))]
+        keys, counts = summed(parts[0], parts[1], self._join) if parts else (nothing, nothing)
         while True:
             kept = self.sampled(keys >> self._shift)
             keys, counts = keys[kept], counts[kept]
@@ -259,6 +263,8 @@ class PointSummary:
     """The same if only ground points are measured."""
     classes: dict[int, ClassSummary]
     """By LAS class."""
+    never_classified: int
+    """Tiles of a part that nobody has classified, beside classified ones."""
 
 
 class PointSummaryBuilder:
@@ -286,7 +292,7 @@ class PointSummaryBuilder:
         self._grid, self._settings, self._thin = grid, settings, thin
         self._ground_classes = ground_classes
         self._is_ground = np.isin(kinds_of(ground_classes), (POINT_GROUND, POINT_DECK))
-        self.classes = KeyCounts()
+        self.classes, self.lowest = KeyCounts(), KeyCounts(join=np.minimum)
         self.all_points, self.ground = TileCounts(grid), TileCounts(grid)
         self.low, self.high = np.full(3, np.inf), np.full(3, -np.inf)
         self.lines = LineSums()
@@ -307,6 +313,7 @@ class PointSummaryBuilder:
             codes, ground = _tile_codes(cloud, self._grid), self._is_ground[cloud.kind]
             self.all_points.add(codes, cloud.easting, cloud.northing)
             self.classes.add_sums((codes << 8) | cloud.kind, np.column_stack([np.ones(len(codes)), cloud.upward]))
+            self.lowest.add_sums((codes << 1) | ground, cloud.upward)
             if ground.any():
                 self.ground.add(codes[ground], cloud.easting[ground], cloud.northing[ground])
             advance(cloud.easting.size)
@@ -318,6 +325,7 @@ class PointSummaryBuilder:
         self.all_points.merge(other.all_points)
         self.ground.merge(other.ground)
         self.classes.merge(other.classes)
+        self.lowest.merge(other.lowest)
         self.low, self.high = np.minimum(self.low, other.low), np.maximum(self.high, other.high)
         self.lines = self.lines.merge(other.lines)
 
@@ -346,7 +354,27 @@ class PointSummaryBuilder:
             double_few=_few_in_double(*self.all_points.tiles.total(), ground_counts[:0]),
             ground_double_few=_few_in_double(*self.ground.tiles.total(), self.all_points.tiles.total()[0]),
             classes=_summarise_classes(*self.classes.total(), counts.size, self._ground_classes),
+            never_classified=self._never_classified() if ground_counts.size else 0,
         )
+
+    def _never_classified(self) -> int:
+        """Count the tiles of a part that nobody has classified."""
+        keys, _ = self.classes.total()
+        tiles, place = np.unique(keys >> 8, return_inverse=True)
+        flags = np.zeros((tiles.size, 8), np.bool_)
+        flags[place, kinds_of(self._ground_classes)[keys & 0xFF]] = True
+        row, col = _tile_places(tiles)
+        of_block, block = np.unique(np.stack([row, col], axis=1) // BLOCK_TILES, axis=0, return_inverse=True)
+        marks = np.zeros((len(of_block), BLOCK_TILES, BLOCK_TILES), np.uint8)
+        marks[block.reshape(-1), row % BLOCK_TILES, col % BLOCK_TILES] = tile_marks(flags)
+        blocks = dict(zip(map(tuple, of_block.tolist()), marks.reshape(-1, BLOCK_TILES**2), strict=True))
+        part = UnclassifiedPart.find(blocks, self._grid.tile_size)
+        if part is None:
+            return 0
+        keys, lowest = self.lowest.total()
+        of_ground = (keys & 1) > 0
+        each = [(*_tile_places(keys[of] >> 1), lowest[of], bool(n)) for n, of in enumerate((~of_ground, of_ground))]
+        return int(part.never_classified(each).sum())
 
     def _unknown(self, held: TileCounts) -> dict[Reason, float]:
         """Count tiles with too few points; estimate from the sample how many others have holes."""
@@ -362,6 +390,13 @@ class PointSummaryBuilder:
         few = float((~dense_enough & ~thin_enough).sum()) + estimate(asked, thin_rule)
         holes = estimate(dense_enough & ~thin_enough, dense) + estimate(dense_enough & thin_enough, dense, thin_rule)
         return {Reason.TOO_FEW_POINTS: few, Reason.TOO_MANY_HOLES: holes}
+
+
+def _tile_places(codes: Ints) -> tuple[Ints, Ints]:
+    """Return rows and columns of tiles by their codes."""
+    half = (_INDEX_MASK + 1) >> 1
+    row, col = ((((codes >> shift) & _INDEX_MASK) ^ half) - half for shift in (0, 23))
+    return row, col
 
 
 def _few_in_double(codes: Ints, counts: Ints, others: Ints) -> float:

@@ -124,7 +124,9 @@ def _map(config: MapConfig, progress: Progress, *, in_batch: bool) -> MapResult:
             )
     points, only = measured.points, measured.ground_only
     thin = neighbours.rates_thin
-    return MapResult(tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin)
+    return MapResult(
+        tuple(files), summary, points, only, inputs.skipped, clock.seconds, lines, thin, from_all=measured.from_all
+    )
 
 
 def _prepare(config: MapConfig, *, crs_must_agree: bool) -> tuple[RatingModels, SurveyInputs, NeighbourRating]:

@@ -104,6 +104,8 @@ class MapResult:
     """Thin tiles were rated from their points."""
     already_done: bool = False
     """An earlier run with the same inputs and settings is complete: nothing was written, and these are its results."""
+    from_all: int = 0
+    """With ``ground_only``, tiles measured from all points nevertheless: that part of the survey is not classified."""
 
 
 def survey_record(
@@ -212,6 +214,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         )
         summary = MapSummary.of(record["counts"])
         points, ground_only, seconds = record["points"], record["ground_only"], record["seconds"]
+        from_all = record.get("tiles_from_all_points", 0)
         lines = FlightLines.from_record(record["flight_lines"])
         names = [str(file["path"]) for file in record["files"]]
     inputs = {recorded_place(path): known for path, known in run_spec["inputs"].items()}
@@ -220,7 +223,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
     # Views may be deleted, or rewritten by other programs.
     views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))
-    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, True)
+    return MapResult(files, summary, points, ground_only, skipped, seconds, lines, rates_thin, True, from_all)
 
 
 def run_manifest(
@@ -260,6 +263,7 @@ def run_manifest(
         "settings": {**recorded_settings(config), "surveys": [recorded_place(survey) for survey in config.surveys]},
         "versions": versions(config.ground),
         "ground_only": measured.ground_only,
+        **({"tiles_from_all_points": measured.from_all} if measured.from_all else {}),
         "points": measured.points,
         "flight_lines": lines.to_record(),
         "model": models.texture_id,

@@ -13,14 +13,17 @@ import bumpymap
 CRS = "EPSG:32614"
 
 
-def made_road(path, density, road=11, deck=17):
-    """A meadow with a road of 9 m from west to east, in the middle on a bridge over a valley 5 m deep."""
+def made_road(path, density, road=11, deck=17, ramp=None):
+    """A meadow with a road of 9 m from west to east, in the middle on a bridge over a valley 5 m deep.
+
+    Its last 12 m in the east are of the class ``ramp``, if one is given.
+    """
     rng = np.random.default_rng(5)
     x, y = rng.uniform(0.0, 60.0, (2, int(density * 60 * 48)))
     on_road, valley = np.abs(y - 24.0) < 4.5, np.abs(x - 30.0) < 9.0
     is_deck = on_road & valley
     z = np.where(valley & ~is_deck, -5.0, 0.0) + rng.normal(0.0, 0.02, len(x))
-    classes = np.select([is_deck, on_road], [deck, road], 2)
+    classes = np.select([is_deck, on_road & (x > 48.0), on_road], [deck, ramp or road, road], 2)
     beneath = is_deck & (np.abs(y - 24.0) > 3.5) & (rng.random(len(x)) < 0.3)  # seen from the side
     z, classes = np.where(beneath, -5.0, z), np.where(beneath, 2, classes)
     house = (x > 3) & (x < 9) & (y > 3) & (y < 9)
@@ -64,6 +67,23 @@ def test_other_classes_are_ground_if_the_user_says_so(tmp_path):
         assert (table["class"][road] == 0).mean() == share
     told = run("info", tmp_path / "road.las", "--set", "ground_classes=2,26,40").output
     assert "; ground" in told.split("class 26", 1)[1].splitlines()[0]
+
+
+@pytest.mark.parametrize("density", [50, pytest.param(450, marks=pytest.mark.later)])
+def test_classes_of_one_survey_together(tmp_path, density):
+    """Ground, a building, a road, a bridge deck and structures of class 26, flush with the road."""
+    made_road(tmp_path / "road.laz", density, ramp=26)
+    for folder, given in (("without", ()), ("out", ("--ground-classes", "2,11,17,26"))):
+        assert run("map", tmp_path / "road.laz", "--out", tmp_path / folder, "--quiet", *given).exit_code == 0
+        table, (x, y) = tiles_of(tmp_path / folder)
+        road, deck = np.abs(y - 24.0) < 3.0, np.abs(x - 30.0) < 7.5
+        assert (table["class"][road & (np.abs(x - 10.5) < 8.5)] == 0).all()
+        assert (table["class"][road & (x > 41.0) & (x < 47.0)] == 0).all()
+        assert (table["class"][(np.abs(y - 24.0) < 2.0) & deck] == 0).all()
+        assert not table["passable"][(np.abs(np.abs(y - 24.0) - 4.5) < 1.5) & (np.abs(x - 30.0) < 6.0)].any()
+        on_ramp = table[road & (x > 49.0) & (x < 59.0)]
+        assert len(on_ramp) >= 4
+        assert (on_ramp["class"] == 0).all() if given else (on_ramp["reason_text"] == "no ground points").all()
 
 
 def test_info_names_classes_that_lie_on_the_ground_with_their_share_and_height(tmp_path):

@@ -221,19 +221,18 @@ class TileBuckets:
         in_memory = sum(chunk.points.count(chunk.places[key]) for chunk in self._by_block.get(key, ()))
         return in_memory + sum(pack.rows(key) for pack in self.packs)
 
-    def marks(self, key: BlockKey) -> tuple[int, int]:
-        """Return the number of tiles with points in a block, and of those with at least one flagged point."""
-        seen = np.zeros((2, _TILES), np.bool_)
+    def flags(self, key: BlockKey) -> NDArray[np.bool_]:
+        """Return which flags, up to 7, the points of each tile of a block have, (256, 8)."""
+        seen = np.zeros(_TILES << 3, np.bool_)
         for part, _ in self._parts(key, ("tile", "flag")):
-            seen[0, part["tile"]] = True
-            seen[1, part["tile"][part["flag"] == 1]] = True
-        tiles, flagged = np.count_nonzero(seen, axis=1).tolist()
-        return tiles, flagged
+            seen[(part["tile"].astype(np.intp) << 3) | part["flag"]] = True
+        return seen.reshape(_TILES, 8)
 
     def flagged_share(self) -> float:
         """Return the share of tiles with points that hold a flagged point, 0..1 (0 without points)."""
-        tiles, flagged = np.sum([self.marks(key) for key in self.keys()] or [(0, 0)], axis=0)
-        return float(flagged / tiles) if tiles else 0.0
+        seen = [self.flags(key) for key in self.keys()]
+        tiles = sum(int(each.any(axis=1).sum()) for each in seen)
+        return sum(int(each[:, 1].sum()) for each in seen) / tiles if tiles else 0.0
 
     def blocks(self) -> Iterator[TilePoints]:
         """Yield the blocks, south-west first."""

@@ -27,7 +27,10 @@ class _ColumnSource:
 
     @classmethod
     def of(cls, packs: Sequence[Pack | MemoryPack]) -> "tuple[_ColumnSource, NDArray[np.int64], NDArray[np.int64]]":
-        """Return the source, its blocks in order, and their numbers of rows; blocks without rows are left out."""
+        """Return the source, its blocks in order, and their numbers of rows; blocks without rows are left out.
+
+        Of a block in several packs the last counts.
+        """
         nothing = np.empty(0, np.int64)
         codes, counts, starts = (
             np.concatenate([nothing, *(getattr(pack, name) for pack in packs)])
@@ -35,7 +38,7 @@ class _ColumnSource:
         )
         number = np.repeat(np.arange(len(packs), dtype=np.int32), [len(pack.codes) for pack in packs])
         order = np.argsort(codes, kind="stable")
-        order = order[counts[order] > 0]
+        order = order[np.append(np.diff(codes[order]) > 0, True)[: len(order)] & (counts[order] > 0)]
         columns = {column.name: column for column in packs[0].columns} if packs else {}
         return cls(packs, columns, number[order], starts[order]), codes[order], counts[order]
 
@@ -53,7 +56,7 @@ class _ColumnSource:
 
 
 class TileTable:
-    """A table with one row per tile, stored by block in any number of packs; each block is in one of them.
+    """A table with one row per tile, stored by block in any number of packs; of a block in several the last counts.
 
     Every pack has the columns ``col`` and ``row`` (tile indices), and others.
 
@@ -109,6 +112,10 @@ class TileTable:
         table = TileTable.__new__(TileTable)
         table._set(self.grid, codes, counts, [added, *self._sources])  # noqa: SLF001 (of the same class)
         return table
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a column of this name."""
+        return any(name in source.columns for source in self._sources)
 
     @property
     def keys(self) -> list[BlockKey]:

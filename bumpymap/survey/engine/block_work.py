@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import Ground, OutputError, PatchStack, UsageError, write_remedy
+from bumpymap.core import GROUND_SOURCE, Ground, OutputError, PatchStack, UsageError, write_remedy
 from bumpymap.patches import join_stacks
-from bumpymap.readers import LineSums
+from bumpymap.readers import LineSums, tile_marks
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpytiles import (
     BLOCK_TILES,
@@ -55,13 +55,13 @@ class TileSink:
         self._written: list[Path] = []
         self._held: dict[BlockKey, Mapping[str, NDArray[Any]]] = {}
         self._tiles = 0
-        self._marks = [0, 0]
+        self._marks: dict[BlockKey, str] = {}
 
-    def add(self, key: BlockKey, columns: Mapping[str, NDArray[Any]], marks: tuple[int, int] = (0, 0)) -> None:
-        """Add a block; ``marks`` are the numbers of its tiles with points and with flagged points, if counted."""
+    def add(self, key: BlockKey, columns: Mapping[str, NDArray[Any]], marks: NDArray[np.uint8] | None = None) -> None:
+        """Add a block; ``marks`` (256,) are those of its tiles, of `tile_marks`, if they are known."""
         self._held[key] = columns
         self._tiles += len(columns["col"])
-        self._marks = [mine + more for mine, more in zip(self._marks, marks, strict=True)]
+        self._marks |= {} if marks is None else {key: marks.tobytes().hex()}
         if self._tiles >= _PACK_TILES:
             self.flush()
 
@@ -71,10 +71,11 @@ class TileSink:
             return
         path = self._folder / f"tiles-{self._kind}-{self._number:06d}.pack"
         blocks = {key: len(columns["col"]) for key, columns in self._held.items()}
-        write_pack(path, self._columns, blocks, self._parts, {"kind": self._kind, "marks": self._marks})
+        marks = [self._marks[key] for key in sorted(self._marks)]
+        write_pack(path, self._columns, blocks, self._parts, {"kind": self._kind, "marks": marks})
         self._written.append(path)
         self._number += 1
-        self._held, self._tiles, self._marks = {}, 0, [0, 0]
+        self._held, self._tiles, self._marks = {}, 0, {}
 
     def _parts(self, column: Column) -> Iterator[NDArray[Any]]:
         """Yield the held rows of a column, a few blocks at a time: the fixed time of a write counts once for them."""
@@ -89,7 +90,7 @@ class TileSink:
 
 
 TileColumns = dict[str, NDArray[Any]]
-_ALL, _GROUND = "all", "ground"
+ALL_POINTS, GROUND_POINTS, JOINED_POINTS = "all", "ground", "joined"
 _GROUP_POINTS = 4096
 """Most points in a group of blocks that are rated together; a denser block is rated by itself."""
 
@@ -112,20 +113,12 @@ class BlockWork:
     @property
     def kinds(self) -> tuple[str, ...]:
         """Points to measure before it is known which points the run will use: ``all``, ``ground``, or both."""
-        return {"auto": (_ALL, _GROUND), "all": (_ALL,)}.get(self.ground, (_GROUND,))
+        return {"auto": (ALL_POINTS, GROUND_POINTS), "all": (ALL_POINTS,)}.get(self.ground, (GROUND_POINTS,))
 
     def finish(
-        self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, *, ground_only: bool
-    ) -> Iterator[tuple[BlockKey, TileColumns]]:
-        """Rate blocks; yield their columns in the given order."""
-        kind = _GROUND if ground_only else _ALL
-        for key, columns in self._finish(buckets, keys, threads, (kind,)):
-            yield key, columns[kind]
-
-    def _finish(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, kinds: Sequence[str]
     ) -> Iterator[tuple[BlockKey, dict[str, TileColumns]]]:
-        """Rate blocks for some of ``kinds``, of which each needs the same sorted points."""
+        """Rate blocks for some of ``kinds``, of which each needs the same sorted points, in the given order."""
         most = min(_GROUP_POINTS, buckets.limits.block_points if buckets.limits else _GROUP_POINTS)
         # The cloth filter needs each block by itself.
         groups = grouped_blocks(keys, buckets.points, 0 if self.ground == "csf" else most)
@@ -142,10 +135,10 @@ class BlockWork:
         if len(keys) > 1:
             parts = [part for key in keys for part in buckets.block(key)]  # one for each: they are small
             ends, shares = np.cumsum([len(part.col) for part in parts])[:-1].tolist(), [join_tiles(parts)]
-        elif self.measure_all is not None and _ALL in kinds and buckets.is_divided(keys[0]):
+        elif self.measure_all is not None and ALL_POINTS in kinds and buckets.is_divided(keys[0]):
             # A tile is rated with what stands around it, so the block is measured first.
             whole = (join_stacks([self.measure_all(points) for points in buckets.block(keys[0])]),)
-        rated = [{kind: self.rate(points, kind == _GROUND, *whole) for kind in kinds} for points in shares]
+        rated = [{kind: self.rate(points, kind == GROUND_POINTS, *whole) for kind in kinds} for points in shares]
         joined = {kind: _joined([share[kind] for share in rated]) for kind in kinds}
         pieces = {kind: {n: np.split(a, ends) for n, a in columns.items()} for kind, columns in joined.items()}
         return [
@@ -168,12 +161,12 @@ class BlockWork:
     def finish_early(
         self, buckets: TileBuckets, keys: Sequence[BlockKey], threads: int, sinks: Mapping[str, TileSink]
     ) -> None:
-        """Rate blocks for each of ``kinds`` and count their tiles with ground, so that one kind can be chosen later.
+        """Rate blocks for each of ``kinds`` and mark their tiles, so that one kind can be chosen later.
 
         The blocks are done then, and their points are freed.
         """
-        for key, columns in self._finish(buckets, keys, threads, tuple(sinks)):
-            marks = buckets.marks(key)
+        for key, columns in self.finish(buckets, keys, threads, tuple(sinks)):
+            marks = tile_marks(buckets.flags(key))
             for kind, sink in sinks.items():
                 sink.add(key, columns[kind], marks)
             buckets.finish(key)
@@ -186,12 +179,20 @@ def _joined(shares: Sequence[TileColumns]) -> TileColumns:
     return shares[0] if len(shares) == 1 else {n: np.concatenate([s[n] for s in shares]) for n in shares[0]}
 
 
+def finished_tiles(work: BlockWork, space: Workspace, kind: str, *more: str) -> TileTable:
+    """Return all tiles that a run has finished of a kind; blocks of which there are others of ``more`` kinds, so."""
+    return TileTable(work.grid, [Pack(path) for name in (f"{kind}-early", kind, *more) for path in space.tiles(name)])
+
+
 @dataclass(frozen=True, slots=True)
 class MeasuredTiles:
     """The result of reading and measuring."""
 
     table: TileTable
     ground_only: bool
+    from_all: int
+    """Tiles measured from all of their points nevertheless, because that part of the survey is not classified; then
+    the table has the column `GROUND_SOURCE`."""
     dropped: list[dict[str, int] | None]
     """For each input the number of dropped points by reason; None if it was skipped."""
     points: int
@@ -204,11 +205,12 @@ class MeasuredTiles:
     @classmethod
     def of(cls, work: BlockWork, space: Workspace, record: Mapping[str, Any]) -> "MeasuredTiles":
         """Return what a run has finished, from the record in its workspace."""
-        kind = "ground" if record["ground_only"] else "all"
-        packs = [Pack(path) for path in (*space.tiles(f"{kind}-early"), *space.tiles(kind))]
-        lines = LineSums.from_record(record["lines"])
-        table, only = TileTable(work.grid, packs), record["ground_only"]
-        return cls(table, only, record["dropped"], record["points"], lines, record["checksums"])
+        kind = GROUND_POINTS if record["ground_only"] else ALL_POINTS
+        table = finished_tiles(work, space, kind, *([JOINED_POINTS] if record["from_all"] else []))
+        if record["from_all"]:
+            table = table.with_columns([Pack(path) for path in space.tiles(GROUND_SOURCE.name)])
+        lines, only, joined = LineSums.from_record(record["lines"]), record["ground_only"], record["from_all"]
+        return cls(table, only, joined, record["dropped"], record["points"], lines, record["checksums"])
 
 
 @contextmanager

@@ -20,6 +20,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 from uuid import uuid4
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bumpymap.core import BadInputError, OutputError, Progress, UsageError
 from bumpymap.readers import Location, ReadOptions, SurveyReader, close_decoder, identity, reopen_survey
 from bumpymap.survey.engine.block_work import BlockWork, engine_errors
@@ -29,6 +32,7 @@ from bumpymap.survey.engine.plan import ChunkRange, ReadTask, range_points, shar
 from bumpymap.survey.engine.reading import OpenRange
 from bumpymap.survey.engine.run import ReadPlan
 from bumpymap.survey.engine.worker import Worker, new_folder
+from bumpytiles import BlockKey
 
 if TYPE_CHECKING:
     from bumpytiles import Workers
@@ -40,8 +44,8 @@ __all__ = [
     "RunContext",
     "busy",
     "connect",
-    "count_marks",
     "finish_group",
+    "mark_tiles",
     "missing_on_worker",
     "read_ranges",
 ]
@@ -136,17 +140,19 @@ def read_ranges(context: RunContext, sources: Sequence[FileSource], task: ReadTa
             close_decoder()  # opening a file starts it, even if nothing is read
 
 
-def count_marks(context: RunContext, group: BlockGroup) -> tuple[int, int]:
-    """Return the number of tiles with points, and of those with ground points, in some blocks."""
+def mark_tiles(context: RunContext, group: BlockGroup) -> dict[BlockKey, NDArray[np.uint8]]:
+    """Return the marks of the tiles of some blocks, see `tile_marks`."""
     with _worker(context) as worker:
-        return worker.count_marks(group)
+        return worker.mark_tiles(group)
 
 
-def finish_group(context: RunContext, group: BlockGroup, ground_only: bool) -> tuple[list[Path], int]:
-    """Rate blocks; return the packs of their tiles, and how many blocks these are."""
+def finish_group(context: RunContext, group: BlockGroup, kinds: Sequence[str]) -> tuple[list[list[Path]], int]:
+    """Rate blocks; return the packs of their tiles, for each kind, and how many blocks these are."""
     with _worker(context) as worker:
         opened.cache_clear()  # nothing is read any more
-        packs = [pack for packs in worker.finish(group, ground_only=ground_only) for pack in packs]
+        packs = [
+            [pack for packs in alike for pack in packs] for alike in zip(*worker.finish(group, kinds), strict=True)
+        ]
         return packs, len(group.keys)
 
 
@@ -315,13 +321,13 @@ class ClusterExecutor:
                 yield read
                 self._progress.advance(sum(part.points for part in shared[number].ranges))
 
-    def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
-        """Yield the number of tiles, and of those with ground points, for each group."""
-        yield from self._run_tasks(count_marks, ((self._context, group) for group in groups))
+    def mark_tiles(self, groups: Iterator[BlockGroup]) -> Generator[dict[BlockKey, NDArray[np.uint8]], None, None]:
+        """Yield the marks of the tiles of each block of each group."""
+        yield from self._run_tasks(mark_tiles, ((self._context, group) for group in groups))
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[list[Path], None, None]:
-        """Rate the blocks of each group; yield packs of their tiles."""
-        tasks = ((self._context, group, ground_only) for group in groups)
+    def finish(self, groups: Iterator[BlockGroup], kinds: Sequence[str]) -> Generator[list[list[Path]], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles, for each kind."""
+        tasks = ((self._context, group, kinds) for group in groups)
         for packs, blocks in self._run_tasks(finish_group, tasks):
             yield packs
             self._progress.advance(blocks)

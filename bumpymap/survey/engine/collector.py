@@ -285,10 +285,12 @@ class ResultCollector:
         return {key for pack in self._checkpoints.early for key in pack.keys}
 
     @property
-    def marks(self) -> tuple[int, int]:
-        """Number of tiles in the finished blocks, and of those with ground points."""
-        marks = np.sum([(0, 0), *(pack.meta["marks"] for pack in self._checkpoints.early)], axis=0)
-        return int(marks[0]), int(marks[1])
+    def marks(self) -> dict[BlockKey, NDArray[np.uint8]]:
+        """Marks of the tiles of the finished blocks, (256,) each, see `tile_marks`."""
+        noted = [(pack.keys, pack.meta["marks"]) for pack in self._checkpoints.early]
+        return {
+            k: np.frombuffer(bytes.fromhex(m), np.uint8) for keys, own in noted for k, m in zip(keys, own, strict=True)
+        }
 
     def window(self) -> TileWindow:
         """Return the smallest window of whole blocks around all blocks (at least one)."""

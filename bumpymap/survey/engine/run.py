@@ -4,17 +4,28 @@ The plan is always the same: ranges of chunks are read, a catalogue says which p
 groups of blocks are rated, and one collector saves the results. An executor does the tasks.
 """
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from bumpymap.core import BadInputError, Progress, Stopwatch, decide_ground
-from bumpymap.readers import Chunk, SurveyReader
-from bumpymap.survey.engine.block_work import BlockWork, MeasuredTiles, engine_errors
+from bumpymap.readers import BLANK, GROUND, Chunk, SurveyReader, UnclassifiedPart
+from bumpymap.survey.engine.block_work import (
+    ALL_POINTS,
+    GROUND_POINTS,
+    BlockWork,
+    MeasuredTiles,
+    engine_errors,
+    finished_tiles,
+)
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, Checkpoints, ReadResult, ResultCollector
+from bumpymap.survey.engine.joined import lowest_points, save_joined
 from bumpymap.survey.engine.plan import ChunkRange, cut_ranges
 from bumpymap.survey.engine.reading import refuse_no_points
 from bumpymap.survey.inputs import SurveyInputs
@@ -54,11 +65,13 @@ class Executor(Protocol):
     def read(self, plan: ReadPlan) -> Generator[ReadResult, None, None]:
         """Read all ranges that are unread."""
 
-    def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
-        """Yield the number of tiles, and of those with ground points, for each group."""
+    def mark_tiles(self, groups: Iterator[BlockGroup]) -> Generator[dict[BlockKey, NDArray[np.uint8]], None, None]:
+        """Yield the marks of the tiles of each block of each group, see `tile_marks`."""
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[Sequence[Path], None, None]:
-        """Rate the blocks of each group; yield packs of their tiles."""
+    def finish(
+        self, groups: Iterator[BlockGroup], kinds: Sequence[str]
+    ) -> Generator[Sequence[Sequence[Path]], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles, for each kind."""
 
 
 def run_engine(
@@ -96,14 +109,14 @@ def _read_and_measure(
     refuse_no_points(inputs.readers, collector.stats)
     inputs.check_window(work.grid, collector.window())
     with clock.stage("measure"):
-        ground_only = _decide(work, collector, executor)
-        _finish(collector, space, executor, progress, ground_only=ground_only)
+        ground_only, from_all = _measure(work, collector, space, executor, progress)
     counted = sum(stats.points - sum(stats.dropped.values()) for stats in collector.stats)
     of_files = zip(inputs.readers, collector.stats, strict=True)
     dropped = [None if str(reader.info.path) in inputs.skipped else stats.dropped for reader, stats in of_files]
     lines = collector.lines.to_record()
     checksums = [reader.checksum for reader in inputs.readers]
-    return {"ground_only": ground_only, "dropped": dropped, "points": counted, "lines": lines, "checksums": checksums}
+    which = {"ground_only": ground_only, "from_all": from_all}
+    return which | {"dropped": dropped, "points": counted, "lines": lines, "checksums": checksums}
 
 
 def _read(
@@ -135,27 +148,61 @@ def _read(
         space.forget_points(inputs.skipped)
 
 
-def _decide(work: BlockWork, collector: ResultCollector, executor: Executor) -> bool:
-    """Decide whether only ground is measured; count tiles only if the decision depends on them."""
-    if work.ground != "auto" or not collector.flagged:
-        return decide_ground(work.ground, 1, int(collector.flagged))
-    tiles, with_ground = collector.marks
+def _measure(
+    work: BlockWork, collector: ResultCollector, space: Workspace, executor: Executor, progress: Progress
+) -> tuple[bool, int]:
+    """Rate all blocks; return whether only ground is measured, and how many tiles from all points nevertheless.
+
+    Tiles of a part that may never have been classified are measured in both ways, and what they show decides. So are
+    all tiles if it depends on that part whether the others are classified.
+    """
+    waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - collector.finished
+    tiles, with_ground, part = 1, int(collector.flagged), None
+    if work.ground == "auto" and collector.flagged:
+        marks = _marks(collector, executor)
+        tiles, with_ground = (sum(int((own >= least).sum()) for own in marks.values()) for least in (BLANK, GROUND))
+        part = UnclassifiedPart.find(marks, work.grid.tile_size)
+    ground_only = decide_ground(work.ground, tiles, with_ground)
+    if part is None or not decide_ground(work.ground, tiles - part.tiles, with_ground):
+        kind = GROUND_POINTS if ground_only else ALL_POINTS
+        _finish(collector, space, executor, progress, {(kind,): waiting})
+        return ground_only, 0
+    kinds = GROUND_POINTS, ALL_POINTS
+    both = waiting & part.blocks(1) if ground_only else waiting
+    _finish(collector, space, executor, progress, {kinds: both, kinds[:1]: waiting - both})
+    ground, every = (finished_tiles(work, space, kind) for kind in kinds)
+    found = part.never_classified(lowest_points(part, ground, every))
+    if not decide_ground(work.ground, tiles - int(found.sum()), with_ground):
+        return False, 0
+    return True, save_joined(part, found, ground, every, work, space) if found.any() else 0
+
+
+def _marks(collector: ResultCollector, executor: Executor) -> dict[BlockKey, NDArray[np.uint8]]:
+    """Return the marks of the tiles of all blocks, see `tile_marks`."""
+    marks = collector.marks
     groups = collector.catalogue.groups(collector.finished, single=executor.one_group)
-    with closing(executor.count_marks(groups)) as counts:
-        for more, more_with_ground in counts:
-            tiles, with_ground = tiles + more, with_ground + more_with_ground
-    return decide_ground(work.ground, tiles, with_ground)
+    with closing(executor.mark_tiles(groups)) as found:
+        for own in found:
+            marks |= own
+    return marks
 
 
 def _finish(
-    collector: ResultCollector, space: Workspace, executor: Executor, progress: Progress, *, ground_only: bool
+    collector: ResultCollector,
+    space: Workspace,
+    executor: Executor,
+    progress: Progress,
+    waiting: Mapping[tuple[str, ...], set[BlockKey]],
 ) -> None:
-    kind = "ground" if ground_only else "all"
-    before = {key for path in space.tiles(kind) for key in Pack(path).keys}
-    waiting = {(row, col) for row, col in collector.catalogue.keys().tolist()} - collector.finished
-    progress.start("measuring blocks of tiles", len(waiting))
-    progress.advance(len(waiting & before))
-    groups = collector.catalogue.groups(collector.finished | before, single=executor.one_group)
-    with closing(executor.finish(groups, ground_only=ground_only)) as results:
-        for packs in results:
-            collector.add_tiles(kind, packs)
+    """Rate the blocks that wait for each choice of kinds, but for those that an earlier run has rated."""
+    every = set[BlockKey]().union(*waiting.values())
+    progress.start("measuring blocks of tiles", len(every))
+    for kinds, keys in waiting.items():
+        before = set.intersection(*({key for path in space.tiles(kind) for key in Pack(path).keys} for kind in kinds))
+        progress.advance(len(keys & before))
+        others = collector.finished | before | (every - keys)
+        groups = collector.catalogue.groups(others, single=executor.one_group)
+        with closing(executor.finish(groups, kinds)) as results:
+            for packs in results:
+                for kind, own in zip(kinds, packs, strict=True):
+                    collector.add_tiles(kind, own)

@@ -1,4 +1,4 @@
-"""A worker: reads ranges of chunks, counts tiles with ground, rates blocks.
+"""A worker: reads ranges of chunks, marks tiles with ground, rates blocks.
 
 On one machine a single worker keeps points in memory between tasks. In a cluster each task uses a new `Worker`, which
 writes what other tasks need to packs.
@@ -15,13 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bumpymap.core import Progress
+from bumpymap.readers import tile_marks
 from bumpymap.survey.engine.block_work import BlockWork, TileSink
 from bumpymap.survey.engine.budget import Budget, Workspace
 from bumpymap.survey.engine.collector import BlockGroup, ReadResult
 from bumpymap.survey.engine.plan import ReadTask
 from bumpymap.survey.engine.reading import OpenRange, RangeReader, blocks_of
 from bumpymap.survey.engine.run import ReadPlan
-from bumpytiles import MemoryLimits, Pack, TileBuckets, run_blocks
+from bumpytiles import BlockKey, MemoryLimits, Pack, TileBuckets, run_blocks
 
 __all__ = ["LocalExecutor", "Worker", "new_folder"]
 
@@ -83,24 +84,26 @@ class Worker:
         tiles = _by_kind([*(result.tiles for result in found), early])
         return replace(ReadResult.merged(found), packs=self._unfinished_packs(), tiles=tiles)
 
-    def count_marks(self, group: BlockGroup) -> tuple[int, int]:
-        """Return the number of tiles with points, and of those with ground points, in some blocks."""
+    def mark_tiles(self, group: BlockGroup) -> dict[BlockKey, NDArray[np.uint8]]:
+        """Return the marks of the tiles of some blocks, (256,) each, see `tile_marks`."""
         self._store.packs = [Pack(path) for path in group.packs]
-        marks = np.sum(list(run_blocks(self._store.marks, group.keys, self._threads)), axis=0)
-        return int(marks[0]), int(marks[1])
+        marks = run_blocks(lambda key: tile_marks(self._store.flags(key)), group.keys, self._threads)
+        return dict(zip(group.keys, marks, strict=True))
 
-    def finish(self, group: BlockGroup, *, ground_only: bool) -> Iterator[list[Path]]:
-        """Rate blocks; yield the packs of their tiles as they are written."""
-        sink = TileSink(self._tiles, "ground" if ground_only else "all", self._work.columns)
+    def finish(self, group: BlockGroup, kinds: Sequence[str]) -> Iterator[list[list[Path]]]:
+        """Rate blocks; yield the packs of their tiles, for each kind, as they are written."""
+        sinks = {kind: TileSink(self._tiles, kind, self._work.columns) for kind in kinds}
         self._store.packs = [Pack(path) for path in group.packs]
-        for key, columns in self._work.finish(self._store, group.keys, self._threads, ground_only=ground_only):
-            sink.add(key, columns)
+        for key, columns in self._work.finish(self._store, group.keys, self._threads, kinds):
+            for kind, sink in sinks.items():
+                sink.add(key, columns[kind])
             self._store.finish(key)
             self._progress.advance(1)
-            if packs := sink.new_packs():
+            if any(packs := [sink.new_packs() for sink in sinks.values()]):
                 yield packs
-        sink.flush()
-        yield sink.new_packs()
+        for sink in sinks.values():
+            sink.flush()
+        yield [sink.new_packs() for sink in sinks.values()]
 
     def _reading(self, task: ReadTask, ranges: Sequence[OpenRange]) -> RangeReader:
         self._store.done = set(task.finished)
@@ -159,11 +162,11 @@ class LocalExecutor:
         ]
         yield from self._worker.read(task, ranges)
 
-    def count_marks(self, groups: Iterator[BlockGroup]) -> Generator[tuple[int, int], None, None]:
-        """Yield the number of tiles, and of those with ground points, for each group."""
-        return (self._worker.count_marks(group) for group in groups)
+    def mark_tiles(self, groups: Iterator[BlockGroup]) -> Generator[dict[BlockKey, NDArray[np.uint8]], None, None]:
+        """Yield the marks of the tiles of each block of each group."""
+        return (self._worker.mark_tiles(group) for group in groups)
 
-    def finish(self, groups: Iterator[BlockGroup], *, ground_only: bool) -> Generator[list[Path], None, None]:
-        """Rate the blocks of each group; yield packs of their tiles."""
+    def finish(self, groups: Iterator[BlockGroup], kinds: Sequence[str]) -> Generator[list[list[Path]], None, None]:
+        """Rate the blocks of each group; yield packs of their tiles, for each kind."""
         for group in groups:
-            yield from self._worker.finish(group, ground_only=ground_only)
+            yield from self._worker.finish(group, kinds)

@@ -19,8 +19,8 @@ from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
     RunContext,
-    count_marks,
     finish_group,
+    mark_tiles,
     missing_on_worker,
     opened,
     read_ranges,
@@ -143,13 +143,30 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     assert layers_of(out) == layers_of(plain / ground)
     assert list((tmp_path / "scratch").iterdir()) == []
     assert here.done.count(read_ranges) == tasks
-    assert (count_marks in here.done) == (ground == "auto" and tasks > 1)
+    assert (mark_tiles in here.done) == (ground == "auto" and tasks > 1)
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
     assert record["inputs"] == single["inputs"]
     assert [entry["checksum"] for entry in record["inputs"]] == [
         hash_survey(path) for path in sorted(surveys.iterdir())
     ]
+
+
+def test_workers_find_the_part_that_was_never_classified(tmp_path, here, monkeypatch):
+    rng = np.random.default_rng(6)
+    x, y = rng.uniform(0.01, 119.99, 80_000), rng.uniform(0.01, 47.99, 80_000)
+    columns = (x + 500_001, y + 4_000_002, 0.02 * x + 0.01 * rng.normal(size=len(x)), np.where(x < 61, 2, 1))
+    for number, chosen in enumerate((np.flatnonzero(x < 80), np.flatnonzero(x > 50))):
+        write_part(tmp_path / "site" / f"{number}.las", columns, chosen, (500_000, 4_000_000, 0))
+    monkeypatch.setattr("bumpymap.survey.engine.plan.LEAST_POINTS", 10_000)
+    records = []
+    for name, extra in (("one", ()), ("many", ("--set", "scheduler=here"))):
+        result = run("map", tmp_path / "site", "--out", tmp_path / name, *extra)
+        assert result.exit_code == 0, result.output
+        records.append(json.loads((tmp_path / name / "run.json").read_text()))
+    assert records[0]["tiles_from_all_points"] == records[1]["tiles_from_all_points"] > 300
+    assert here.done.count(finish_group) > 1
+    assert layers_of(tmp_path / "many") == layers_of(tmp_path / "one")
 
 
 @pytest.mark.realdata
