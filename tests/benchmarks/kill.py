@@ -115,7 +115,7 @@ class KillTest:
     def _stage(self) -> str:
         """Describe the stage of a killed run by the files on disk."""
         work = self._out / _WORK
-        staged = [file for folder in self._out.glob(_STAGED) for file in folder.iterdir()]
+        staged = [path for folder in self._out.glob(_STAGED) for path in folder.rglob("*") if path.is_file()]
         points, tiles = (
             len(list(folder.glob(pack)))
             for folder, pack in ((self._scratch, "**/points-*.pack"), (work, "tiles-*.pack"))

@@ -23,7 +23,7 @@ NODATA = 255
 
 def barred_tiles(layers):
     """Return what bars each tile, by column and row."""
-    with rasterio.open(layers / "barred.tif") as file:
+    with rasterio.open(layers / "rasters/barred.tif") as file:
         codes, transform = file.read(1), file.transform
     row, col = np.nonzero(codes != NODATA)
     west, north = round(transform.c / transform.a), round(transform.f / -transform.e)
@@ -54,7 +54,7 @@ def main():
         if given.dense is None:
             bumpymap.map_survey(given.survey, dense, **settings)
         before = barred_tiles(dense)
-        with rasterio.open(dense / "roughness.tif") as file:
+        with rasterio.open(dense / "rasters/roughness.tif") as file:
             density = np.nanmean(file.read(file.descriptions.index("density") + 1))
         print("| points/m2 | passable tiles that it bars | by reason | barred tiles that it opens | by reason before |")
         print("|---|---|---|---|---|")

@@ -70,7 +70,7 @@ def points_along(line, step=0.02):
 def compare_searches(folder, pairs, seed, *, joined):
     """Plan and search between pairs of pixels; print a line for each, and return the counts and ratios of costs."""
     site = open_map(folder)
-    with rasterio.open(folder / "obstacle.tif") as file:
+    with rasterio.open(folder / "rasters/obstacle.tif") as file:
         rows, cols = np.nonzero(file.read(1) == OBSTACLE)
         transform = file.transform
     obstacles = np.column_stack(transform @ (cols + 0.5, rows + 0.5))

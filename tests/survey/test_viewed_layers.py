@@ -4,7 +4,7 @@ import json
 import shutil
 
 import pytest
-from small_surveys import run, write_survey
+from small_surveys import files_in, run, write_survey
 
 from bumpymap.layers.products import VIEW_NAMES
 
@@ -37,7 +37,7 @@ def viewed(mapped, tmp_path):
         if (out / name).suffix in {".qml", ".qgs"}:
             (out / name).write_text("<qgis/>", encoding="utf-8")
     (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
-    for raster in out.glob("*.tif"):
+    for raster in out.rglob("*.tif"):
         side = raster.with_name(f"{raster.name}.aux.xml")
         if not side.exists():
             side.write_text(STATISTICS, encoding="utf-8")
@@ -45,11 +45,11 @@ def viewed(mapped, tmp_path):
 
 
 def test_the_same_run_again_has_nothing_to_do(survey, viewed):
-    before = {path.name: path.read_bytes() for path in viewed.iterdir()}
+    before = files_in(viewed)
     result = run("map", survey, "--out", viewed, "--json")
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout.splitlines()[-1])["already_done"]
-    assert {path.name: path.read_bytes() for path in viewed.iterdir()} == before
+    assert files_in(viewed) == before
     for name in VIEW_NAMES:  # deleted views are not missed
         (viewed / name).unlink(missing_ok=True)
     assert json.loads(run("map", survey, "--out", viewed, "--json").stdout.splitlines()[-1])["already_done"]
@@ -58,6 +58,6 @@ def test_the_same_run_again_has_nothing_to_do(survey, viewed):
 def test_overwriting_brings_the_styles_back(survey, mapped, viewed):
     result = run("map", survey, "--out", viewed, "--overwrite")
     assert result.exit_code == 0, result.output
-    for name in ("class.qml", "map.qgs"):
+    for name in ("rasters/class.qml", "map.qgs"):
         assert (viewed / name).read_bytes() == (mapped / name).read_bytes()
-    assert not (viewed / "roughness.tif.aux.xml").exists()
+    assert not (viewed / "rasters/roughness.tif.aux.xml").exists()
