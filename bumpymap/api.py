@@ -26,6 +26,7 @@ from bumpymap.core import (
     shares_text,
     short_repr,
     speed_bands,
+    with_pixels,
 )
 from bumpymap.layers import (
     MapFile,
@@ -497,7 +498,7 @@ def map_survey(
     >>> layers.manifest["counts"]["by_class"]["smooth"] > 500
     True
     """
-    own = map_settings(settings, "map_survey", MapSettings.__annotations__)
+    own = with_pixels(map_settings(settings, "map_survey", MapSettings.__annotations__))
     places = _places(surveys)
     if out is not None:
         target = folder_of_call("out", out)

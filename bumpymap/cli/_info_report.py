@@ -12,6 +12,7 @@ from rich.filesize import decimal
 from bumpymap.cli._text import Styled, Table, about, as_options
 from bumpymap.core import (
     GROUND_CLASSES,
+    INCLUDED_PIXELS,
     REASON_TEXT,
     BadInputError,
     FeatureSettings,
@@ -151,7 +152,7 @@ class Report:
             lines.append("no usable points (all are withheld, noise or without return): nothing to map")
         lines += self._unknown(file)
         grid = self.grid
-        if grid != Grid():
+        if INCLUDED_PIXELS.get(grid.tile_size) != grid.pixels:
             lines.append(
                 f"tiles of {grid.tile_size:g} m with {grid.pixels} pixels need a calibration that drives patches of "
                 f"that size: bumpymap calibrate --vehicle NAME_OR_FILE --tile-size {grid.tile_size:g} --set "
@@ -161,13 +162,24 @@ class Report:
             return lines
         outcome = self._outcome(file.summary)
         few = f", about {outcome.share:.0%} of the tiles will be unknown" if outcome else ""
-        return [f"ready{few}: {self._command([file.path], [file])}"]
+        ready = f"ready{few}: {self._command([file.path], [file])}"
+        if file.summary is None or file.summary.unseen <= _MANY_UNSEEN:
+            return [ready]
+        unseen = (
+            f"about {file.summary.unseen:.0%} of the tiles hold so few points that they get a class, but no way "
+            "through them: what stands there is not seen"
+        )
+        return [unseen, ready]
 
     def _unknown(self, file: FileReport) -> list[str]:
         """Return the share of unknown tiles and advice; from a header alone, whether there are enough points."""
         settings, size = FeatureSettings(), self.grid.tile_size
-        if (outcome := self._outcome(file.summary)) is not None:
-            return list(filter(None, [advise(outcome, settings, before_run=True)]))
+        if file.summary is not None and (outcome := self._outcome(file.summary)) is not None:
+            advice, lines = advise(outcome, settings, before_run=True), list[str]()
+            few = file.summary.double_few if outcome.measured == "points" else file.summary.ground_double_few
+            if advice and 2 * size in INCLUDED_PIXELS and few < 0.5 * outcome.share:
+                lines.append(f"--tile-size {2 * size:g} would leave about {few:.0%} of the tiles unknown")
+            return [*lines, advice] if advice else []
         enough = enough_points(settings, thin=True)
         if file.dropped is not None or file.density is None or file.density * size**2 >= enough:
             return []
@@ -369,6 +381,7 @@ _CLASS_NAMES = (
 """Of LAS classes 0 to 18."""
 
 
+_MANY_UNSEEN = 0.1
 _LOW_M, _MANY = 0.3, 0.01
 """Median height above the ground, m, up to which points lie on it, and the share of tiles from which that is said."""
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from bumpymap.cli._options import FILE, JOBS, Run, gone_option, grouped_option, job
 from bumpymap.cli._progress import CommandProgress
 from bumpymap.cli._text import DRIVES_KEPT, about, interrupt_note, print_line
-from bumpymap.core import OutputError, Steps, UsageError, atomic, locked
+from bumpymap.core import BumpymapError, OutputError, Steps, UsageError, atomic, locked, with_pixels
 from bumpymap.lab import CalibrationSettings
 
 if TYPE_CHECKING:
@@ -45,13 +45,25 @@ def command(run: Run, vehicle: str | None, out: Path, jobs: int | None, quick: b
         )
     workers = jobs or os.cpu_count() or 1
     settings = CalibrationSettings(load_profile(vehicle))
-    settings = replace(settings.quick() if quick else settings, **run.settings)
+    settings = replace(settings.quick() if quick else settings, **with_pixels(run.settings))
     again = _command_line(settings, vehicle, out, quick)
     with run.progress() as progress:
         announce = print_line if not (run.quiet or run.as_json) else (lambda _text: None)
-        calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce)
+        like = _of_other_tiles(vehicle, settings)
+        calibration = _calibrate(settings, out, workers, overwrite, again, progress, announce, like)
     record = {"out": str(out), "id": calibration.id, "class_limits": calibration.class_limits}
     run.show(record, _lines(calibration, out))
+
+
+def _of_other_tiles(vehicle: str, settings: CalibrationSettings) -> "Calibration | None":
+    """Return the calibration of the vehicle for tiles of another size, if it is found: classes mean the same there."""
+    from bumpymap.rating import find_calibration
+
+    try:
+        found = find_calibration(vehicle)
+    except BumpymapError:
+        return None
+    return None if found.tile_size == settings.tile_size else found
 
 
 def _calibrate(
@@ -62,6 +74,7 @@ def _calibrate(
     again: str,
     progress: CommandProgress,
     announce: Callable[[str], None],
+    like: "Calibration | None",
 ) -> "Calibration":
     from bumpymap.lab import (
         calibrate_vehicle,
@@ -89,6 +102,7 @@ def _calibrate(
             journal=journal,
             discard_other=overwrite,
             command=again,
+            like=like,
         )
         with atomic(out) as beside:
             beside.write_text(calibration.to_json(), encoding="utf-8")

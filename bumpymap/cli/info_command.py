@@ -9,7 +9,7 @@ import click
 from bumpymap.cli._options import LOCATION, Run, grouped_option, job, settings_options
 from bumpymap.cli._progress import CommandProgress, show_progress
 from bumpymap.cli._text import print_json, print_lines
-from bumpymap.core import OF_CRS, MapConfig
+from bumpymap.core import OF_CRS, MapConfig, with_pixels
 
 if TYPE_CHECKING:
     from bumpymap.cli._info_report import FileReport
@@ -43,7 +43,7 @@ def command(run: Run, quick: bool) -> None:
 
     logging.getLogger("bumpymap").setLevel(logging.ERROR)  # warnings of the readers are in the report
     # Checks that the settings are valid for a run.
-    config = MapConfig(**{**run.settings, "out": Path()})
+    config = MapConfig(**{**with_pixels(run.settings), "out": Path()})
     limited = with_memory(config)
     grid, budget = Grid(config.tile_size, config.pixels), Budget(memory_bytes(limited.memory), config.threads)
     options = ReadOptions(

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from bumpymap.cli._options import LOCATION, NO_SHEETS, RESUME, Run, job
-from bumpymap.core import CLASHES, MapConfig, Progress
+from bumpymap.core import CLASHES, MapConfig, Progress, with_pixels
 
 __all__ = ["ImportsAhead", "command", "start_ahead"]
 
@@ -62,7 +62,7 @@ def command(run: Run) -> None:
     bumpymap map flight_1.laz flight_2.laz --out layers --crs EPSG:32614
     bumpymap map site.laz --out layers --vehicle my_robot.toml --set pixels=21
     """  # noqa: D301 - \b is click's mark for lines that must not be wrapped
-    config = MapConfig(**run.required(surveys="site.laz", out="--out DIR"))
+    config = MapConfig(**with_pixels(run.required(surveys="site.laz", out="--out DIR")))
     if run.ctx.obj:  # this process runs nothing else
         start_ahead(config.surveys)
     from bumpymap.survey import map_surveys, require_known

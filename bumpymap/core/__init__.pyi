@@ -2,6 +2,7 @@ from .config import (
     CLASHES as CLASHES,
     DECK_CLASS as DECK_CLASS,
     GROUND_CLASSES as GROUND_CLASSES,
+    INCLUDED_PIXELS as INCLUDED_PIXELS,
     OF_CRS as OF_CRS,
     VEHICLE_OR_CALIBRATION as VEHICLE_OR_CALIBRATION,
     Align as Align,
@@ -20,6 +21,7 @@ from .config import (
     decide_ground as decide_ground,
     override_settings as override_settings,
     refuse_clashes as refuse_clashes,
+    with_pixels as with_pixels,
 )
 from .crs import (
     CrsStatement as CrsStatement,
@@ -244,8 +246,10 @@ from .types import (
     POINT_PLANT as POINT_PLANT,
     REASON_TEXT as REASON_TEXT,
     SEEN as SEEN,
+    SEEN_PER_M2 as SEEN_PER_M2,
     SIDES as SIDES,
     SOLID as SOLID,
+    SPANNED_POINTS as SPANNED_POINTS,
     SPEED_BANDS as SPEED_BANDS,
     STEEP as STEEP,
     TEXTURES as TEXTURES,

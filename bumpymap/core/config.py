@@ -15,6 +15,7 @@ __all__ = [
     "CLASHES",
     "DECK_CLASS",
     "GROUND_CLASSES",
+    "INCLUDED_PIXELS",
     "OF_CRS",
     "VEHICLE_OR_CALIBRATION",
     "Align",
@@ -33,6 +34,7 @@ __all__ = [
     "decide_ground",
     "override_settings",
     "refuse_clashes",
+    "with_pixels",
 ]
 
 Ground = Literal["auto", "all", "class", "csf"]
@@ -120,6 +122,15 @@ class CsfSettings:
         check_settings(self)
 
 
+INCLUDED_PIXELS: Mapping[float, int] = {3.0: 15, 5.0: 25, 6.0: 30}
+"""Tile sizes [m] for which calibrations are included, and pixels along such a tile: of 0.2 m."""
+
+
+def with_pixels(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a map or calibration with the number of pixels that suits their tiles, if they give none."""
+    return {"pixels": INCLUDED_PIXELS.get(settings.get("tile_size", 3.0), 15)} | dict(settings)
+
+
 @dataclass(frozen=True, slots=True)
 class MapConfig:
     """All settings of a ``map`` run."""
@@ -128,7 +139,13 @@ class MapConfig:
     """Files and folders; strings are fsspec URLs."""
     out: Annotated[Path, Setting("Folder for the layers", "DIR", group="Output")]
     tile_size: Annotated[float, Setting("Side of a tile, in metres", "M", 0.05, 1000.0, "m", group="Ground")] = 3.0
-    pixels: Annotated[int, Setting("Heightmap pixels along a side of a tile", "N", 3, 255, rare=True)] = 15
+    pixels: Annotated[
+        int,
+        Setting(
+            "Heightmap pixels along a side of a tile", "N", 3, 255, default="15; 25, 30 for tiles of 5, 6 m", rare=True
+        ),
+    ] = 15
+    """`with_pixels` sets those of the tile size."""
     ground: Annotated[Ground, Setting("Points to use: auto, all, class or csf", "KIND", group="Ground")] = "auto"
     """Points that are measured: ``all``; those whose ``class`` is ground; ``auto``: these if most tiles have such
     points, else all; or those found by a cloth simulation filter (``csf``)."""

@@ -41,8 +41,10 @@ __all__ = [
     "POINT_PLANT",
     "REASON_TEXT",
     "SEEN",
+    "SEEN_PER_M2",
     "SIDES",
     "SOLID",
+    "SPANNED_POINTS",
     "SPEED_BANDS",
     "STEEP",
     "TEXTURES",
@@ -73,8 +75,14 @@ __all__ = [
     "tile_columns",
 ]
 
-THIN_POINTS = 15
-"""A thin tile with fewer points is unknown."""
+THIN_POINTS = 4
+"""A thin tile with fewer points is unknown: three lie on a plane, whatever the ground."""
+
+SPANNED_POINTS = 11
+"""So many points, or more, must span a thin tile: with fewer, a quarter of it without points is chance."""
+
+SEEN_PER_M2 = 4 / 3
+"""Pixels per m2 that hold a point, without which no way leads through a thin tile: what stands there is not known."""
 
 THIN_PARTS = 3
 """Parts along a side of a tile, of which each block of 2 x 2 must hold a point."""

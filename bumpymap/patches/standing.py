@@ -22,7 +22,6 @@ from bumpymap.core import (
     POINT_GROUND,
     POINT_OTHER,
     STEEP,
-    THIN_POINTS,
     THIN_SEEN,
     UNSEEN,
     FeatureSettings,
@@ -69,6 +68,8 @@ _SPREAD = 0.7
 _STEEP = 0.3
 """Share of the raised pixels that lie so close to the foot of a side, at least: a swell of the ground has none."""
 
+_LEAST_PIXELS = 15
+"""With fewer pixels of ground a tile does not tell what stands on it."""
 _BENEATH = 0.5
 """Ground so far beneath the lowest point of a bridge deck in its pixel is not that of the deck, m."""
 
@@ -169,7 +170,7 @@ def _mark_strays(
 ) -> None:
     """Mark the pixels of strays at the height of the vehicle in a thin tile as ``LONE``, and ``near`` around them."""
     known = np.isfinite(patches.heights[t])
-    if known.sum() < THIN_POINTS:
+    if known.sum() < _LEAST_PIXELS:
         return
     row, col, ground, above = _above_plane(t, points, patches, known)
     held, found = np.zeros(states.shape, np.int64), np.zeros(states.shape, np.bool_)
@@ -226,7 +227,7 @@ def leave_out_standing(
         min_coverage=settings.min_coverage,
         min_points=settings.min_points,
         # As in `measure_thin`: a larger number than usual holds for thin tiles too.
-        thin_points=max(THIN_POINTS, settings.min_points * (settings.min_points > FeatureSettings().min_points)),
+        thin_points=max(_LEAST_PIXELS, settings.min_points * (settings.min_points > FeatureSettings().min_points)),
         thin_seen=THIN_SEEN,
     )
     tiles = BareTiles(
@@ -265,7 +266,7 @@ def _without_strays(
     flag, kept = points.flag.copy(), []
     for t in asked.tolist():
         known = np.isfinite(patches.heights[t]) & ~near[t]
-        if known.sum() < THIN_POINTS:
+        if known.sum() < _LEAST_PIXELS:
             continue
         row, col, ground, above = _above_plane(t, points, patches, known)
         low, high = ground.min() - 0.5 * settings.stray_gap, ground.max() + 0.5 * settings.stray_gap

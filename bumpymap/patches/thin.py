@@ -61,9 +61,10 @@ def measure_thin(
     )
     at_random = -np.expm1(-patches.count / patches.grid.pixels**2)
     clustered = patches.coverage < HOLE_SHARE * at_random
-    raised = settings.min_points > FeatureSettings().min_points
     real_holes = (patches.reason == Reason.TOO_MANY_HOLES) & (patches.count >= HOLE_POINTS) & clustered
-    pairs[real_holes | (raised & (patches.count < settings.min_points)), _SEEN] = 0.0
+    pairs[real_holes, _SEEN] = 0.0
+    if settings.min_points > FeatureSettings().min_points:
+        pairs[patches.count < settings.min_points] = np.nan
     relief_map = np.full((len(points.col), grid.pixels, grid.pixels), np.nan, np.float32)
     if thin.any():
         relief_map[thin] = _filled(_take(tiles, thin), settings, grid.tile_size, grid.pixels)

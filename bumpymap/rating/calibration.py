@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from bumpymap.core import (
+    INCLUDED_PIXELS,
     TEXTURES,
     BadInputError,
     CostRule,
@@ -213,8 +214,9 @@ class Calibration:
             raise UsageError(
                 f"the calibration {self.id} was made for tiles of {self.tile_size:g} m with {self.pixels} pixels, the "
                 f"map has {tile_size:g} m with {pixels}. Use `tile_size={self.tile_size:g}`, `pixels={self.pixels}`, "
-                f"or make a calibration that drives over patches of your size: bumpymap calibrate --vehicle {vehicle} "
-                f"--tile-size {tile_size:g} --set pixels={pixels} --out my.json; then pass `calibration='my.json'`"
+                "or an included vehicle with tiles of 3, 5 or 6 m, or make a calibration that drives over patches of "
+                f"your size: bumpymap calibrate --vehicle {vehicle} --tile-size {tile_size:g} --set pixels={pixels} "
+                "--out my.json; then pass `calibration='my.json'`"
             )
 
     def _hashed_text(self) -> str:
@@ -280,8 +282,10 @@ class Calibration:
         return cls.from_json(text, str(path))
 
     @classmethod
-    def shipped(cls, vehicle: str) -> "Calibration":
-        """Read the calibration of an included vehicle, such as ``warthog``.
+    def shipped(cls, vehicle: str, tile_size: float = 3.0) -> "Calibration":
+        """Read the calibration of an included vehicle, such as ``warthog``, for tiles of 3, 5 or 6 m.
+
+        For other sizes it is that for 3 m, which `require_grid` refuses.
 
         Raises
         ------
@@ -296,7 +300,10 @@ class Calibration:
                 "Calibrate another vehicle (bumpymap calibrate --vehicle NAME_OR_FILE --out FILE) and pass the result "
                 "with `calibration='FILE'`"
             )
-        resource = files("bumpymap.rating") / "data" / "calibrations" / f"{vehicle}.json"
+        resource = files("bumpymap.rating") / "data" / "calibrations"
+        if tile_size in INCLUDED_PIXELS and tile_size != 3.0:
+            resource /= f"{tile_size:g}m"
+        resource /= f"{vehicle}.json"
         return cls.from_json(resource.read_text(encoding="utf-8"), f"calibration {vehicle}")
 
     @property

@@ -390,7 +390,7 @@ def _about(quantity: Quantity) -> str:
     return f"# {what[0].upper()}{what[1:]} ({quantity.allowed})."
 
 
-def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibration:
+def find_calibration(vehicle: str | Path, file: Path | None = None, tile_size: float = 3.0) -> Calibration:
     """Find the calibration of a vehicle.
 
     Parameters
@@ -401,6 +401,8 @@ def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibrati
         description and weights are those of the TOML file.
     file : Path, optional
         A calibration file; ``vehicle`` is then ignored.
+    tile_size : float
+        m; calibrations for tiles of 3, 5 and 6 m are included.
 
     Raises
     ------
@@ -413,7 +415,7 @@ def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibrati
         return _checked(Calibration.load(file), str(file))
     profile = load_profile(vehicle)
     if str(vehicle) in shipped_calibrations():
-        return Calibration.shipped(str(vehicle))
+        return Calibration.shipped(str(vehicle), tile_size)
     path = Path(vehicle)
     beside = calibration_beside(path)
     again = f"bumpymap calibrate --vehicle {shlex.quote(str(path))} --out {shlex.quote(str(beside))}"
@@ -425,7 +427,7 @@ def find_calibration(vehicle: str | Path, file: Path | None = None) -> Calibrati
             raise BadInputError(f"{error}. Calibrate for the vehicle of {path}: {again} --overwrite") from error
     for name in shipped_calibrations():
         try:
-            return Calibration.shipped(name).with_preferences(profile.to_dict(), name)
+            return Calibration.shipped(name, tile_size).with_preferences(profile.to_dict(), name)
         except BadInputError:  # another vehicle
             continue
     raise BadInputError(

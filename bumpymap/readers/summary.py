@@ -18,6 +18,8 @@ from bumpymap.core import (
     GROUND_CLASSES,
     POINT_DECK,
     POINT_GROUND,
+    SEEN_PER_M2,
+    SPANNED_POINTS,
     THIN_PARTS,
     THIN_POINTS,
     THIN_SEEN,
@@ -251,6 +253,12 @@ class PointSummary:
     """Number of tiles that cannot be rated from all points, by reason; those with holes are estimated from a sample."""
     ground_unknown: dict[Reason, float]
     """The same if only ground points are measured."""
+    unseen: float
+    """Share of the tiles that hold so few points that no way is seen through them, 0..1."""
+    double_few: float
+    """Share of the tiles of twice the size that hold too few points to be rated, 0..1."""
+    ground_double_few: float
+    """The same if only ground points are measured."""
     classes: dict[int, ClassSummary]
     """By LAS class."""
 
@@ -336,6 +344,9 @@ class PointSummaryBuilder:
             ground_tiles=ground_counts.size,
             unknown=self._unknown(self.all_points),
             ground_unknown={Reason.NO_GROUND: float(without)} | self._unknown(self.ground),
+            unseen=float(np.mean(counts < SEEN_PER_M2 * self._grid.tile_size**2)),
+            double_few=_few_in_double(*self.all_points.tiles.total(), ground_counts[:0]),
+            ground_double_few=_few_in_double(*self.ground.tiles.total(), self.all_points.tiles.total()[0]),
             classes=_summarise_classes(*self.classes.total(), counts.size, self._ground_classes),
         )
 
@@ -349,9 +360,18 @@ class PointSummaryBuilder:
         def estimate(tiles: NDArray[np.bool_], *rules: Rule) -> float:
             return held.share_unknown(codes[tiles], *rules) * float(tiles.sum()) if tiles.any() else 0.0
 
-        few = float((~dense_enough & ~thin_enough).sum()) + estimate(~dense_enough & thin_enough, thin_rule)
+        asked = ~dense_enough & thin_enough & (counts >= SPANNED_POINTS)
+        few = float((~dense_enough & ~thin_enough).sum()) + estimate(asked, thin_rule)
         holes = estimate(dense_enough & ~thin_enough, dense) + estimate(dense_enough & thin_enough, dense, thin_rule)
         return {Reason.TOO_FEW_POINTS: few, Reason.TOO_MANY_HOLES: holes}
+
+
+def _few_in_double(codes: Ints, counts: Ints, others: Ints) -> float:
+    """Return the share of tiles of twice the size with too few points; ``others``: tiles that may hold none."""
+    every = np.concatenate([codes, others])
+    whole, place = np.unique((every >> 24) << 23 | (every & _INDEX_MASK) >> 1, return_inverse=True)
+    held = np.bincount(place, np.concatenate([counts, np.zeros(len(others))]), len(whole))
+    return float(np.mean(held < THIN_POINTS)) if len(whole) else 0.0
 
 
 def _tile_codes(cloud: PointCloud, grid: Grid) -> Ints:

@@ -89,8 +89,8 @@ def _explained(reason: Reason, outcome: Outcome, settings: FeatureSettings) -> t
         )
     if outcome.measured == "points" or outcome.all_points_per_tile < enough:
         return why, (
-            "A denser survey would help, or larger tiles, with a calibration of their size: bumpymap info --tile-size "
-            "METRES says how many are unknown then"
+            "A denser survey would help, or larger tiles: bumpymap info --tile-size 5 (or 6) says how many are unknown "
+            "then; vehicles of your own, and other sizes, need a calibration of their own"
         )
     text = f"--ground all measures every point, {outcome.all_points_per_tile:.0f} per tile on average, vegetation too"
     if outcome.measured == "ground points":

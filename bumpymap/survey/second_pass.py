@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 
 from bumpymap.core import (
     CANOPY,
+    EMPTY,
     FAIL_SHARE,
     FREE,
     NO_CLASS,
     OBSTACLE,
     SEEN,
+    SEEN_PER_M2,
     SIDES,
     SOLID,
     UNSEEN,
@@ -303,7 +305,7 @@ class NeighbourRating:
     def __call__(self, window: NeighbourWindow) -> Columns:
         """Return `neighbour_columns` of the inner tiles."""
         own = {name: window.inner(name) for name in (*_RATED, "slope", "coverage", *_OBJECTS)}
-        known = self._known(window.columns)
+        known = self._known(window.columns) & self._seen(window)
         if self.rates_thin:
             own |= asdict(
                 rate_thin(window["thin"], _first(window), window["coverage"], window["slope"], self.calibration)
@@ -341,6 +343,12 @@ class NeighbourRating:
         """Return which tiles have a class, or will have one."""
         known: NDArray[np.bool_] = columns["class_id"] != NO_CLASS
         return known | is_rateable(columns["thin"], columns["reason"]) if self.rates_thin else known
+
+    def _seen(self, window: NeighbourWindow) -> NDArray[np.bool_]:
+        """Return which tiles show enough for a way: of few points the ride may be known, but not what stands there."""
+        states = window["objects"]
+        held = np.sum((states != UNSEEN) & (states % SEEN != EMPTY), axis=(2, 3))
+        return np.asarray((window["class_id"] != NO_CLASS) | (held >= SEEN_PER_M2 * self.grid.tile_size**2))
 
     def _out_of_relief(self, window: NeighbourWindow, objects: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return the pixels with what stands out of the relief of tiles whose points all count as ground."""

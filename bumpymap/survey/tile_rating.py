@@ -74,7 +74,7 @@ class RatingModels:
         BumpymapError
             A file cannot be read, or is for tiles of another size.
         """
-        calibration = find_calibration(config.vehicle, config.calibration)
+        calibration = find_calibration(config.vehicle, config.calibration, config.tile_size)
         calibration.require_grid(config.tile_size, config.pixels)
         calibration = at_speed(calibration, config.speed)
         own = float(calibration.vehicle["speed_mps"])

@@ -41,10 +41,10 @@ def foretold_and_found(out, *words):
 @pytest.mark.parametrize(
     ("density", "ground_share", "words"),
     [
-        (1.5, 0.0, "larger tiles, with a calibration of their size: bumpymap info --tile-size METRES"),
+        (0.4, 0.0, "larger tiles: bumpymap info --tile-size 5 (or 6) says how many are unknown then"),
         (5.0, 0.0, ""),
         (14.0, 0.08, "--ground all measures every point, 126 per tile"),
-        (1.4, 0.8, "A denser survey would help"),
+        (0.4, 0.8, "A denser survey would help"),
         (60.0, 0.5, ""),
     ],
 )

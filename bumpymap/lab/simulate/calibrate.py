@@ -90,10 +90,12 @@ def calibration_journal(path: Path, settings: CalibrationSettings) -> Journal[Pa
     return Journal(path, settings.to_dict(), read)
 
 
-def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command: str = "") -> Calibration:
+def summarise(
+    settings: CalibrationSettings, results: Mapping[Key, Any], command: str = "", like: Calibration | None = None
+) -> Calibration:
     """Compute table and classes of a calibration from the drives of its jobs (key of a job -> its drives).
 
-    ``command`` is the command line that makes the file again.
+    ``command`` is the command line that makes the file again; ``like`` gives the class limits, see `calibrate_vehicle`.
     """
     table = [
         [
@@ -113,11 +115,9 @@ def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command
 
     driven = driven_library(settings, results)
     crossed = [[[mean for mean in cell if mean is not None] for cell in line] for line in means]
-    limits = class_limits(driven)
-    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
-    class_id = np.searchsorted(limits, known, side="right")  # of all terrains, also those of few completed drives
-    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
-    record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": _RULE, "patch_c_r": means}
+    limits = class_limits(driven) if like is None else like.class_limits
+    rule = _RULE if like is None else f"those of the calibration {like.id}, for tiles of {like.tile_size:g} m"
+    record: dict[str, Any] = {"command": command, **settings.to_dict(), "class_rule": rule, "patch_c_r": means}
     record["library"] = library_record(driven)
     return Calibration(
         vehicle=record.pop("vehicle"),
@@ -130,7 +130,7 @@ def summarise(settings: CalibrationSettings, results: Mapping[Key, Any], command
         p_fail=cells(lambda cell: sum(p.failed for p in cell) / sum(len(p.outcome) for p in cell), table),
         drives=cells(lambda cell: sum(len(patch.outcome) for patch in cell), table),
         class_limits=limits,
-        class_c_r=(a, b, c, d),
+        class_c_r=class_means(driven, limits),
         settings=record,
     )
 
@@ -159,6 +159,16 @@ def class_limits(driven: Sequence[DrivenTerrain]) -> tuple[float, float, float]:
             "the vehicle hardly pitches on this ground"
         )
     return low, middle, high
+
+
+def class_means(
+    driven: Sequence[DrivenTerrain], limits: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """Return the mean C_r [rad/m] of the terrains of each class, also of those of few completed drives."""
+    known = np.array([t.c_r for t in driven if t.c_r is not None], dtype=np.float64)
+    class_id = np.searchsorted(limits, known, side="right")
+    a, b, c, d = (float(known[class_id == k].mean()) for k in range(len(CLASS_NAMES)))
+    return a, b, c, d
 
 
 def natural_breaks(values: NDArray[np.float64], groups: int) -> list[float]:
@@ -225,6 +235,7 @@ def calibrate_vehicle(
     journal: Journal[PatchDrives | MotionRecord] | None = None,
     discard_other: bool = False,
     command: str = "",
+    like: Calibration | None = None,
 ) -> Calibration:
     """Drive a vehicle over synthetic terrain, summarise the ride cost of each kind of ground and fit the models.
 
@@ -237,6 +248,8 @@ def calibrate_vehicle(
         As from `calibration_journal`.
     command : str
         Command line that makes the file again; stored in the calibration.
+    like : Calibration, optional
+        Of the same vehicle for tiles of another size: its class limits are taken.
 
     Returns
     -------
@@ -251,5 +264,5 @@ def calibrate_vehicle(
         journal=journal,
         discard_other=discard_other,
     )
-    made = refit(summarise(settings, results, command))
+    made = refit(summarise(settings, results, command, like))
     return replace(made, steps=fit_steps(made, results), motion=fit_motion(settings, results).to_record())

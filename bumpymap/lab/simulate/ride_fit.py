@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import FeatureSettings, Reason
+from bumpymap.core import SPANNED_POINTS, THIN_POINTS, FeatureSettings, Reason
 from bumpymap.lab.simulate.terrain import relief_and_slope
 from bumpymap.lab.worlds.terrains import FINE, ScanEffects, Terrain, survey_terrain
 from bumpymap.patches import measure, measure_thin
@@ -92,14 +92,13 @@ def _noisy_patches(terrains: Sequence[Terrain], truth: NDArray[np.float64], oper
 
 
 Floats = NDArray[np.float64]
-_THIN_DENSITIES = (1.7, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
+_THIN_DENSITIES = (0.5, 0.75, 1.0, 1.3, 1.7, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 20.0, 30.0)
 _THIN_NOISES_M = (0.0, 0.005, 0.01, 0.02, 0.04)
-_CUT_DENSITIES = (4.0, 12.0)
+_CUT_DENSITIES = (2.0, 4.0, 12.0)
 """Surveys that see a part of each tile alone."""
 _SEED = 40_000
 _GROUPS = 2
 """Parts of the library that pool their noise, each about as large as a block of tiles."""
-_LEAST_POINTS = 12
 _FLOOR = 0.05
 """C_r below this share of the first class limit is raised to it: smoother ground is of no use to tell apart."""
 _BARE_TILES = 40
@@ -143,7 +142,8 @@ def _surveys(
     conditions += [(density, noise, True) for density in _CUT_DENSITIES for noise in _THIN_NOISES_M[::2]]
     for number, (density, noise, cut) in enumerate(conditions):
         columns, tile = survey_columns(terrains, ScanEffects(density, noise), _SEED + number, operator, cut=cut)
-        known = np.isfinite(columns).all(axis=1) & (columns[:, 0] >= _LEAST_POINTS) & (columns[:, 1] > 0)
+        spanned = (columns[:, 1] > 0) | (columns[:, 0] < SPANNED_POINTS)
+        known = np.isfinite(columns).all(axis=1) & (columns[:, 0] >= THIN_POINTS) & spanned
         pooled = np.empty(len(tile))
         for group in range(_GROUPS):
             own = tile % _GROUPS == group

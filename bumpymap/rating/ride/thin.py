@@ -87,6 +87,9 @@ class ThinModel:
     """Coefficients of `fail_terms`, in logits."""
     origin: dict[str, Any]
     """The data of the fit, and its errors."""
+    prior: tuple[float, float] = (0.0, 1e6)
+    """Mean and standard deviation of ln C_r of the ground of the fit. Predictions of tiles about which the points say
+    little are drawn to this mean; the default takes nothing back."""
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> "ThinModel":
@@ -98,7 +101,7 @@ class ThinModel:
             A value is missing or has the wrong length.
         """
         try:
-            values = {f.name: record[f.name] for f in fields(cls)}
+            values = {f.name: record[f.name] for f in fields(cls) if f.name != "prior" or "prior" in record}
             numbers: dict[str, Any] = {k: dict(v) if k == "origin" else number_tuples(v) for k, v in values.items()}
             made = cls(**numbers)
             made.require_lengths()

@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import DENSE_COVERAGE, NO_CLASS, THIN_POINTS, THIN_SEEN, Reason, UsageError
+from bumpymap.core import DENSE_COVERAGE, NO_CLASS, SPANNED_POINTS, THIN_POINTS, THIN_SEEN, Reason, UsageError
 from bumpymap.rating.calibration import Calibration, remembered
 from bumpymap.rating.ride.correction import NORMAL_TAIL, TAIL, Prediction, fit_logistic
 from bumpymap.rating.ride.rate import interval, judge
@@ -30,6 +30,8 @@ Floats = NDArray[np.float64]
 
 
 _FREEDOM = 4.0
+_MOST_DRAWN = 0.8
+"""Most of the variance of the ground of the fit that the error of a tile counts for."""
 _LEAST_VARIANCE = 0.02
 """Of ln C_r between neighbours: even ground differs by 14 % from tile to tile."""
 _UNKNOWN_VARIANCE = 1.0
@@ -39,41 +41,61 @@ _LEAST_WEIGHT = 1e-12
 _SIDES = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 
 
-def pull_to_neighbours(found: Prediction, own_weight: Floats, fail_growth: float) -> Prediction:
+def pull_to_neighbours(found: Prediction, shared: Floats, own_weight: Floats, model: ThinModel) -> Prediction:
     """Combine the prediction of each tile with those of its eight neighbours.
+
+    A regression draws a tile of which its points say little to the mean of the ground that it was fitted to: nine such
+    tiles would be drawn nine times. So that is taken back first, in proportion to the error (of a normal distribution
+    with a normal prior), and the neighbours say what to expect instead. A tile without known neighbours keeps its
+    prediction.
 
     Parameters
     ----------
     found : Prediction
         Arrays (rows, cols) with a ring of one tile; NaN where a tile is unknown.
+    shared : array (2, rows, cols)
+        Standard deviation of ln C_r below and above the median that all tiles have in common, and that no neighbour
+        makes smaller: that of the noise of the survey. Not in ``found``.
     own_weight : array (rows, cols)
         0: as the errors tell; 1: a tile that does not move.
-    fail_growth : float
-        Growth of the logit of p_fail per ln C_r.
+    model : ThinModel
+        That made the predictions.
 
     Returns
     -------
     Prediction
         Arrays without the ring.
     """
-    variance = (0.5 * (found.below + found.above)) ** 2
-    between = _variance_between(found.log_c_r, variance)
-    middle, sure, unlike = _mean_of_neighbours(found.log_c_r, 1.0 / (variance + between))
-    own = found.each(lambda values: values[1:-1, 1:-1])
-    error = variance[1:-1, 1:-1]
+    mean, prior_sd = model.prior
+    model_error = model.own_spread**2
+    variance = np.maximum((0.5 * (found.below + found.above)) ** 2 - model_error, _LEAST_ERROR**2)
+    most = _MOST_DRAWN * prior_sd**2
+    unsure = np.minimum(variance + np.mean(shared, axis=0) ** 2, most)
+    drawn = (1.0 - own_weight) * unsure / (prior_sd**2 - unsure)
+    log_c_r = found.log_c_r + drawn * (found.log_c_r - mean)
+    variance = np.minimum(variance, most) * (1.0 + drawn)
+    between = _variance_between(log_c_r, variance)
+    middle, sure, unlike = _mean_of_neighbours(log_c_r, 1.0 / (variance + between))
+    inner = np.s_[1:-1, 1:-1]
+    own, free = found.each(lambda values: values[inner]), 1.0 - own_weight[inner]
+    error, freed, drawn = variance[inner], log_c_r[inner], drawn[inner]
     prior = between * np.maximum(unlike, 1.0) + 1.0 / np.maximum(sure, 1e-9)
-    away = (own.log_c_r - middle) ** 2 / (prior + error)
+    away = (freed - middle) ** 2 / (prior + error)
     prior = prior * (_FREEDOM + away) / (_FREEDOM + 1.0)
-    moved = np.where(sure > 0, (1.0 - own_weight[1:-1, 1:-1]) * error / (prior + error), 0.0)
-    narrower = np.sqrt(1.0 - moved)
-    by = moved * (np.where(sure > 0, middle, 0.0) - own.log_c_r)
-    odds = own.p_fail / np.maximum(1.0 - own.p_fail, _LEAST_WEIGHT) * np.exp(fail_growth * np.clip(by, 0.0, _MOST_RISE))
+    beside = sure > 0
+    moved = np.where(beside, free * error / (prior + error), 0.0)
+    by = np.where(beside, freed - own.log_c_r + moved * (middle - freed), 0.0)
+    before = np.where(beside, error / (1.0 + drawn), error)
+    narrower = np.sqrt((error * (1.0 - moved) + model_error) / (before + model_error))
+    below, above = shared[:, 1:-1, 1:-1] * free * np.where(beside, 1.0 + drawn, 1.0)
+    odds = own.p_fail / np.maximum(1.0 - own.p_fail, _LEAST_WEIGHT)
+    odds = odds * np.exp(model.fail_growth * np.clip(by, 0.0, _MOST_RISE))
     return replace(
         own,
         log_c_r=own.log_c_r + by,
         p_fail=np.where(by > 0, odds / (1.0 + odds), own.p_fail),
-        below=own.below * narrower,
-        above=own.above * narrower,
+        below=np.hypot(own.below * narrower, below),
+        above=np.hypot(own.above * narrower, above),
     )
 
 
@@ -243,12 +265,12 @@ def rate_thin(
     if not ((reason == Reason.OK) & (weight < 1.0))[1:-1, 1:-1].any():
         return first.inner()
     with np.errstate(all="ignore"):  # of tiles without points
-        thin_tiles = _predicted(model, flat, reason == Reason.OK)
+        thin_tiles, shared = _predicted(model, flat, reason == Reason.OK)
         if more := speed_log_sd(calibration):
             thin_tiles = thin_tiles.at_speed(plain_speed_factor(calibration, thin_tiles.log_c_r), more)
         mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
-        found = pull_to_neighbours(replace(mixed, log_c_r=known), weight, model.fail_growth)
+        found = pull_to_neighbours(replace(mixed, log_c_r=known), shared.reshape(2, *weight.shape), weight, model)
         tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
         steep = np.fmax(slope, np.degrees(np.arctan(tangent)))[1:-1, 1:-1]
         thin = _as_rating(found, steep, reason[1:-1, 1:-1], calibration)
@@ -282,7 +304,7 @@ def dense_share(coverage: NDArray[np.floating]) -> Floats:
 
 
 def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Return which tiles can be rated from their points: 15 at least, that span the tile.
+    """Return which tiles can be rated from their points: four at least; ``SPANNED_POINTS`` and more span the tile.
 
     Parameters
     ----------
@@ -292,7 +314,8 @@ def is_rateable(columns: NDArray[np.float32], reason: NDArray[np.uint8]) -> NDAr
         Of the first pass.
     """
     points, seen = (columns[..., THIN_COLUMNS.index(name)] for name in ("points", "seen"))
-    known = np.isfinite(columns).all(axis=-1) & (points >= THIN_POINTS) & (seen >= THIN_SEEN)
+    spanned = (points < SPANNED_POINTS) | (seen >= THIN_SEEN)
+    known = np.isfinite(columns).all(axis=-1) & (points >= THIN_POINTS) & spanned
     return np.asarray(np.isin(reason, _RATEABLE) & known)
 
 
@@ -301,8 +324,11 @@ def _reasons(columns: NDArray[np.float32], reason: NDArray[np.uint8], weight: Fl
     return np.where(is_rateable(columns, reason) & (weight < 1.0), np.uint8(Reason.OK), reason)
 
 
-def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> Prediction:
-    """Predict the wanted tiles, NaN for others; what the error of the pooled noise changes widens the interval."""
+def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> tuple[Prediction, Floats]:
+    """Predict the wanted tiles, NaN for others.
+
+    Also return what the error of the pooled noise changes, as standard deviations of ln C_r below and above, (2, n).
+    """
     names = ("squares_1", "pairs_1", "spread")
     squares, pairs, spread = (columns[:, THIN_COLUMNS.index(name)] for name in names)
     noise = pool_noise(squares, pairs, spread**2)
@@ -311,14 +337,12 @@ def _predicted(model: ThinModel, columns: Floats, wanted: NDArray[np.bool_]) -> 
     values = np.repeat([noise.low, noise.middle, noise.high], number)
     at_noise = model.predict(np.tile(columns[usable], (3, 1)), values)
     low, middle, high = at_noise.log_c_r.reshape(3, number)
-    found = np.full((4, len(columns)), np.nan)
-    found[:, usable] = (
-        middle,
-        np.hypot(at_noise.below[number : 2 * number], np.maximum(middle - high, 0.0)),
-        np.hypot(at_noise.above[number : 2 * number], np.maximum(low - middle, 0.0)),
-        np.array([0.25, 0.5, 0.25]) @ at_noise.p_fail.reshape(3, number),
-    )
-    return Prediction(*found)
+    own = np.s_[number : 2 * number]
+    found, shared = np.full((4, len(columns)), np.nan), np.zeros((2, len(columns)))
+    p_fail = np.array([0.25, 0.5, 0.25]) @ at_noise.p_fail.reshape(3, number)
+    found[:, usable] = middle, at_noise.below[own], at_noise.above[own], p_fail
+    shared[:, usable] = np.maximum(middle - high, 0.0), np.maximum(low - middle, 0.0)
+    return Prediction(*found), shared
 
 
 def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -> Prediction:
@@ -401,6 +425,7 @@ def fit_thin(surveys: ThinSurveys) -> ThinModel:
         rest = part != k
         predicted[~rest] = terms[~rest] @ _robust_fit(terms[rest], target[rest])
     residual = target - predicted
+    prior = (float(np.mean(surveys.log_c_r)), float(np.std(surveys.log_c_r)))
     spread, sides = _fit_spread(spread_terms(*inputs), residual)
     fail = _fit_fail(fail_terms(*first), surveys.p_fail)
     order = np.argsort(np.argsort(predicted)), np.argsort(np.argsort(target))
@@ -412,6 +437,7 @@ def fit_thin(surveys: ThinSurveys) -> ThinModel:
         sides=sides,
         own_spread=surveys.own_spread,
         fail=tuple(fail.tolist()),
+        prior=prior,
         origin={
             "tiles": len(target),
             "terrains": len(np.unique(surveys.terrain)),

@@ -18,6 +18,7 @@ from bumpymap.core import (
     override_settings,
     read_settings_file,
     refuse_clashes,
+    with_pixels,
 )
 
 __all__ = ["OWN_SETTINGS", "BatchConfig", "SurveyPer", "read_batch_settings"]
@@ -68,7 +69,7 @@ class BatchConfig:
 
     def merged(self, own: Mapping[str, Any]) -> dict[str, Any]:
         """Return the settings of one survey, with those that its row in the CSV gives."""
-        return override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES)
+        return with_pixels(override_settings(override_settings(self.defaults, own, CLASHES), self.given, CLASHES))
 
     def of_survey(self, own: Mapping[str, Any], surveys: tuple[Path | str, ...] = (), name: str = "") -> MapConfig:
         """Return the settings of one survey, before resources are shared out.

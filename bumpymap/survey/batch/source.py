@@ -26,6 +26,7 @@ from bumpymap.core import (
     refuse_clashes,
     refuse_faults,
     settings_with_options,
+    with_pixels,
 )
 from bumpymap.layers import BATCH_NAMES
 from bumpymap.rating import Calibration, find_calibration
@@ -247,8 +248,8 @@ def settings_faults(
             with _noted(faults):
                 parse_crs(settings[name], name)
     with _noted(faults):
-        config = MapConfig(surveys=(), out=Path(), **settings)
-        found = calibration(config.vehicle, config.calibration)
+        config = MapConfig(surveys=(), out=Path(), **with_pixels(settings))
+        found = calibration(config.vehicle, config.calibration, config.tile_size)
         if complete:
             found.require_grid(config.tile_size, config.pixels)
     if settings.get("model") is not None and not settings["model"].is_file():

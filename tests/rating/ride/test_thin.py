@@ -14,7 +14,7 @@ from bumpymap.rating import BlockRating, RideModel, rate_thin, roll_over
 from bumpymap.rating.calibration import Calibration
 from bumpymap.rating.ride.correction import Prediction
 from bumpymap.rating.ride.thin import THIN_COLUMNS, ThinModel
-from bumpymap.rating.ride.thin_rate import pool_noise, pull_to_neighbours
+from bumpymap.rating.ride.thin_rate import is_rateable, pool_noise, pull_to_neighbours
 
 CALIBRATION = Calibration.shipped("warthog")
 RIDE = RideModel(CALIBRATION)
@@ -35,7 +35,7 @@ def unseen():
 
 def columns_of(terrains, density, noise):
     columns, tile = survey_columns(terrains, ScanEffects(density, noise), 5, RIDE.operator)
-    known = (columns[:, 0] >= 15) & (columns[:, 1] >= 5 / 9) & np.isfinite(columns).all(axis=1)
+    known = is_rateable(columns, np.zeros(len(columns), np.uint8))
     return columns[known], tile[known]
 
 
@@ -100,10 +100,11 @@ def maps(coverage=0.15, slope=3.0):
     return np.full((18, 18), coverage), np.full((18, 18), slope)
 
 
-def test_thin_tiles_get_a_class_and_few_points_stay_unknown(unseen):
+def test_thin_tiles_get_a_class_and_those_of_which_too_little_is_known_stay_unknown(unseen):
     columns = block_of(unseen)
-    columns[5, 5, 0] = 14
-    columns[6, 6, 1] = 0.0
+    columns[5, 5, 0] = 3
+    columns[6, 6, :2] = 11, 0.0  # a quarter without points, which is chance among ten
+    columns[9, 9, :2] = 10, 0.0
     columns[7, 7] = np.nan
     first = first_pass()
     first.reason[8, 8] = Reason.OUTLIER_RELIEF
@@ -189,26 +190,54 @@ def alone(log_c_r, p_fail=0.1, error=0.3):
     return Prediction(log_c_r, np.full(shape, error), np.full(shape, error), np.full(shape, p_fail))
 
 
+def pulled(log_c_r, weight=0.0, prior=(0.0, 1e6), error=0.3, shared=0.0):
+    """Pull tiles of equal error to their neighbours, by a model without an error of its own."""
+    shape = log_c_r.shape
+    model = replace(MODEL, own_spread=0.0, prior=prior)
+    found = alone(log_c_r, error=error)
+    return pull_to_neighbours(found, np.full((2, *shape), shared), np.full(shape, weight), model)
+
+
 def test_neighbours_pull_a_tile_but_a_step_stays():
     rng = np.random.default_rng(2)
     level = rng.normal(-2.0, 0.3, (18, 18))
-    calm = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    calm = pulled(level)
     assert calm.log_c_r.std() < 0.6 * level[1:-1, 1:-1].std()
     assert (calm.below < 0.3).all()
     level[9, 9] = 2.0
-    step = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
-    assert step.log_c_r[8, 8] > 1.5
-    fixed = pull_to_neighbours(alone(level), np.ones((18, 18)), 2.0)
-    np.testing.assert_array_equal(fixed.log_c_r, level[1:-1, 1:-1])
+    assert pulled(level).log_c_r[8, 8] > 1.5
+    np.testing.assert_array_equal(pulled(level, weight=1.0).log_c_r, level[1:-1, 1:-1])
 
 
 def test_no_neighbour_makes_a_tile_safer():
     rng = np.random.default_rng(3)
     level = rng.normal(-1.0, 0.5, (18, 18))
-    found = pull_to_neighbours(alone(level), np.zeros((18, 18)), 2.0)
+    found = pulled(level)
     rose = found.log_c_r > level[1:-1, 1:-1]
     assert (found.p_fail[rose] > 0.1).all()
     assert (found.p_fail[~rose] == 0.1).all()
+
+
+def test_what_the_library_adds_is_taken_back_where_neighbours_are_known():
+    """Predictions of smooth ground under noise lie between the ground and the mean of the library."""
+    rng = np.random.default_rng(4)
+    mean, prior_sd, error, truth = -2.0, 1.3, 0.9, -4.5
+    pulls = error**2 / prior_sd**2
+    posterior = error * np.sqrt(1 - pulls)  # of a normal prior and a normal error
+    seen = truth + rng.normal(0.0, error / np.sqrt(1 - pulls), (34, 34))
+    found = seen + pulls * (mean - seen)
+    assert found.mean() > truth + 0.9
+    freed = pulled(found, prior=(mean, prior_sd), error=error)
+    assert freed.log_c_r.mean() == pytest.approx(truth, abs=0.15)
+    assert posterior > freed.below.mean() > 0.2 * posterior
+    lone = np.full((18, 18), np.nan)
+    lone[9, 9] = -3.0
+    assert pulled(lone, prior=(mean, prior_sd), error=error).log_c_r[8, 8] == -3.0
+
+
+def test_no_neighbour_narrows_what_the_noise_of_the_survey_leaves_open():
+    level = np.full((18, 18), -2.0)
+    assert (pulled(level, shared=0.5).below >= 0.5).all()
 
 
 def test_record_is_read_back_and_a_damaged_one_refused():

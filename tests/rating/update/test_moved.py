@@ -73,6 +73,7 @@ def test_thin_tiles_steps_and_the_table_move_too(name):
     columns[:, :3] = 30.0, 1.0, relief
     was, now = (ThinModel.from_record(each.thin).predict(columns, np.array([0.01])) for each in (old, new))
     assert now.log_c_r == pytest.approx(move.log(was.log_c_r))
+    assert ThinModel.from_record(new.thin).prior[0] == pytest.approx(move.log(ThinModel.from_record(old.thin).prior[0]))
     assert np.array_equal(now.p_fail, was.p_fail)
     assert new.steps["tile"]["c_r"] == pytest.approx(np.exp(move.log(np.log(old.steps["tile"]["c_r"]))))
     assert new.steps["tile"]["p_fail"] == old.steps["tile"]["p_fail"]
