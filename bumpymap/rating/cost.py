@@ -63,15 +63,19 @@ def rate(patches: PatchStack, textures: TextureMap, calibration: Calibration, ge
     chance = textures.probability[known].astype(np.float64)
     log_mean, log_sd, fails = _read_tables(patches.relief[known], calibration)
     c_r, p_fail = (chance * np.exp(log_mean)).sum(axis=1), (chance * fails).sum(axis=1)
-    p_fail[patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])] = 1.0
+    too_steep = patches.slope[known] > float(calibration.vehicle["slope_limit_deg"])
     mixture = _Mixture(chance, log_mean - 0.5 * log_sd**2, log_sd)  # the tables hold the logarithm of the mean
     low, high = (
         np.exp(mixture.quantile(share, normal)) for share, normal in ((_TAIL, _NORMAL_TAIL), (1 - _TAIL, -_NORMAL_TAIL))
     )
     edges = np.concatenate(([-np.inf], np.log(calibration.class_limits), [np.inf]))
-    failing = p_fail >= FAIL_SHARE
+    failing = too_steep | (p_fail >= FAIL_SHARE)
     rank = np.where(failing, len(edges) - 2, np.searchsorted(calibration.class_limits, c_r, side="right"))
-    sure = np.where(failing, p_fail, mixture.share_below(edges[rank + 1]) - mixture.share_below(edges[rank]))
+    sure = np.where(
+        failing,
+        np.where(too_steep, 1.0, p_fail),
+        mixture.share_below(edges[rank + 1]) - mixture.share_below(edges[rank]),
+    )
     interval = (
         with_floor(values, calibration.map_floor) for values in (c_r, np.minimum(low, c_r), np.maximum(high, c_r))
     )

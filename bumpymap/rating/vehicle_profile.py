@@ -117,7 +117,7 @@ class Vehicle:
             "m/s", 0.05, 15, "the speed of every drive; C_r depends on it, so choose the speed at which you will drive"
         ),
     ]
-    slope_limit_deg: Annotated[float, Quantity("deg", 3, 60, "`map` gives steeper tiles a `p_fail` of 1")]
+    slope_limit_deg: Annotated[float, Quantity("deg", 3, 60, "steeper tiles are class 3 and not passable")]
     ride_weight: Annotated[
         float,
         Quantity("m/rad", 0, 1000, "the detour that is acceptable to avoid one radian of pitch motion; a preference"),

@@ -155,7 +155,7 @@ class RideModel:
         calibration.require_grid(patches.grid.tile_size, patches.grid.pixels)
         found, factors = self._predict(patches)
         known = (patches.reason == Reason.OK) & np.isfinite(found.log_c_r)
-        class_id, chance, p_fail = judge(found, patches.slope, calibration)
+        class_id, chance = judge(found, patches.slope, calibration)
         c_r, low, high = interval(found, calibration.map_floor)
         return CostMap(
             georeference=georeference,
@@ -165,7 +165,7 @@ class RideModel:
             c_r=_where(known, c_r),
             c_r_low=_where(known, low),
             c_r_high=_where(known, high),
-            p_fail=_where(known, p_fail),
+            p_fail=_where(known, found.p_fail),
             # Filled pixels are a guess; a tile full of them is believed less.
             confidence=_where(known, chance * np.sqrt(patches.coverage)),
             rule=calibration.cost_rule,
@@ -180,19 +180,17 @@ def interval(found: Prediction, floor: float) -> tuple[Floats, Floats, Floats]:
     return c_r, low, high
 
 
-def judge(
-    found: Prediction, slope: NDArray[np.floating], calibration: Calibration
-) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Return class, its probability, and p_fail of n predictions.
+def judge(found: Prediction, slope: NDArray[np.floating], calibration: Calibration) -> tuple[NDArray[np.int64], Floats]:
+    """Return class and its probability of n predictions.
 
-    Ground steeper than the vehicle's limit (``slope``, (n,) degrees) fails for certain; where at least ``FAIL_SHARE``
-    of the drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
+    Where the ground is steeper than the vehicle's limit (``slope``, (n,) degrees), or at least ``FAIL_SHARE`` of the
+    drives fail, the class is the roughest. The floor plays no part: predictions and limits are those of drives.
     """
-    p_fail = np.where(slope > float(calibration.vehicle["slope_limit_deg"]), 1.0, found.p_fail)
     class_id, chance = _class_chance(found, calibration.class_limits)
-    lost = p_fail >= FAIL_SHARE
+    failing = np.where(slope > float(calibration.vehicle["slope_limit_deg"]), 1.0, found.p_fail)
+    lost = failing >= FAIL_SHARE
     last = len(calibration.class_limits)
-    return np.where(lost, last, class_id), np.where(lost, np.maximum(p_fail, chance), chance), p_fail
+    return np.where(lost, last, class_id), np.where(lost, np.maximum(failing, chance), chance)
 
 
 def _class_chance(found: Prediction, limits: tuple[float, ...]) -> tuple[NDArray[np.int64], Floats]:

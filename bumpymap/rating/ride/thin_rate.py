@@ -271,9 +271,12 @@ def rate_thin(
         mixed = _mixed(thin_tiles, first, weight, calibration.map_floor)
         known = np.where(reason == Reason.OK, mixed.log_c_r, np.nan)
         found = pull_to_neighbours(replace(mixed, log_c_r=known), shared.reshape(2, *weight.shape), weight, model)
-        tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)
-        steep = np.fmax(slope, np.degrees(np.arctan(tangent)))[1:-1, 1:-1]
-        thin = _as_rating(found, steep, reason[1:-1, 1:-1], calibration)
+        tangent = flat[:, THIN_COLUMNS.index("slope")].reshape(weight.shape)[1:-1, 1:-1]
+        # Where only the plane of the few points is too steep, drives fail: what bars a tile knows the other alone.
+        limit = float(calibration.vehicle["slope_limit_deg"])
+        hidden = (np.degrees(np.arctan(tangent)) > limit) & ~(slope[1:-1, 1:-1] > limit)
+        found = replace(found, p_fail=np.where(hidden, 1.0, found.p_fail))
+        thin = _as_rating(found, slope[1:-1, 1:-1], reason[1:-1, 1:-1], calibration)
     rated = np.isfinite(found.log_c_r) & (weight[1:-1, 1:-1] < 1.0)
     before = first.inner()
     return BlockRating(
@@ -363,17 +366,19 @@ def _mixed(thin: Prediction, first: BlockRating, weight: Floats, floor: float) -
     return Prediction(*mixed)
 
 
-def _as_rating(found: Prediction, steep: Floats, reason: NDArray[np.uint8], calibration: Calibration) -> BlockRating:
+def _as_rating(
+    found: Prediction, slope: NDArray[np.floating], reason: NDArray[np.uint8], calibration: Calibration
+) -> BlockRating:
     """Turn predictions into what is stored, by the rules of the ride rating."""
-    line = judge(found.each(np.ravel), steep.ravel(), calibration)
-    class_id, chance, p_fail = (values.reshape(steep.shape) for values in line)
+    line = judge(found.each(np.ravel), slope.ravel(), calibration)
+    class_id, chance = (values.reshape(slope.shape) for values in line)
     c_r, low, high = interval(found, calibration.map_floor)
     return BlockRating(
         class_id=class_id.astype(np.uint8),
         c_r=c_r.astype(np.float32),
         c_r_low=low.astype(np.float32),
         c_r_high=high.astype(np.float32),
-        p_fail=p_fail.astype(np.float32),
+        p_fail=found.p_fail.astype(np.float32),
         confidence=chance.astype(np.float32),
         reason=reason,
     )

@@ -181,6 +181,10 @@ def test_a_low_end_that_is_lost_in_the_floor_keeps_no_tile_from_its_points(unsee
 
 def test_too_steep_ground_is_not_passable(unseen):
     found = rate_thin(block_of(unseen), first_pass(), *maps(slope=31.0), CALIBRATION)
+    assert (found.class_id == 3).all()
+    columns = block_of(unseen)
+    columns[..., THIN_COLUMNS.index("slope")] = 1.0  # 45 degrees, which the heightmap does not show
+    found = rate_thin(columns, first_pass(), *maps(slope=3.0), CALIBRATION)
     assert (found.p_fail == 1).all()
     assert (found.class_id == 3).all()
 
