@@ -25,7 +25,7 @@ settings.load_profile("bumpymap")
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Modules that several rooms' tests share, and made-up ground, drives and sensors.
+# Modules that several rooms' tests share, and made-up ground.
 sys.path += [str(Path(__file__).parent / folder) for folder in ("helpers", "worlds")]
 
 

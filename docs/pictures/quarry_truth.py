@@ -1,21 +1,24 @@
-"""Draw docs/pages/img/quarry_truth.png: the relief of the sample site, and its zones. Needs matplotlib."""
+"""Draw docs/pages/img/quarry_truth.png: the relief of the sample site, its crowns and its zones. Needs matplotlib."""
 
 import sys
 from pathlib import Path
 
+import laspy
 import matplotlib as mpl
 
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import LightSource
-from matplotlib.patches import Circle
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests" / "worlds"))
 
-from made_quarry import BOUNDS, TREES, ZONES, height, zone_at
+from made_quarry import BOUNDS, height, tiles_of
 
+ROOT = Path(__file__).resolve().parents[2]
 STEP = 0.1
+SYMBOLS = "RWUXSP/BAfmo"
+CROWN_CLASS = 5
 LABELS = {
     "road": (20, 27),
     "washboard": (64, 28),
@@ -38,17 +41,20 @@ def draw(target: Path) -> None:
     northing = np.arange(box.south + STEP / 2, box.north, STEP)
     east, north = np.meshgrid(easting, northing)
     shade = LightSource(315, 40).hillshade(height(east, north), vert_exag=2.0, dx=STEP, dy=STEP)
-    zones = np.searchsorted(sorted(ZONES), zone_at(east, north))
+    zones = np.ma.masked_all((round((box.north - box.south) / 3), round((box.east - box.west) / 3)))
+    for number, symbol in enumerate(SYMBOLS):
+        col, row = tiles_of(symbol)
+        zones[row - round(box.south / 3), col - round(box.west / 3)] = number
     extent = (0.0, box.east - box.west, 0.0, box.north - box.south)
     figure, (left, right) = plt.subplots(1, 2, figsize=(16, 6.9), sharey=True, layout="constrained")
     left.imshow(shade, origin="lower", extent=extent, cmap="gray")
     left.set_title("relief (hillshade, heights doubled) and tree crowns")
     right.imshow(shade, origin="lower", extent=extent, cmap="gray")
-    colours = np.ma.masked_equal(zones, sorted(ZONES).index("transition"))
-    right.imshow(colours, origin="lower", extent=extent, cmap="gist_rainbow", alpha=0.35, interpolation="nearest")
-    right.set_title("zones; grey: one surface fades into the next")
-    for tree in TREES:
-        left.add_patch(Circle((tree.easting - box.west, tree.northing - box.south), tree.radius, color="#2e7d32"))
+    right.imshow(zones, origin="lower", extent=extent, cmap="gist_rainbow", alpha=0.35, interpolation="nearest")
+    right.set_title("zones, by tiles; grey: one surface fades into the next")
+    survey = laspy.read(ROOT / "sample_data" / "quarry.laz")
+    crowns = np.asarray(survey.classification) == CROWN_CLASS
+    left.plot(survey.x[crowns] - box.west, survey.y[crowns] - box.south, ",", color="#2e7d32")
     for name, (x, y) in LABELS.items():
         right.text(x, y, name, ha="center", va="center", fontsize=11, color="black")
     right.annotate("step", (77.5, 60.5), (83, 66.5), arrowprops={"arrowstyle": "->"}, fontsize=11, va="center")
@@ -61,4 +67,4 @@ def draw(target: Path) -> None:
 
 
 if __name__ == "__main__":
-    draw(Path(__file__).parents[1] / "pages" / "img" / "quarry_truth.png")
+    draw(ROOT / "docs" / "pages" / "img" / "quarry_truth.png")

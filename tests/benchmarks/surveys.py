@@ -1,152 +1,196 @@
-"""Make the large surveys for the benchmarks; the same seed gives the same points.
+"""Make a large survey for the benchmarks: rough ground in LAS records of numbered points, in any order.
 
 python tests/benchmarks/surveys.py --points 20000000 --order sorted --format laz --data FOLDER
 
-A thousand million points take 6.2 GB as LAZ; to make them takes about as long as to compress them.
+The position, height, colour and time of a point are functions of its number and the seed. A survey in swaths and the
+same survey shuffled therefore contain the same points, and 200 million of them need no memory. A thousand million
+points take 6.2 GB as LAZ; to make them takes about as long as to compress them.
 """
 
 import argparse
-import json
 import math
-import shutil
-import sys
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import laspy
 import numpy as np
-from _ground import SCALE, SWATH, fill_records, scramble
-from numpy.typing import NDArray
+from numba import njit
 from pyproj import CRS
 
-ORDERS = ("sorted", "shuffled")
-FORMATS = ("laz", "las")
-_PARALLEL = laspy.LazBackend.LazrsParallel
-
-_EPSG = 32632
+SEED = 1
+SCALE = 1e-3
+"""Resolution of the coordinates, m."""
+SPACING = 1.0 / math.sqrt(220.0)
+"""Mean distance between neighbouring points, m: 220 points/m2."""
+SWATH = 1024
+"""Points across a swath."""
 _CORNER = (691_200.0, 5_335_800.0, 0.0)
-"""South-west corner of every site, m."""
+"""South-west corner of every site in EPSG:32632, m."""
 _BATCH = 1_000_000
-_BYTES = {"las": {"sorted": 36, "shuffled": 36}, "laz": {"sorted": 7, "shuffled": 20}}
-"""Format -> order -> bytes per point on disk, rounded up."""
-_SPARE = 1_000_000_000
-"""Bytes of disk space to keep free."""
+
+_OCTAVES = 7
+_LONGEST = 64.0
+_STONE_CELL = 7.0
 
 
-@dataclass(frozen=True, slots=True)
-class Survey:
-    """One survey to make."""
-
-    points: int
-    order: str
-    """``sorted``: swath by swath, line by line; ``shuffled``: in random order over the site."""
-    format: str
-    seed: int = 1
-
-    @property
-    def name(self) -> str:
-        """Name of the file; contains all settings."""
-        return f"site_{self.points}_{self.order}_{self.seed}.{self.format}"
-
-    @property
-    def swaths(self) -> int:
-        """Swaths of the site."""
-        return max(1, round(math.sqrt(self.points) / SWATH))
-
-    @property
-    def lines(self) -> int:
-        """Number of scan lines per swath that makes the site about square."""
-        return math.ceil(self.points / (SWATH * self.swaths))
-
-    def numbers(self) -> Iterator[NDArray[np.int64]]:
-        """Yield the numbers of the points of a file in its order, in batches."""
-        if self.order == "sorted":
-            for first in range(0, self.points, _BATCH):
-                yield np.arange(first, min(first + _BATCH, self.points))
-            return
-        half_bits = math.ceil((self.points - 1).bit_length() / 2)
-        for first in range(0, 4**half_bits, _BATCH):
-            yield scramble(first, min(_BATCH, 4**half_bits - first), half_bits, self.points, self.seed)
+@njit(nogil=True)
+def _mix(value):
+    """Hash a number to 64 bits (the finaliser of splitmix64)."""
+    value += np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))
 
 
-def make(survey: Survey, folder: Path) -> Path:
-    """Make a survey unless it exists; the file appears whole."""
-    path = folder / survey.name
-    if path.exists():
-        return path
-    folder.mkdir(parents=True, exist_ok=True)
-    _refuse_full_disk(survey, folder)
-    started = time.perf_counter()
-    beside, header = path.with_name(path.name + ".part"), _header()
-    compress = survey.format == "laz"
-    try:
-        with laspy.open(beside, "w", header=header, do_compress=compress, laz_backend=_PARALLEL) as writer:
-            for numbers in survey.numbers():
-                records = np.zeros(len(numbers), header.point_format.dtype())
-                fill_records(numbers, survey.lines, survey.seed, records)
-                points = laspy.ScaleAwarePointRecord(records, header.point_format, header.scales, header.offsets)
-                writer.write_points(points)
-        beside.rename(path)
-    finally:
-        beside.unlink(missing_ok=True)
-    seconds = time.perf_counter() - started
-    sys.stderr.write(f"made {path.name}: {path.stat().st_size / 1e9:.2f} GB in {seconds:.0f} s\n")
-    return path
+@njit(nogil=True)
+def _share(bits, first):
+    """Return a uniform number 0..1 from 16 of the bits."""
+    return float((bits >> np.uint64(first)) & np.uint64(0xFFFF)) / 65536.0
 
 
-def facts(path: Path) -> dict[str, float | int | str]:
-    """Describe a LAS or LAZ file: points, bytes, extent, format."""
-    with laspy.open(path) as reader:
-        header = reader.header
-    width, depth, height = (header.maxs - header.mins).tolist()
-    kind = "LAS" if path.suffix.lower() == ".las" else "LAZ"
-    return {
-        "points": header.point_count,
-        "bytes": path.stat().st_size,
-        "width_m": width,
-        "depth_m": depth,
-        "height_m": height,
-        "kind": f"{kind} {header.version}, point format {header.point_format.id}",
-    }
+@njit(nogil=True)
+def _corner(col, row, salt):
+    return _mix(_mix(np.uint64(col) + (np.uint64(salt) << np.uint64(40))) ^ (np.uint64(row) << np.uint64(20)))
 
 
-def _header() -> laspy.LasHeader:
+@njit(nogil=True)
+def _noise(x, y, salt):
+    """Return value noise: random heights -1..1 at integer x and y, smooth between them (x, y not negative)."""
+    col, row = int(x), int(y)
+    u, v = x - col, y - row
+    u, v = u * u * (3.0 - 2.0 * u), v * v * (3.0 - 2.0 * v)
+    south = _share(_corner(col, row, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row, salt), 0) * u
+    north = _share(_corner(col, row + 1, salt), 0) * (1.0 - u) + _share(_corner(col + 1, row + 1, salt), 0) * u
+    return 2.0 * (south * (1.0 - v) + north * v) - 1.0
+
+
+@njit(nogil=True)
+def _stone(x, y, salt):
+    """Return the height of the stone in the lattice cell at (x, y), m; 0 outside the stone."""
+    col, row = int(x / _STONE_CELL), int(y / _STONE_CELL)
+    bits = _corner(col, row, salt)
+    if _share(bits, 0) > 0.25:
+        return 0.0
+    radius = 0.3 + 0.9 * _share(bits, 16)
+    dx = x - (col + 0.3 + 0.4 * _share(bits, 32)) * _STONE_CELL
+    dy = y - (row + 0.3 + 0.4 * _share(bits, 48)) * _STONE_CELL
+    inside = 1.0 - (dx * dx + dy * dy) / (radius * radius)
+    return 0.8 * radius * math.sqrt(inside) if inside > 0.0 else 0.0
+
+
+@njit(nogil=True)
+def _height(x, y, seed):
+    """Return the height of the ground, m: hills, shorter and lower waves of varying strength, and stones."""
+    share = 0.5 + 0.5 * _noise(x / 45.0, y / 45.0, seed)
+    rough = 0.02 + 5.0 * share * share
+    total, amplitude, step = 0.0, 4.0, _LONGEST
+    for octave in range(_OCTAVES):
+        wave = amplitude * _noise(x / step, y / step, seed + 1 + octave)
+        total += wave if octave < 3 else rough * wave  # hills do not depend on the roughness
+        amplitude *= 0.45
+        step *= 0.45
+    return total + _stone(x, y, seed + 100)
+
+
+@njit(nogil=True)
+def scramble(first, count, half_bits, total, seed):
+    """Return the numbers below ``total`` at positions ``first`` to ``first + count`` of a random permutation.
+
+    A four-round Feistel network permutes the numbers of ``2 * half_bits`` bits; those not below ``total`` are dropped.
+    The positions from 0 to ``4 ** half_bits`` contain every number once.
+    """
+    mask = np.uint64((1 << half_bits) - 1)
+    found = np.empty(count, np.int64)
+    kept = 0
+    for place in range(first, first + count):
+        left, right = np.uint64(place) >> np.uint64(half_bits), np.uint64(place) & mask
+        for turn in range(4):
+            left, right = right, left ^ (_mix(right ^ (np.uint64(seed * 4 + turn) << np.uint64(32))) & mask)
+        number = (left << np.uint64(half_bits)) | right
+        if number < np.uint64(total):
+            found[kept] = number
+            kept += 1
+    return found[:kept]
+
+
+@njit(nogil=True)
+def fill_records(numbers, lines, seed, out):
+    """Write the points of some numbers (n,) to records (n,) of point format 7, relative to the south-west corner.
+
+    Number 0 is the first point of the first swath; a swath has ``lines`` scan lines, south to north, of ``SWATH``
+    points each.
+    """
+    for i in range(len(numbers)):
+        number = numbers[i]
+        swath, place = number // (SWATH * lines), number % (SWATH * lines)
+        line, across = place // SWATH, place % SWATH
+        bits, more = _mix(np.uint64(number) ^ np.uint64(seed << 48)), _mix(np.uint64(number) + np.uint64(1 << 60))
+        x = (swath * SWATH + across + _share(bits, 0)) * SPACING
+        y = (line + _share(bits, 16)) * SPACING
+        # The sum of three uniform numbers of width 0.03 m is nearly normal, with 15 mm standard deviation.
+        shake = 0.03 * (_share(bits, 32) + _share(bits, 48) + _share(more, 0) - 1.5)
+        z = _height(x, y, seed) + shake
+        shade = 0.5 + 0.35 * _noise(x / 0.8, y / 0.8, seed + 200) + 0.1 * (_share(more, 16) - 0.5)
+        last_of_two = _share(more, 32) < 0.06
+        record = out[i]
+        record.X, record.Y, record.Z = round(x / SCALE), round(y / SCALE), round(z / SCALE)
+        record.intensity = np.uint16(20000.0 * shade + 4000.0 * _share(more, 48))
+        record.bit_fields = 0x22 if last_of_two else 0x11
+        record.classification = 1
+        record.scan_angle = round((across - SWATH / 2) * 5000.0 / SWATH)
+        record.point_source_id = 1 + swath
+        record.gps_time = 3.994e8 + number * 4.2e-6 + swath * 30.0
+        # Cameras record 8 bits; software writes them as the upper 8 of 16 bits.
+        grain = _mix(more)
+        record.red = np.uint16(40.0 + 200.0 * shade + 6.0 * _share(grain, 0)) << 8
+        record.green = np.uint16(50.0 + 180.0 * shade + 6.0 * _share(grain, 16)) << 8
+        record.blue = np.uint16(35.0 + 150.0 * shade + 6.0 * _share(grain, 32)) << 8
+
+
+def numbered(points, order):
+    """Yield the numbers of the points of a file in its order, in batches."""
+    if order == "sorted":
+        for first in range(0, points, _BATCH):
+            yield np.arange(first, min(first + _BATCH, points))
+        return
+    half_bits = math.ceil((points - 1).bit_length() / 2)
+    for first in range(0, 4**half_bits, _BATCH):
+        yield scramble(first, min(_BATCH, 4**half_bits - first), half_bits, points, SEED)
+
+
+def make(points, order, path):
+    """Write a survey to a path ending with .las or .laz; the site is about square, and the file appears whole."""
     header = laspy.LasHeader(version="1.4", point_format=7)
-    header.scales = np.full(3, SCALE)
-    header.offsets = np.array(_CORNER)
+    header.scales, header.offsets = np.full(3, SCALE), np.array(_CORNER)
     header.generating_software = "bumpymap benchmarks"
     header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
-    header.add_crs(CRS.from_epsg(_EPSG))
-    return header
+    header.add_crs(CRS.from_epsg(32632))
+    lines = math.ceil(points / (SWATH * max(1, round(math.sqrt(points) / SWATH))))
+    beside, backend = path.with_name(path.name + ".part"), laspy.LazBackend.LazrsParallel
+    with laspy.open(beside, "w", header=header, do_compress=path.suffix == ".laz", laz_backend=backend) as writer:
+        for numbers in numbered(points, order):
+            records = np.zeros(len(numbers), header.point_format.dtype())
+            fill_records(numbers, lines, SEED, records)
+            writer.write_points(
+                laspy.ScaleAwarePointRecord(records, header.point_format, header.scales, header.offsets)
+            )
+    beside.rename(path)
 
 
-def _refuse_full_disk(survey: Survey, folder: Path) -> None:
-    needed = survey.points * _BYTES[survey.format][survey.order] + _SPARE
-    free = shutil.disk_usage(folder).free
-    if free < needed:
-        sys.exit(
-            f"{survey.name} may need {needed / 1e9:.1f} GB and {folder} has {free / 1e9:.1f} GB free. "
-            "Free some space, or choose a folder on a larger disk: --data FOLDER"
-        )
-
-
-def main() -> None:
-    """Make one survey, or describe a file with --facts; print one line of JSON."""
+def main():
+    """Make a survey unless it exists; print its path."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).with_name("data"), help="folder of the surveys")
+    parser.add_argument("--data", type=Path, required=True, help="folder of the surveys")
     parser.add_argument("--points", type=int, default=20_000_000)
-    parser.add_argument("--order", choices=ORDERS, default="sorted")
-    parser.add_argument("--format", choices=FORMATS, default="laz")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--facts", type=Path, metavar="FILE", help="describe FILE only")
+    parser.add_argument(
+        "--order", choices=("sorted", "shuffled"), default="sorted", help="swath by swath, or at random"
+    )
+    parser.add_argument("--format", choices=("laz", "las"), default="laz")
     given = parser.parse_args()
-    if given.points < 1:
-        parser.error(f"--points is {given.points}; it must be at least 1")
-    survey = Survey(given.points, given.order, given.format, given.seed)
-    path = given.facts or make(survey, given.data)
-    print(json.dumps({"path": str(path), **facts(path)}))
+    path = given.data / f"site_{given.points}_{given.order}_{SEED}.{given.format}"
+    if not path.exists():
+        given.data.mkdir(parents=True, exist_ok=True)
+        make(given.points, given.order, path)
+    print(path)
 
 
 if __name__ == "__main__":

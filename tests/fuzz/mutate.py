@@ -11,8 +11,6 @@ from corpus.bases import bases
 from corpus.las_file import HEADER, HEADER_1_4, layout_of
 from las_files import ENTRY
 
-__all__ = ["Edit", "Start", "applied", "mutated", "starts"]
-
 Edit = tuple[int, int, bytes]
 """Start, end and what stands there instead; each edit counts places in what the edits before it left."""
 

@@ -1,30 +1,26 @@
 """One input, one verdict, under limits of memory and time.
 
-``trial.py FOLDER`` writes "ready", then reads a JSON string a line, the path of an input, and writes a verdict for
-each.
+``trial.py FOLDER`` reads a JSON string a line, the path of an input, and writes a verdict for each.
 """
 
-import json
 import logging
-import os
 import signal
 import sys
 import traceback
 import warnings
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "hostile"))
 
 from corpus.runner import MEMORY, Lines
-from driver import limit
+from driver import serve, text_said
 from mutate import starts
 
 import bumpymap
 from bumpymap.core.errors import BumpymapError
 from bumpymap.readers import PointStats, open_survey
-
-__all__ = ["Judge", "Verdict"]
 
 _SECONDS = 15
 """Of processor time; of time four times as many, for what waits."""
@@ -119,36 +115,29 @@ def _gist(said: str) -> str:
     return panic or line.rpartition("/")[2][:80]
 
 
-def _serve(folder: Path) -> None:
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    said = os.open(folder / "said", os.O_RDWR)
-    os.dup2(said, 1)
-    os.dup2(said, 2)
-    for start in starts():  # compiles kernels and loads libraries
+def _warm(folder: Path) -> None:
+    """Read what is valid, which compiles kernels and loads libraries."""
+    for start in starts():
         path = folder / f"valid_{start.name}"
         path.write_bytes(start.data)
         if (verdict := read_whole(path)).kind != "read":
             raise RuntimeError(f"{start.name}, which is valid, is {verdict.kind}: {verdict.detail}")
         path.unlink()
-    limit(MEMORY)
     # Notes of the readers are no noise; a warning that Python prints is, each time.
     logging.getLogger("bumpymap").addHandler(logging.NullHandler())
     for category in (RuntimeWarning, UserWarning):
         warnings.simplefilter("always", category)
-    answers.write('"ready"\n')
-    answers.flush()
-    for line in sys.stdin:
-        os.ftruncate(said, 0)
-        os.lseek(said, 0, os.SEEK_SET)
-        signal.setitimer(signal.ITIMER_PROF, _SECONDS)
-        verdict = read_whole(Path(json.loads(line)))
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        noise = os.pread(said, 4000, 0).decode("utf-8", "replace")
-        if noise and not verdict.is_fault:
-            verdict = Verdict("noise", _gist(noise), noise)
-        answers.write(json.dumps(asdict(verdict)) + "\n")
-        answers.flush()
+
+
+def _answer(path: str) -> dict[str, str]:
+    signal.setitimer(signal.ITIMER_PROF, _SECONDS)
+    verdict = read_whole(Path(path))
+    signal.setitimer(signal.ITIMER_PROF, 0)
+    noise = text_said()[:4000]
+    if noise and not verdict.is_fault:
+        verdict = Verdict("noise", _gist(noise), noise)
+    return asdict(verdict)
 
 
 if __name__ == "__main__":
-    _serve(Path(sys.argv[1]))
+    serve(partial(_warm, Path(sys.argv[1])), _answer, MEMORY)

@@ -104,10 +104,10 @@ def integral(cost, line, points=20001):
     return total
 
 
-def pixel_graph(cost, pixel, *, past_corners=False):
-    """Moves over pixels in eight directions as a graph, costs in m, and the node of each pixel.
+def cheapest_on_pixels(cost, start, goal, pixel):
+    """Cost [m] of the cheapest path over pixels in eight directions; inf if there is none.
 
-    A move past a corner needs the pixels beside it to be free, but with ``past_corners``.
+    A move past a corner needs the pixels beside it to be free.
     """
     rows, cols = cost.shape
     free, number = np.isfinite(cost), np.arange(cost.size).reshape(cost.shape)
@@ -116,14 +116,9 @@ def pixel_graph(cost, pixel, *, past_corners=False):
         here = np.s_[: rows - down, max(0, -right) : cols - max(0, right)]
         there = np.s_[down:, max(0, right) : cols + min(0, right)]
         corners = np.s_[: rows - down, max(0, right) : cols + min(0, right)], np.s_[down:, here[1].start : here[1].stop]
-        kept = free[here] & free[there] & (past_corners | free[corners[0]] & free[corners[1]])
+        kept = free[here] & free[there] & free[corners[0]] & free[corners[1]]
         length = np.hypot(down, right) * pixel
         parts.append((number[here][kept], number[there][kept], length * 0.5 * (cost[here][kept] + cost[there][kept])))
     first, last, weight = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2), number
-
-
-def cheapest_on_pixels(cost, start, goal, pixel):
-    """Cost [m] of the cheapest path over pixels in eight directions, past closed corners; inf if there is none."""
-    graph, number = pixel_graph(cost, pixel)
+    graph = csr_array((weight.astype(np.float64), (first, last)), (cost.size,) * 2)
     return dijkstra(graph, directed=False, indices=number[tuple(start)])[number[tuple(goal)]]

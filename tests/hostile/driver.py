@@ -1,9 +1,8 @@
 """Child process of the hostile corpus: runs the command line again and again in one process, under limits.
 
 Usage: ``driver.py GOOD_SURVEY OUT BYTES``. The good survey is mapped first, so that compiled kernels and libraries are
-loaded before memory is limited to BYTES; then "ready" is written. Then each line on standard input is a JSON list of
-arguments, each line on standard output the JSON record of what became of it. Descriptors 1 and 2 are watched
-themselves: a panic in Rust writes to them past ``sys.stderr``.
+loaded before memory is limited to BYTES. Then each line on standard input is a JSON list of arguments, each line on
+standard output the JSON record of what became of it.
 """
 
 import contextlib
@@ -11,12 +10,14 @@ import json
 import os
 import resource
 import sys
-import tempfile
 import threading
 import traceback
 
 from bumpymap.cli import main
 from bumpymap.readers.decoder import close_decoder
+
+SAID = 2
+"""The file to which descriptors 1 and 2 write, themselves: a panic in Rust writes to them past ``sys.stderr``."""
 
 
 def run(argv):
@@ -37,25 +38,11 @@ def size_of(what):
     return None
 
 
-def forget_peak():
-    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as place:  # noqa: PTH123
-        place.write("5")
-
-
-def limit(budget):
-    """Refuse memory beyond the budget: what is reserved counts, touched or not."""
-    reserved, resident = size_of("VmSize"), size_of("VmRSS")
-    if reserved is not None and resident is not None:
-        most = reserved - resident + budget
-        resource.setrlimit(resource.RLIMIT_AS, (most, most))
-
-
-def watched(argv, said):
+def watched(argv):
     """Run once; the record of exit, output, memory (with the child that decodes) and threads."""
-    os.ftruncate(said, 0)
-    os.lseek(said, 0, os.SEEK_SET)
     threads = set(threading.enumerate())
-    forget_peak()
+    with contextlib.suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as place:  # noqa: PTH123
+        place.write("5")  # forgets the peak
     code = run(argv)
     sys.stdout.flush()
     sys.stderr.flush()
@@ -63,28 +50,39 @@ def watched(argv, said):
     peak = size_of("VmHWM") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     peak += resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * 1024
     left = [thread.name for thread in set(threading.enumerate()) - threads]
-    text = os.pread(said, os.fstat(said).st_size, 0).decode("utf-8", "replace")
-    return {"exit": code, "text": text, "peak": peak, "threads": left}
+    return {"exit": code, "text": text_said(), "peak": peak, "threads": left}
 
 
-def serve():
-    good, out, budget = sys.argv[1:]
+def text_said():
+    """What was written since the last question."""
+    return os.pread(SAID, os.fstat(SAID).st_size, 0).decode("utf-8", "replace")
+
+
+def serve(warm, answer, budget):
+    """Run ``warm``, refuse memory beyond the budget [bytes], write "ready", and answer each line with one of JSON."""
     answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    with tempfile.TemporaryFile() as file:
-        said = file.fileno()
-        os.dup2(said, 1)
-        os.dup2(said, 2)
-        for argv in (["map", good, "--out", out, "--local", "--threads", "1", "--overwrite"], ["info", good]):
-            first = watched(argv, said)
-            if first["exit"] != 0:
-                raise RuntimeError(f"a valid survey cannot be read: {first}")
-        limit(int(budget))
-        answers.write('"ready"\n')
+    os.dup2(SAID, 1)
+    warm()
+    reserved, resident = size_of("VmSize"), size_of("VmRSS")
+    if reserved is not None and resident is not None:
+        most = reserved - resident + budget  # what is reserved counts, touched or not
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    answers.write('"ready"\n')
+    answers.flush()
+    for line in sys.stdin:
+        os.ftruncate(SAID, 0)
+        os.lseek(SAID, 0, os.SEEK_SET)
+        answers.write(json.dumps(answer(json.loads(line))) + "\n")
         answers.flush()
-        for line in sys.stdin:
-            answers.write(json.dumps(watched(json.loads(line), said)) + "\n")
-            answers.flush()
+
+
+def warm():
+    """Map the good survey."""
+    good, out, _ = sys.argv[1:]
+    for argv in (["map", good, "--out", out, "--local", "--threads", "1", "--overwrite"], ["info", good]):
+        if run(argv) != 0:
+            raise RuntimeError("a valid survey cannot be read")
 
 
 if __name__ == "__main__":
-    serve()
+    serve(warm, watched, int(sys.argv[3]))

@@ -1,8 +1,6 @@
 """``--skip-bad``: the good files are mapped as if the bad ones were not there, and what was skipped is written down."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -93,19 +91,3 @@ def test_nothing_but_bad_files(runner, folder, tmp_path):
     assert outcome.exit == 3
     assert len(outcome.errors) == 1
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.later
-@pytest.mark.parametrize("name", ["foreign-lfs_pointer.laz", "laz14v-layer_0-2to32.laz", "laz12-cut-mid_table.laz"])
-def test_a_process_of_its_own_says_the_same(tmp_path, name):
-    path, out = tmp_path / name, tmp_path / "out"
-    path.write_bytes(next(case.data for case in hostile_files() if case.name == name))
-    command = [sys.executable, "-c", "from bumpymap.cli import main; main()"]
-    ran = subprocess.run(
-        [*command, "map", str(path), "--out", str(out), "--local"], capture_output=True, text=True, check=False
-    )
-    said = [line for line in ran.stderr.splitlines() if not line.startswith("Warning: ")]
-    assert (ran.returncode, ran.stdout, out.exists()) == (3, "", False)
-    assert len(said) == 1, ran.stderr
-    assert said[0].startswith("Error: ")
-    assert str(path) in said[0]

@@ -19,7 +19,7 @@ CORNER = (500_016.0, 4_000_032.0, 300.0)
 STEP = 0.04
 
 
-def points(step, tilt=0.0, seed=0, n=10_000):
+def points(step, seed=0, n=10_000):
     """Two strips of gently rolling ground, 60 m wide, that share half; x, y, z, line.
 
     5 points per m2 and strip: where a pixel holds points of both, their step is taken for noise, not for relief.
@@ -28,7 +28,7 @@ def points(step, tilt=0.0, seed=0, n=10_000):
     for line in (1, 2):
         x, y = rng.uniform(0, 60, n) + 30 * (line - 1), rng.uniform(0, 36, n)
         z = 0.5 * np.sin(x / 7) + 0.02 * np.sin(2 * y) + 0.005 * rng.normal(size=x.size)
-        z += (step + tilt * (x - 45)) * (line == 2)
+        z += step * (line == 2)
         parts.append(np.column_stack([x.round(3), y.round(3), z.round(4), np.full(x.size, line)]))
     return np.concatenate(parts)
 
@@ -81,14 +81,6 @@ def test_a_step_is_reported_and_reads_as_roughness(stepped, aligned, tmp_path):
     assert smooth == pytest.approx(wanted, rel=0.05)
     assert lines_of(aligned)["pairs"][0]["largest"] < 0.002
     assert lines_of(aligned)["before"] == lines_of(tmp_path / "report")["pairs"]
-
-
-def test_a_tilt_is_taken_off(tmp_path):
-    survey, single = write(tmp_path / "a.laz", points(0.01, 0.003)), write(tmp_path / "b.laz", points(0.0))
-    mapped(tmp_path / "on", survey, "--align", "on")
-    mapped(tmp_path / "single", single)
-    assert lines_of(tmp_path / "on")["method"] == "tilt"
-    assert overlap_c_r(tmp_path / "on") == pytest.approx(overlap_c_r(tmp_path / "single"), rel=0.05)
 
 
 def test_off_measures_nothing_and_report_changes_no_height(stepped, tmp_path):

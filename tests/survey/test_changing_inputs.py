@@ -68,6 +68,12 @@ def test_map_refuses_a_survey_that_changes_while_it_is_read(lifted_when_read, tm
     refused(run("map", lifted_when_read, "--out", out), lifted_when_read, out)
 
 
+def test_info_refuses_it_too(lifted_when_read):
+    result = run("info", lifted_when_read)
+    assert result.exit_code == 3
+    assert "changed while it was read" in result.output
+
+
 def test_map_goes_on_without_it_where_it_may(lifted_when_read, tmp_path):
     other = write_survey(tmp_path / "other.las", east=15.0)
     out = tmp_path / "layers"
@@ -103,12 +109,6 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
     (record,) = json.loads((tmp_path / "layers" / "run.json").read_text(encoding="utf-8"))["inputs"]
     assert record["checksum"] == checksum != hash_file(survey)
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
-
-
-def test_info_refuses_it_too(lifted_when_read):
-    result = run("info", lifted_when_read)
-    assert result.exit_code == 3
-    assert "changed while it was read" in result.output
 
 
 def write_frame(path, lift=0.0):

@@ -2,10 +2,10 @@
 
 import json
 
-import laspy
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from small_surveys import write_las
 
 from bumpymap.cli import main
 
@@ -17,11 +17,7 @@ def cloud(path, place=HERE, *, height=100.0, factor=1.0, more=(), count=2_000):
     rng = np.random.default_rng(1)
     points = np.column_stack([rng.uniform(0.0, 30.0, (count, 2)) + place, rng.normal(height, 0.02, count) * factor])
     x, y, z = np.concatenate([points, np.array(more).reshape(-1, 3)]).T
-    survey = laspy.create(point_format=6, file_version="1.4")
-    survey.header.scales, survey.header.offsets = [0.01] * 3, [x.min(), y.min(), 0.0]
-    survey.x, survey.y, survey.z = x, y, z
-    survey.write(str(path))
-    return path
+    return write_las(path, x, y, z, crs=None, offset=(x.min(), y.min(), 0.0), scales=(0.01,) * 3)
 
 
 def told(files, tmp_path):
@@ -59,10 +55,3 @@ def test_files_that_fit_are_not_doubted(tmp_path):
     assert doubts == []
     assert run.exit_code == 0
     assert "heights" not in run.stderr
-
-
-def test_of_many_pairs_some_are_named(tmp_path):
-    files = [cloud(tmp_path / f"{n}.las", (HERE[0] + 30.0 * n, HERE[1]), height=100.0 + n % 2 * 30.0) for n in range(8)]
-    doubts, _ = told(files, tmp_path)
-    assert len(doubts) == 6
-    assert doubts[-1] == "so do those of 2 more pairs of files"

@@ -87,11 +87,6 @@ def test_nothing_is_taken_off_where_nothing_is_wrong(errors):
     assert describe_lines(found, "report") == describe_lines(found, "on") == ""
 
 
-def test_no_overlap():
-    found, _ = compared(strips([constant(0.0), constant(1.0)], overlap=-0.2))
-    assert (found.lines, found.pairs, found.corrections) == (2, (), ())
-
-
 def test_waves_of_a_bad_boresight_are_told_and_not_made_worse():
     found, steps = compared(strips([constant(0.0), lambda x, y: 0.1 * np.sin(y / 5) + 0 * x]))
     before, left = np.abs(steps.step), np.abs(left_after(steps, found.corrections))
@@ -124,12 +119,3 @@ def test_the_record_comes_back_and_the_text_names_the_lines():
     assert "heights of 1 and 2 differ by 4." in describe_lines(found, "report")
     assert "`align='on'` takes an offset of each line off" in describe_lines(found, "report")
     assert "differed by up to 4." in describe_lines(taken, "on")
-
-
-def test_order_and_chunks_change_no_bit():
-    points = strips([constant(0.0), constant(0.04), constant(0.01)], overlap=0.4)
-    whole = compare_lines(LineSums.of(points), adjust=True)
-    rng, sums = np.random.default_rng(2), LineSums()
-    for chosen in np.array_split(rng.permutation(len(points.x)), 7):
-        sums = sums.merge(LineSums.of(LinedPoints(*(array[chosen] for array in points))))
-    assert compare_lines(sums, adjust=True) == whole

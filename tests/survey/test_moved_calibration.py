@@ -31,14 +31,13 @@ def mapped(survey, folder, **options):
     return {name: np.array([np.nan if v is None else v for v in values], float) for name, values in table.items()}
 
 
-@pytest.mark.parametrize("rating", ["ride", pytest.param("table", marks=pytest.mark.slow)])
-def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, rating, survey):
+def test_a_map_with_a_moved_calibration_moves_as_promised(tmp_path, survey):
     old = Calibration.shipped("warthog")
     move = LogMove(math.log(old.class_limits[1]), 0.25, 0.1, np.diag([1e-6, 1e-6]), 1.0)
     file = tmp_path / "moved.json"
     file.write_text(moved_calibration(old, move, {}).to_json(), encoding="utf-8")
-    before = mapped(survey, tmp_path / "before", vehicle="warthog", rating=rating)
-    after = mapped(survey, tmp_path / "after", calibration=file, rating=rating)
+    before = mapped(survey, tmp_path / "before", vehicle="warthog")
+    after = mapped(survey, tmp_path / "after", calibration=file)
     known = np.isfinite(before["c_r"])
     assert np.array_equal(known, np.isfinite(after["c_r"]))
     off = np.log(after["c_r"][known]) - move.log(np.log(before["c_r"][known]))

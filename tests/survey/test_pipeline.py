@@ -11,12 +11,12 @@ import numpy as np
 import pyogrio
 import pytest
 import rasterio
-from made_quarry import tiles_inside
+from made_quarry import tiles_of
 from pyproj import CRS
-from small_surveys import SIDES, files_in, layers_of, run, write_las
+from small_surveys import files_in, layers_of, run, write_las
 
 from bumpymap.core.run_folder import locked
-from bumpymap.layers.products import PRODUCT_NAMES, VIEW_NAMES
+from bumpymap.layers.products import VIEW_NAMES
 
 pytestmark = pytest.mark.slow
 
@@ -45,10 +45,6 @@ def layers(survey):
     result = run("map", survey, "--out", out)
     assert result.exit_code == 0, result.output
     return out
-
-
-def test_every_product_is_there_and_nothing_else(layers):
-    assert set(files_in(layers)) == {*PRODUCT_NAMES, *VIEW_NAMES, *SIDES}
 
 
 def test_the_smooth_half_is_smoother_than_the_rubble(layers):
@@ -143,6 +139,29 @@ def test_a_run_that_is_complete_is_done_already(layers, survey, extra):
     assert first["already_done"] is True
     assert first == second
     assert inodes(layers) == before
+
+
+def test_layers_that_a_gis_saved_its_styles_and_statistics_beside_are_still_a_complete_run(survey, layers, tmp_path):
+    """As QGIS leaves them; views that are deleted are not missed, and overwriting brings them back."""
+    out = shutil.copytree(layers, tmp_path / "viewed")
+    for name in VIEW_NAMES:
+        if (out / name).suffix in {".qml", ".qgs"}:
+            (out / name).write_text("<qgis/>", encoding="utf-8")
+    (out / "map.qgs~").write_text("<qgis/>", encoding="utf-8")
+    for raster in out.rglob("*.tif"):
+        side = raster.with_name(f"{raster.name}.aux.xml")
+        if not side.exists():
+            side.write_text("<PAMDataset/>", encoding="utf-8")
+    before = files_in(out)
+    assert "Already done" in run("map", survey, "--out", out).output
+    assert files_in(out) == before
+    for name in VIEW_NAMES:
+        (out / name).unlink(missing_ok=True)
+    assert "Already done" in run("map", survey, "--out", out).output
+    assert run("map", survey, "--out", out, "--overwrite").exit_code == 0
+    for name in ("rasters/class.qml", "map.qgs"):
+        assert (out / name).read_bytes() == (layers / name).read_bytes()
+    assert not (out / "rasters/roughness.tif.aux.xml").exists()
 
 
 def test_a_complete_run_of_something_else_says_what_differs(site, layers, survey, tmp_path):
@@ -281,14 +300,14 @@ def test_zones_of_the_sample_survey_are_rated_as_a_driver_would(demo):
     with rasterio.open(demo / "layers" / "rasters/roughness.tif") as raster:
         c_r, west, north = raster.read(1), raster.bounds.left, raster.bounds.top
 
-    def median(zone):
-        col, row = tiles_inside(zone)
+    def median(symbol):
+        col, row = tiles_of(symbol)
         return np.nanmedian(c_r[np.round(north / 3).astype(int) - 1 - row, col - np.round(west / 3).astype(int)])
 
-    cost = {zone: median(zone) for zone in ("pad", "road", "washboard", "ruts", "rubble", "bank")}
-    assert cost["pad"] < cost["road"] < cost["washboard"] < cost["ruts"] < cost["rubble"] < cost["bank"]
-    assert cost["road"] < 0.107 < cost["ruts"]  # smooth; fair or worse
-    assert cost["rubble"] > 0.273  # rough or worse
+    pad, road, washboard, ruts, rubble, bank = map(median, "PRWUXB")
+    assert pad < road < washboard < ruts < rubble < bank
+    assert road < 0.107 < ruts  # smooth; fair or worse
+    assert rubble > 0.273  # rough or worse
 
 
 def test_a_refused_overwrite_keeps_the_earlier_run_whole(survey, site, tmp_path):
@@ -372,16 +391,14 @@ class Look(SilentProgress):
     start = look
 
 
-if out.name == "batch":
-    run_batch(BatchConfig(survey.parent, out), begin=look)
+run_batch(BatchConfig(survey.parent, out), begin=look)
 map_surveys(MapConfig((survey,), out.with_name("map")), Look())
 assert len(found) > 1
 print(*(found[-1] - found[0]))
 """
 
 
-@pytest.mark.parametrize("command", [pytest.param("map", marks=pytest.mark.later), "batch"])
-def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path, command):
+def test_all_kernels_of_a_map_are_there_before_the_first_is_needed(survey, tmp_path):
     """So a new installation compiles all at once, a batch before its workers, and tells from the first how many."""
-    words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / command]
+    words = [sys.executable, "-c", KERNELS_OF_A_MAP, survey, tmp_path / "batch"]
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout.split() == []

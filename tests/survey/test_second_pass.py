@@ -91,14 +91,6 @@ def test_every_tile_sees_its_neighbours(tmp_path, tiles, threads, kept, monkeypa
     np.testing.assert_array_equal(found["height"][order], tiles["height"])  # columns that were there stay
 
 
-def test_an_added_column_replaces_one_of_the_same_name(tmp_path, tiles):
-    before = TileTable.of(GRID, tiles)
-    table = add_neighbours(before, Neighbours(), tmp_path, 1, SilentProgress())
-    np.testing.assert_array_equal(table.read(("number",))["number"], before.read(("number",))["number"] + 1)
-    assert table.window == before.window
-    assert table.tiles == before.tiles
-
-
 def test_blocks_that_are_left_are_left_as_a_whole(tmp_path, tiles):
     """Scattered tiles beside the others, of which all but one are left; their blocks are rated together."""
     far = np.arange(100, 1100, 10)

@@ -8,10 +8,8 @@ from pathlib import Path
 import laspy
 import pytest
 from blake3 import blake3
-from click.testing import CliRunner
-from small_surveys import write_survey
+from small_surveys import run, write_survey
 
-from bumpymap.cli import main
 from bumpymap.survey.run_record import survey_record
 
 APART = ["/home/me/a.laz", "/home/me/more/b.laz"]
@@ -59,38 +57,27 @@ def test_dates_are_the_first_and_the_last_that_are_known():
     assert found(None, None) is None
 
 
-def dated(path, day, **settings):
-    write_survey(path, **settings)
-    las = laspy.read(path)
-    las.header.creation_date = day
-    las.write(path)
-    return path
-
-
 @pytest.mark.slow
-def test_a_run_a_resumed_one_and_one_with_a_bad_file_say_the_same_of_the_survey(tmp_path, monkeypatch):
+def test_a_run_and_a_resumed_one_say_the_same_of_a_survey_with_a_bad_file(tmp_path, monkeypatch):
     folder = tmp_path / "hill"
-    dated(folder / "a.laz", date(2024, 5, 3))
-    dated(folder / "b.las", date(2024, 5, 1), seed=1)
+    for name, day in (("a.laz", 3), ("b.las", 1)):
+        las = laspy.read(write_survey(folder / name, seed=day))
+        las.header.creation_date = date(2024, 5, day)
+        las.write(folder / name)
     (folder / "bad.laz").write_bytes(b"LASF")
-
-    def record(out, *options):
-        words = ["map", str(folder), "--out", str(tmp_path / out), "--skip-bad", *options]
-        result = CliRunner().invoke(main, words)
-        assert result.exit_code == 4, result.output
-        return json.loads((tmp_path / out / "run.json").read_text())
-
-    run = record("plain")
-    assert run["survey"]["name"] == "hill"
-    assert run["survey"]["dates"] == ["2024-05-01", "2024-05-03"]
-    lines = "".join(f"{file['checksum']}\n" for file in sorted(run["inputs"], key=lambda file: file["checksum"]))
-    assert run["survey"]["checksum"] == f"blake3-set:{blake3(lines.encode()).hexdigest()}"
+    words = ("map", folder, "--skip-bad", "--out")
+    assert run(*words, tmp_path / "plain").exit_code == 4
 
     def stop(*_, **__):
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
         patch.setattr("bumpymap.layers.write_products", stop)
-        words = ["map", str(folder), "--out", str(tmp_path / "again"), "--skip-bad"]
-        assert CliRunner().invoke(main, words).exit_code == 130
-    assert record("again")["survey"] == run["survey"]
+        assert run(*words, tmp_path / "again").exit_code == 130
+    assert run(*words, tmp_path / "again").exit_code == 4
+    record, again = (json.loads((tmp_path / name / "run.json").read_text()) for name in ("plain", "again"))
+    assert record["survey"]["name"] == "hill"
+    assert record["survey"]["dates"] == ["2024-05-01", "2024-05-03"]
+    lines = "".join(f"{checksum}\n" for checksum in sorted(file["checksum"] for file in record["inputs"]))
+    assert record["survey"]["checksum"] == f"blake3-set:{blake3(lines.encode()).hexdigest()}"
+    assert again["survey"] == record["survey"]

@@ -3,13 +3,13 @@
 Coordinates are local metres, x east and y north from the corner; heights are above the datum. Every value is a formula
 of the coordinates, nothing is stored on a raster, so heights are exact everywhere. A feature has a core, in which its
 surface is exact, and a blend of a few metres around it, which belongs to no zone. Every ``outside_*`` function returns
-the distance from the core in metres: zero or less inside. `height`, `is_water`, `zone_at` and `tiles_inside`, and what
-has capitals, are in coordinates of the CRS.
+the distance from the core in metres: zero or less inside. `height`, `is_water` and ``BOUNDS`` are in coordinates of the
+CRS.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -349,12 +349,6 @@ def _ruts(x: Floats, offset: Floats) -> Floats:
     return RUT_DEPTH * strength * total
 
 
-Zone = Literal[
-    "transition", "floor", "meadow", "bank", "rubble", "stockpile", "pond", "pad", "step", "ramp", "road", "washboard",
-    "ruts", "outside",
-]  # fmt: skip
-ZONES: tuple[Zone, ...] = get_args(Zone)
-"""'transition' is the blend between two surfaces; 'outside' is beyond the site."""
 _WEST, _SOUTH = 512_340.0, 5_403_210.0
 BOUNDS = Bounds(_WEST, _SOUTH, _WEST + EAST_WEST, _SOUTH + NORTH_SOUTH)
 """Extent of the site in WGS 84 / UTM zone 32N, m; a whole number of 3 m tiles. The location is arbitrary."""
@@ -371,97 +365,15 @@ def is_water(easting: Floats, northing: Floats) -> NDArray[np.bool_]:
     return outside_pond(*_local(easting, northing)) <= 0.0
 
 
-def zone_at(easting: Floats, northing: Floats) -> NDArray[np.str_]:
-    """Return the zone at each position, one of ``ZONES``."""
-    return np.array(ZONES)[_zone_code(*_local(easting, northing))]
-
-
-def tiles_inside(zone: Zone, size: float = 3.0) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return columns and rows (k,) of the tiles that lie in a zone at 31 x 31 places of each, and under no tree."""
-    col, row = np.meshgrid(
-        np.arange(np.floor(BOUNDS.west / size), np.ceil(BOUNDS.east / size)),
-        np.arange(np.floor(BOUNDS.south / size), np.ceil(BOUNDS.north / size)),
-    )
-    west, south = col.ravel() * size, row.ravel() * size
-    for places in (3, 31):  # coarse test first, which excludes most tiles
-        inner = np.linspace(0.0, size, places) * (1.0 - 1e-9)
-        easting, northing = np.broadcast_arrays(
-            west[:, None, None] + inner[None, None, :], south[:, None, None] + inner[None, :, None]
-        )
-        within = np.all(_zone_code(*_local(easting, northing)) == ZONES.index(zone), axis=(1, 2))
-        west, south = west[within], south[within]
-    easting, northing = easting[within], northing[within]
-    crowns = [np.hypot(easting - tree.easting, northing - tree.northing) < tree.radius for tree in TREES]
-    clear = ~np.any(crowns, axis=(0, 2, 3))
-    return np.rint(west[clear] / size).astype(np.int64), np.rint(south[clear] / size).astype(np.int64)
+def tiles_of(symbol: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return columns and rows (k,) of the 3 m tiles with a symbol in the map of zones of the samples' README."""
+    text = (Path(__file__).resolve().parents[2] / "sample_data" / "README.md").read_text(encoding="utf-8")
+    lines = [line.strip() for line in text.partition("## Map of zones")[2].splitlines() if line.startswith("    ")]
+    from_north, from_west = np.nonzero(np.array([list(line) for line in lines]) == symbol)
+    return from_west + round(BOUNDS.west / 3), round(BOUNDS.north / 3) - 1 - from_north
 
 
 def _local(easting: Floats, northing: Floats) -> tuple[Floats, Floats]:
     """Return coordinates relative to the south-west corner, m, broadcast to a common shape."""
     x, y = np.broadcast_arrays(np.asarray(easting, np.float64), np.asarray(northing, np.float64))
     return x - _WEST, y - _SOUTH
-
-
-def _zone_code(x: Floats, y: Floats) -> NDArray[np.int64]:
-    """Return the index into ``ZONES``; later features cover earlier ones, like their surfaces."""
-    code = np.full(x.shape, ZONES.index("floor"), dtype=np.int64)
-    north, offset, pad = along_bank(x, y), road_offset(x, y), outside_box(x, y, PAD)
-
-    def paint(zone: Zone, core: NDArray[np.bool_], around: NDArray[np.bool_] | None = None) -> None:
-        if around is not None:
-            code[around] = ZONES.index("transition")
-        code[core] = ZONES.index(zone)
-
-    paint("meadow", offset < -ROAD_HALF_WIDTH)
-    paint("bank", (north > 0.0) & (north < BANK_WIDTH), (north > -4.0) & (north < BANK_WIDTH + 0.5))
-    paint("meadow", north >= BANK_WIDTH + 0.5)
-    rubble, heap, pond = outside_rubble(x, y), outside_stockpile(x, y), outside_pond(x, y)
-    paint("stockpile", heap <= -0.5, heap < 0.5)
-    paint("rubble", rubble <= 0.0, (rubble < 5.0) & (north <= 0.0))
-    paint("pond", pond <= 0.0, pond < BLEND["pond"])
-    paint("pad", pad < -KERB_BAND, pad < BLEND["pad"])
-    paint("step", np.abs(pad) <= KERB_BAND)
-    ramp, spur = outside_ramp(x, y), outside_spur(x, y)
-    paint("ramp", outside_box(x, y, RAMP) <= 0.0, ramp < BLEND["ramp"])
-    graded = (spur <= 0.0) & (y < RAMP[1] - 3.0)
-    paint("road", graded, (spur < BLEND["spur"]) & (ramp > 0.0))
-    core = np.abs(offset) <= ROAD_HALF_WIDTH
-    shoulder = np.abs(offset) < ROAD_HALF_WIDTH + BLEND["road"]
-    paint("road", core, shoulder)
-    sections: tuple[tuple[Zone, tuple[float, float]], ...] = (("washboard", WASHBOARD), ("ruts", RUTS))
-    for zone, (west, east) in sections:
-        paint(zone, core & (x >= west) & (x <= east), core & (x > west - 4.0) & (x < east + 4.0))
-    paint("outside", (x < 0.0) | (x >= EAST_WEST) | (y < 0.0) | (y >= NORTH_SOUTH))
-    return code
-
-
-@dataclass(frozen=True, slots=True)
-class Tree:
-    """One tree; the crown is round seen from above and does not belong to the ground."""
-
-    easting: float
-    """m."""
-    northing: float
-    """m."""
-    radius: float
-    """Radius of the crown, m."""
-
-
-def _plant(wanted: int) -> list[Tree]:
-    """Draw random trees on the meadow that do not touch each other."""
-    rng = np.random.default_rng((_SEED, 101))
-    x, y = (rng.random((400, 2)) * (EAST_WEST, NORTH_SOUTH)).T
-    on_meadow = _zone_code(x, y) == ZONES.index("meadow")
-    chosen: list[Tree] = []
-    for east, north in zip(x[on_meadow].tolist(), y[on_meadow].tolist(), strict=True):
-        tree = Tree(_WEST + east, _SOUTH + north, float(rng.uniform(1.3, 2.7)))
-        rng.random(2)  # height and kind of the tree, which only its points tell
-        if len(chosen) < wanted and all(
-            np.hypot(tree.easting - other.easting, tree.northing - other.northing) > tree.radius + other.radius + 0.5
-            for other in chosen
-        ):
-            chosen.append(tree)
-    return chosen
-
-
-TREES = _plant(30)

@@ -197,6 +197,8 @@ def confusion_lines(name: str, confusion: Sequence[Sequence[int]], truth: str, f
 
 
 def _method(found: Comparison) -> str:
+    bounds = ((found.auc_most, ""), (found.auc_most_below_limit, " within the slope limit"))
+    most = ", or ".join(f"above {auc:.3f}{where}" for auc, where in bounds if math.isfinite(auc))
     return (
         f"{found.patches} patches, {found.drives} drives, {found.failed} of them failed. On {found.left_out} patches "
         "more than a quarter of the drives failed; their C_r, of the completed drives only, is not compared. The "
@@ -204,10 +206,10 @@ def _method(found: Comparison) -> str:
         f"{found.label_error_over} patches. "
         "Failures are compared on all patches, classes on those within the vehicle's slope limit: "
         f"{found.beyond_limit} are beyond it and have class 3 by definition. "
-        f"As some drives over a patch fail and others do not, no p_fail can reach an AUC above {found.auc_most:.3f}, "
-        f"or above {found.auc_most_below_limit:.3f} within the slope limit. Plain "
-        "predictors get C_r from their best monotone fit to the drives over the other patches, which a map does not "
-        "have. The drives run on the measured relief and contain its noise; `ride` predicts the ground without noise."
+        + (f"As some drives over a patch fail and others do not, no p_fail can reach an AUC {most}. " if most else "")
+        + "Plain predictors get C_r from their best monotone fit to the drives over the other patches, which a map "
+        "does not have. The drives run on the measured relief and contain its noise; `ride` predicts the ground "
+        "without noise."
     )
 
 

@@ -9,8 +9,6 @@ from .text_file import pcd_file, ply_file
 
 from las_files import geokeys, octree, wkt  # isort: skip (las_file finds it)
 
-__all__ = ["bases", "geokeys", "utm", "wkt"]
-
 
 def utm():
     """Record of the CRS that the LAS 1.4 surveys have."""

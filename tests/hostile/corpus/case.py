@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["EITHER", "MAPPED", "REFUSED", "Case", "cut", "field_cases", "flipped", "patched", "renamed"]
-
 REFUSED = frozenset({3})
 """A lie about the structure: must be noticed."""
 EITHER = frozenset({0, 3})

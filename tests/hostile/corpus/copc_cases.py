@@ -9,7 +9,6 @@ from .las_file import layout_of
 
 from las_files import ENTRY  # isort: skip (las_file finds it)
 
-__all__ = ["copc_cases"]
 
 _NAN, _INF = float("nan"), float("inf")
 _INFO = {

@@ -10,8 +10,6 @@ import numpy as np
 from .bases import bases
 from .case import Case
 
-__all__ = ["PLACES", "foreign_cases"]
-
 
 def foreign_cases():
     """Every case of a file that is no point cloud, under the name of one."""

@@ -7,8 +7,6 @@ from .bases import bases, geokeys, wkt
 from .case import EITHER, MAPPED, REFUSED, Case, cut, field_cases, flipped, patched, renamed
 from .las_file import HEADER, HEADER_1_4, cloud, las_file, layout_of
 
-__all__ = ["las_cases"]
-
 _NAN, _INF = float("nan"), float("inf")
 _WILD = {
     "signature": {"lasf": b"lasf"},

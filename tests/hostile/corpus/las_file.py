@@ -15,8 +15,6 @@ import numpy as np
 sys.path.append(str(Path(__file__).resolve().parents[2] / "helpers"))  # for processes of their own
 from las_files import las_bytes, packed
 
-__all__ = ["HEADER", "HEADER_1_4", "ORIGIN", "Layout", "cloud", "las_file", "layout_of"]
-
 ORIGIN = (500_001.0, 4_000_001.0, 100.0)
 """South-west corner of the survey and its lowest height, m; inside UTM zone 14 north."""
 SIDE = 5.5

@@ -9,8 +9,6 @@ from .bases import bases
 from .case import EITHER, REFUSED, Case, field_cases, flipped, patched
 from .las_file import layout_of
 
-__all__ = ["laz_cases", "with_table"]
-
 _RECORD = {
     "compressor": (0, "H", {"0": 0, "4": 4, "65535": 65535}),
     "one_stream": (0, "H", {"1": 1}),

@@ -7,8 +7,6 @@ from .case import EITHER, MAPPED, Case, cut, field_cases, patched
 from .las_file import cloud
 from .text_file import pcd_file, pcd_header
 
-__all__ = ["pcd_cases"]
-
 _NAMES = ("text.pcd", "binary.pcd", "packed.pcd")
 _LINES = {
     "POINTS": {"one_more": 401, "10to12": 10**12, "2to63": 2**63, "negative": -1, "0": 0, "word": "many", "gone": None},

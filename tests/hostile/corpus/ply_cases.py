@@ -9,8 +9,6 @@ from .case import EITHER, MAPPED, REFUSED, Case, cut, renamed
 from .las_file import cloud
 from .text_file import ply_file, ply_header
 
-__all__ = ["ply_cases"]
-
 _XYZ = ["double x", "double y", "double z"]
 _COUNT = b"element vertex 400"
 

@@ -11,8 +11,6 @@ from pathlib import Path
 
 from .bases import bases
 
-__all__ = ["MEMORY", "SECONDS", "Lines", "Outcome", "Runner"]
-
 SECONDS = 10.0
 MEMORY = 1_500_000_000
 _DRIVER = Path(__file__).parents[1] / "driver.py"
@@ -62,7 +60,7 @@ class Lines:
     def _start(self):
         # One thread each: the pools of libraries would reserve memory for as many as the machine has cores.
         pools = dict.fromkeys(("RAYON_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MALLOC_ARENA_MAX"), "1")
-        with self.said.open("wb") as said:
+        with self.said.open("w+b") as said:  # the child reads it too
             self._child = subprocess.Popen(
                 [sys.executable, *map(str, self._command)],
                 stdin=subprocess.PIPE,

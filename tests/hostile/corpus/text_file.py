@@ -9,7 +9,6 @@ from .las_file import ORIGIN  # noqa: F401 (finds the helpers)
 
 from ply_files import ply_bytes  # isort: skip
 
-__all__ = ["pcd_file", "pcd_header", "ply_file", "ply_header"]
 
 _FORMATS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 

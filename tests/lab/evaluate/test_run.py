@@ -70,7 +70,19 @@ def test_command_writes_a_report_and_does_not_replace_it(quarry, subject, tmp_pa
     few = ("--set", "total_patches=10")
     result = cli(quarry, *few)
     assert result.exit_code == 0, result.output
-    assert list(json.loads((tmp_path / "o" / "report.json").read_text())["classes"]) == ["table"]
+    text = (tmp_path / "o" / "report.md").read_text()
+    record = json.loads((tmp_path / "o" / "report.json").read_text())
+    assert (record["format"], list(record["classes"])) == ("bumpymap-evaluation", ["table"])
+    assert record["comparison"]["agreement"]["z_variance"]["coverage"] is None
+    assert len(record["patches"]["names"]) == len(record["patches"]["driven"]["c_r"]) == 10
+    for words in (
+        "quarry_part.ply: 42,",
+        f"{record['facts']['judged_tiles']} tiles classified",
+        f"**warthog, `table`**: C_r is off by {100 * record['comparison']['agreement']['table']['median_error']:.1f} %",
+        "10 patches, 20 drives, 0 of them failed",
+    ):
+        assert words in text
+    assert "nan" not in text
     written = sorted(path.name for path in (tmp_path / "o").iterdir() if path.suffix != ".jsonl")
     assert written == ["report.json", "report.md"]
     refused = cli(quarry, *few)

@@ -29,31 +29,6 @@ def never(job):
     print(os.getpid(), flush=True)
     time.sleep(3600)
 """
-BEGIN = """
-import os, signal, sys
-from bumpymap.core.interrupts import interruptible
-from bumpymap.lab.simulate.jobs import drive_jobs
-import pool_jobs
-
-seen, at = 0, int(sys.argv[1])
-def tick(*_):
-    global seen
-    seen += 1
-    if seen == at:
-        os.kill(os.getpid(), signal.SIGTERM)
-
-jobs = [pool_jobs.Job(key) for key in range(6)]
-try:
-    with interruptible():
-        sys.setprofile(tick)
-        drive_jobs(pool_jobs.twice, jobs, workers=2)
-except KeyboardInterrupt:
-    sys.setprofile(None)
-    sys.exit(9)
-sys.setprofile(None)
-print(seen)
-"""
-INSTANTS = 12
 
 
 @pytest.fixture
@@ -63,12 +38,6 @@ def jobs(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.delitem(sys.modules, "pool_jobs", raising=False)
     return __import__("pool_jobs")
-
-
-def started(jobs, code, *words):
-    env = os.environ | {"PYTHONPATH": os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])}
-    pipe = subprocess.PIPE
-    return subprocess.Popen([sys.executable, "-c", code, *words], env=env, stdout=pipe, stderr=pipe, text=True)
 
 
 def test_results_come_in_order_and_the_process_has_no_thread_for_it(jobs):
@@ -88,22 +57,6 @@ def test_a_dead_worker_is_reported_with_what_to_do(jobs):
 
 
 @pytest.mark.later
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are those of POSIX")
-def test_a_signal_at_any_instant_ends_it_without_a_traceback(jobs):
-    def ended(at):
-        with started(jobs, BEGIN, str(at)) as process:
-            printed, errors = process.communicate(timeout=120)
-        return process.returncode, printed, errors
-
-    code, steps, errors = ended(0)
-    assert code == 0, errors
-    for instant in range(INSTANTS):
-        code, _, errors = ended(1 + instant * int(steps) // INSTANTS)
-        assert errors == "", f"instant {instant}"
-        assert code in ({9} if instant < INSTANTS - 2 else {0, 9})
-
-
-@pytest.mark.later
 @pytest.mark.skipif(sys.platform == "win32", reason="kills a process the POSIX way")
 def test_workers_end_with_a_main_process_that_was_killed(jobs):
     code = (
@@ -111,7 +64,9 @@ def test_workers_end_with_a_main_process_that_was_killed(jobs):
         "import pool_jobs\n"
         "drive_jobs(pool_jobs.never, [pool_jobs.Job(0), pool_jobs.Job(1)], workers=2)\n"
     )
-    main = started(jobs, code)
+    paths = os.pathsep.join([str(Path(jobs.__file__).parent), *filter(None, sys.path)])
+    pipe, environment = subprocess.PIPE, os.environ | {"PYTHONPATH": paths}
+    main = subprocess.Popen([sys.executable, "-c", code], env=environment, stdout=pipe, stderr=pipe, text=True)
     workers = {int(main.stdout.readline()) for _ in range(2)}
     assert main.pid not in workers
     for worker in workers:

@@ -10,7 +10,6 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from small_surveys import layers_of, run, write_las
 
 import bumpytiles
@@ -27,9 +26,8 @@ from bumpymap.survey.engine.cluster import (
     opened,
     read_ranges,
 )
-from bumpymap.survey.engine.plan import ChunkRange, ReadTask, shared_tasks
-from bumpymap.survey.engine.reading import BlockCompletion
-from bumpytiles import BLOCK_TILES, Bounds, Grid
+from bumpymap.survey.engine.plan import ChunkRange, ReadTask
+from bumpytiles import Grid
 
 pytestmark = pytest.mark.slow
 
@@ -253,39 +251,6 @@ def test_a_worker_that_does_not_fit_says_why(surveys, tmp_path):
     task = ReadTask((ChunkRange(0, 0, 1, 1000, None, is_whole=False),), None)
     with pytest.raises(OutputError, match="folders that every worker sees"):
         read_ranges(context, [(file, (known["size"], known["digest"]))], task)
-
-
-boxes = st.tuples(*(st.floats(-300, 300) for _ in range(2)), *(st.floats(0, 200) for _ in range(2)))
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.lists(boxes, min_size=1, max_size=6), st.integers(0, 2), st.booleans())
-def test_a_block_that_two_tasks_reach_is_complete_for_neither(found, done, whole):
-    bounds = [Bounds(west, south, west + width, south + height) for west, south, width, height in found]
-    ranges = [ChunkRange(n, n, n + 1, 2_000_000, box, is_whole=whole) for n, box in enumerate(bounds)]
-    grid, side = Grid(), BLOCK_TILES * 3.0
-    reach = [
-        {
-            (row, col)
-            for row in range(int((box.south - 1) // side), int((box.north + 1) // side) + 1)
-            for col in range(int((box.west - 1) // side), int((box.east + 1) // side) + 1)
-        }
-        for box in bounds
-    ]
-    unread, read = ranges[done:], ranges[:done]
-    tasks = list(shared_tasks(unread, read, set(), workers=2))
-    assert sorted(part.first for task in tasks for part in task.ranges) == list(range(done, len(ranges)))
-    for task in tasks:
-        own = [part.bounds for part in task.ranges]
-        completion = BlockCompletion(grid, [*own, *(task.nearby if task.nearby is not None else [None])])
-        for area in range(len(own)):
-            completion.mark_read(area)
-        numbers = {part.first for part in task.ranges}
-        others = set().union(*(reach[other] for other in range(len(ranges)) if other not in numbers))
-        mine = {key for number in numbers for key in reach[number] if completion.is_complete(key)}
-        assert not mine & others
-        if len(tasks) == 1 and not done:
-            assert mine == set().union(*reach)
 
 
 @pytest.fixture(scope="module")
