@@ -25,10 +25,9 @@ from bumpymap.core import BARRED_TEXT, Barred
 from bumpymap.lab.evaluate.agreement import spearman
 
 TEXTS = {text: code for code, text in BARRED_TEXT.items()}
-HEAD = (
-    "| points/m2 | noise | unknown | rank | median error | ratio by third | inside the interval, by third | all |",
-    8,
-)
+HEAD = """
+| points/m2 | noise | unknown | rank | median error | ratio by third | inside the interval, by third | all |
+|---|---|---|---|---|---|---|---|"""
 
 
 def tiles_of(layers):
