@@ -165,7 +165,6 @@ from .run_spec import (
     PieceRuns as PieceRuns,
     differences as differences,
     flat_settings as flat_settings,
-    hash_file as hash_file,
     join_checksums as join_checksums,
     recorded_settings as recorded_settings,
     same_content as same_content,

@@ -26,7 +26,6 @@ __all__ = [
     "PieceRuns",
     "differences",
     "flat_settings",
-    "hash_file",
     "join_checksums",
     "recorded_settings",
     "same_content",
@@ -168,17 +167,6 @@ class FileHash:
             self._parts.pop(piece, None)
 
 
-def hash_file(path: Path) -> str:
-    """Return the checksum of a file, by `FileHash`; raise OSError or BadInputError if it cannot be read."""
-
-    def read(start: int, size: int) -> bytes:
-        with path.open("rb", buffering=0) as file:
-            file.seek(start)
-            return file.read(size)
-
-    return FileHash(path.stat().st_size).finish(read)
-
-
 def join_checksums(checksums: Iterable[str]) -> str:
     """Return one checksum for a set of files: the BLAKE3 of their checksums, sorted, one a line."""
     lines = "".join(f"{checksum}\n" for checksum in sorted(checksums))
@@ -258,7 +246,7 @@ def differences(
     return found if len(found) <= _MOST_LISTED else [*found[:_MOST_LISTED], f"and {len(found) - _MOST_LISTED} more"]
 
 
-def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -> bool:
+def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any], hashed: Callable[[Path], str]) -> bool:
     """Return whether an input file is unchanged: by size and time, or by its checksum if the time differs.
 
     Parameters
@@ -269,7 +257,9 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         ``bytes``, ``checksum`` (see `FileHash`; or ``sha256`` of all bytes) and, if they were recorded, ``mtime_ns`` or
         the ``version`` reported by a server.
     here : mapping
-        From `bumpymap.readers.source.identity`.
+        From `bumpymap.readers.identity`.
+    hashed : callable
+        Returns the checksum of an input, such as `bumpymap.readers.hash_survey`.
     """
     if known.get("bytes") is not None and known["bytes"] != here["size"]:
         return False
@@ -280,7 +270,7 @@ def same_content(path: str, known: Mapping[str, Any], here: Mapping[str, Any]) -
         return False
     checksum, sha256 = known.get("checksum"), known.get("sha256")
     if checksum is not None:
-        return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hash_file(Path(path)) == checksum)
+        return bool(str(checksum).startswith(f"{CHECKSUM_METHOD}:") and hashed(Path(path)) == checksum)
     if sha256 is None:
         return False
     with Path(path).open("rb") as file:

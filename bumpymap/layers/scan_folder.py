@@ -472,7 +472,7 @@ def write_scan_manifest(
         The run's own entries: settings, method, skipped frames, seconds. They are kept.
     frames : iterable of FrameReport
     identities : mapping
-        Identity of each input file by its path, see `bumpymap.readers.source.identity`.
+        Identity of each input file by its path, see `bumpymap.readers.identity`.
     """
     files = [
         describe_file(folder / name) | {"path": name}

@@ -8,6 +8,8 @@ from .decoder import (
 )
 from .detect import (
     find_surveys as find_surveys,
+    hash_survey as hash_survey,
+    identity as identity,
     open_survey as open_survey,
     reopen_survey as reopen_survey,
 )
@@ -60,7 +62,7 @@ from .source import (
     Location as Location,
     Version as Version,
     file_changed as file_changed,
-    identity as identity,
+    is_ept as is_ept,
     is_url as is_url,
 )
 from .summary import (

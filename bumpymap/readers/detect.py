@@ -1,9 +1,10 @@
 """Find the survey files that the user named, detect their format by content, not by suffix, and open them."""
 
+import hashlib
 import logging
 import os
 from codecs import getincrementaldecoder
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -11,26 +12,33 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import BadInputError
+from bumpymap.core import BadInputError, FileHash
 from bumpymap.readers.protocol import ReadOptions, SurveyReader
 from bumpymap.readers.source import (
+    EPT_NAME,
     Location,
-    is_folder,
+    Version,
+    is_ept,
     is_url,
     list_folder,
     open_source,
+    pinned_version,
+    read_range,
+    version_of,
 )
 
 if TYPE_CHECKING:
     from bumpymap.readers.point_table import PointTable, Wanted
 
-__all__ = ["SUFFIXES", "find_surveys", "open_survey", "read_columns", "reopen_survey"]
+__all__ = ["SUFFIXES", "find_surveys", "hash_survey", "identity", "open_survey", "read_columns", "reopen_survey"]
 
 _log = logging.getLogger(__name__)
 
 Kind = Literal["las", "ply", "pcd"]
-_READABLE = "bumpymap reads LAS, LAZ, COPC, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
+_READABLE = "bumpymap reads LAS, LAZ, COPC, EPT, PLY and PCD; scans are PLY, PCD, KITTI-style .bin or bags of ROS 2"
 _HEAD = 1024
+_HEAD_BYTES = 65_536
+"""Bytes at each end of a survey that its digest covers."""
 
 _FOREIGN = (
     (b"version https://git-lfs", "a Git LFS pointer, not the data itself. Fetch the data with: git lfs pull"),
@@ -74,6 +82,10 @@ def open_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyR
 
 def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> SurveyReader:  # noqa: B008 (as above)
     """Open a point cloud as ``open_survey`` does, without logging its notes: for workers that open it again."""
+    if is_ept(path):
+        from bumpymap.readers.ept import EptSurvey
+
+        return EptSurvey(path, options)
     kind = detect_format(path)
     if kind == "las":
         from bumpymap.readers.las import LasSurvey
@@ -82,6 +94,42 @@ def reopen_survey(path: Location, options: ReadOptions = ReadOptions()) -> Surve
     from bumpymap.readers.point_table import TableSurvey
 
     return TableSurvey(path, options, partial(_open_table, kind))
+
+
+def identity(location: Location) -> dict[str, Any]:
+    """Return what identifies a survey and its version. For one that is being read, see `require_unchanged`.
+
+    Returns
+    -------
+    dict
+        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
+        ``digest``: SHA-256 of the first and the last 64 KiB. All files of an EPT count as one.
+    """
+    version, read = _bytes_of(location)
+    ends = [read(start, _HEAD_BYTES).tobytes() for start in (0, max(version["size"] - _HEAD_BYTES, 0))]
+    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
+
+
+def hash_survey(path: Path) -> str:
+    """Return the checksum of a survey, see `FileHash`; raise BadInputError if it cannot be read."""
+    version, read = _bytes_of(path)
+    return FileHash(version["size"]).finish(read)
+
+
+def _bytes_of(location: Location) -> tuple[Version, Callable[[int, int], NDArray[np.uint8]]]:
+    """Return the version of a survey, and what reads some of its bytes; all files of an EPT count as one."""
+    if is_ept(location):
+        from bumpymap.readers.ept import EptFiles
+
+        files = EptFiles.find(location)
+        return files.version, files.read
+    version = version_of(location)
+
+    def read(start: int, size: int) -> NDArray[np.uint8]:
+        with pinned_version(location, version):
+            return read_range(location, start, size)
+
+    return version, read
 
 
 def _open_table(kind: Kind, path: Location, wanted: "Wanted", memory: int, text_type: Any = None) -> "PointTable":
@@ -182,8 +230,8 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
     Parameters
     ----------
     paths : sequence of Path or str
-        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES``, except hidden
-        ones. URLs, as str, may be files or folders too.
+        Files (with any suffix) and folders, which are searched recursively for files with ``SUFFIXES`` and ``ept.json``
+        of EPTs, except hidden ones and the nodes of EPTs. URLs, as str, may be files or folders too.
 
     Returns
     -------
@@ -213,16 +261,19 @@ def find_surveys(paths: Sequence[Location]) -> list[Location]:
 
 def _urls_of(url: str) -> list[str]:
     # The server is only asked if the suffix does not decide: every request takes time.
-    if url.lower().endswith(SUFFIXES) or not is_folder(url):
+    files = None if is_ept(url) or url.lower().endswith(SUFFIXES) else list_folder(url)
+    if files is None:
         return [url]
-    return _some([name for name in list_folder(url) if name.lower().endswith(SUFFIXES)], url)
+    nodes = tuple(f"{name.removesuffix(EPT_NAME)}ept-data/" for name in files if is_ept(name))
+    found = [name for name in files if name.lower().endswith(SUFFIXES) and not name.startswith(nodes)]
+    return _some([*filter(is_ept, files), *found], url)
 
 
 def _some(files: list[Any], folder: Location) -> list[Any]:
     if not files:
         raise BadInputError(
-            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} are searched for, "
-            "in its subfolders too. A file with another suffix can be given by its own path"
+            f"the folder {folder} holds no point cloud; files ending in {', '.join(SUFFIXES)} and {EPT_NAME} are "
+            "searched for, in its subfolders too. A file with another suffix can be given by its own path"
         )
     return files
 
@@ -241,7 +292,8 @@ def _walk(folder: Path) -> Iterator[Path]:
         raise BadInputError(f"cannot list the folder {error.filename}: {error.strerror}")
 
     for parent, folders, names in os.walk(folder, onerror=refuse):
-        folders[:] = [name for name in folders if not name.startswith(".")]
+        nodes = "ept-data" if EPT_NAME in names else None
+        folders[:] = [name for name in folders if not name.startswith(".") and name != nodes]
         for name in names:
-            if not name.startswith(".") and name.lower().endswith(SUFFIXES):
+            if not name.startswith(".") and name.lower().endswith((*SUFFIXES, EPT_NAME)):
                 yield Path(parent) / name

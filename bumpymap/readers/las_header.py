@@ -7,7 +7,7 @@ billion), and keeps the bytes of all of them.
 
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date, timedelta
 from typing import BinaryIO
@@ -29,7 +29,7 @@ from bumpymap.core import (
 )
 from bumpymap.readers.source import Location
 
-__all__ = ["LAYERED", "RawHeader", "read_raw_header", "statement_of_las"]
+__all__ = ["LAYERED", "RawHeader", "joined_statement", "read_raw_header", "statement_of_las"]
 
 _HEADER_1_0, _HEADER_1_4 = 227, 375
 _FIELDS = struct.Struct("<4xHH16xBB64xHHHIIBHI")
@@ -217,14 +217,23 @@ def statement_of_las(header: RawHeader) -> CrsStatement:
     if not header.wkt_bit and from_keys.crs is None and from_wkt.crs is not None:
         note = "its GeoTIFF keys cannot be interpreted; the CRS was taken from its WKT record"
         return CrsStatement(from_wkt.crs, notes=(note,))
-    chosen, other = (from_wkt, from_keys) if header.wkt_bit else (from_keys, from_wkt)
+    names = ("WKT record", "GeoTIFF keys")
+    if header.wkt_bit:
+        return joined_statement(from_wkt, from_keys, names)
+    return joined_statement(from_keys, from_wkt, names[::-1])
+
+
+def joined_statement(chosen: CrsStatement, other: CrsStatement, names: Sequence[str]) -> CrsStatement:
+    """Return the first of two statements of a file, with what only the other one says of heights.
+
+    A note, with ``names`` of both, says if they differ.
+    """
     chosen = _with_height_unit(chosen, other)
     if chosen.crs is None or other.crs is None:
         return chosen
     ours, theirs = (horizontal_of(crs) or crs for crs in (chosen.crs, other.crs))
     if same_crs(ours, theirs):
         return _with_vertical_crs(chosen, ours, other.crs)
-    names = ("WKT record", "GeoTIFF keys") if header.wkt_bit else ("GeoTIFF keys", "WKT record")
     note = f"its {names[0]} ({chosen.crs.name}) is used; its {names[1]} ({other.crs.name}) differs"
     return replace(chosen, notes=(*chosen.notes, note))
 

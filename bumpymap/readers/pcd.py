@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pypcd4 import Encoding, MetaData, PointCloud
 
 from bumpymap.core import BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PcdTable"]
@@ -52,7 +52,7 @@ class PcdTable(PointTable):
             self._head = head = _read_header(stream, path)
             data_at = stream.tell()
             row: np.dtype[np.void] = head.build_dtype()
-            _refuse_columns(head, row, path)
+            refuse_missing_axes(path, row.names or ())
             _refuse_size(stream, path, head, size - data_at)
             _refuse_unpacking(stream, path, data_at, head, memory)
         is_text = head.data is Encoding.ASCII
@@ -108,16 +108,6 @@ def _read_header(stream: BinaryIO, path: Location) -> Any:
     if head.points == 0:
         raise BadInputError(f"{path} holds no points (its header declares 0): nothing to map. Was it exported fully?")
     return head
-
-
-def _refuse_columns(head: Any, dtype: np.dtype[np.void], path: Location) -> None:
-    names = {name.lower() for name in dtype.names or ()}
-    missing = [axis for axis in "xyz" if axis not in names]
-    if missing:
-        raise BadInputError(
-            f"the points of {path} have no {', '.join(missing)}; they have {', '.join(head.fields)}. bumpymap needs "
-            "the fields x, y and z"
-        )
 
 
 def _refuse_size(stream: BinaryIO, path: Location, head: Any, room: int) -> None:

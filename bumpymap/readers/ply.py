@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from bumpymap.core import PLY_TYPES, BadInputError
-from bumpymap.readers.point_table import PointTable, TableInfo, Wanted
+from bumpymap.readers.point_table import PointTable, TableInfo, Wanted, refuse_missing_axes
 from bumpymap.readers.source import Location, decoding, open_source, refuse_count
 
 __all__ = ["PlyTable"]
@@ -143,14 +143,7 @@ def _vertices(path: Location, elements: list[PlyElement]) -> PlyElement:
     if vertex is None:
         held = ", ".join(head.name for head in elements) or "nothing"
         raise BadInputError(f"{path} is a PLY file without a 'vertex' element (it holds {held}): no points to map")
-    numbers = {name.lower() for name, code in vertex.properties.items() if code is not None}
-    missing = [axis for axis in _AXES if axis not in numbers]
-    if missing:
-        held = ", ".join(vertex.properties) or "no properties"
-        raise BadInputError(
-            f"the vertices of {path} have no {', '.join(missing)}; they have {held}. bumpymap needs the properties "
-            "x, y and z"
-        )
+    refuse_missing_axes(path, [name for name, code in vertex.properties.items() if code is not None])
     if vertex.count == 0:
         raise BadInputError(f"{path} holds no points (0 vertices): nothing to map. Was it exported fully?")
     return vertex

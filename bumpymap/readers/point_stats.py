@@ -43,6 +43,7 @@ __all__ = [
     "PointStats",
     "cell_indices",
     "kinds_of",
+    "sampled",
     "summed",
     "verify",
 ]
@@ -104,11 +105,11 @@ class LineSums:
     def merged(self) -> "LineSums":
         """Return the same with one part, reduced to the size of the sample."""
         step, rows = self.step, np.concatenate([np.zeros((0, 1 + SUMS), np.int64), *self.parts])
-        rows = rows[_sampled(rows[:, 0], step)]
+        rows = rows[sampled(rows[:, 0] >> LINE_BITS, step)]
         rows = np.column_stack(summed(rows[:, 0], rows[:, 1:]))
         while len(rows) > MOST_ROWS and step < _LARGEST_STEP:
             step *= 2
-            rows = rows[_sampled(rows[:, 0], step)]
+            rows = rows[sampled(rows[:, 0] >> LINE_BITS, step)]
         return LineSums(step, (rows,))
 
     def rows(self) -> Rows:
@@ -185,11 +186,10 @@ def cell_indices(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[n
     return col, row
 
 
-def _sampled(keys: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
-    """Return which cells are in a sample of one in ``step``."""
-    mixed = ((keys >> LINE_BITS).astype(np.uint64) * _MIX) >> np.uint64(40)
-    chosen: NDArray[np.bool_] = (mixed & np.uint64(step - 1)) == 0
-    return chosen
+def sampled(codes: NDArray[np.int64], step: int) -> NDArray[np.bool_]:
+    """Return which cells, or tiles, are in a sample of one in ``step``, a power of two, by a hash of their codes."""
+    mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
+    return np.asarray((mixed & np.uint64(step - 1)) == 0)
 
 
 def summed(keys: NDArray[np.int64], values: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[Any]]:

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bumpymap.core import CrsStatement, Place, PointCloud, georeference
+from bumpymap.core import BadInputError, CrsStatement, Place, PointCloud, georeference
 from bumpymap.readers.point_stats import PointStats
 from bumpymap.readers.protocol import (
     CHUNK_POINTS,
@@ -33,6 +33,7 @@ __all__ = [
     "Wanted",
     "convert_points",
     "precision_note",
+    "refuse_missing_axes",
 ]
 
 _BLOCK = 100_000
@@ -140,6 +141,16 @@ Wanted = dict[str, tuple[str, ...]]
 """Optional quantities beside x, y and z: a key, and names (in lower case) of columns that may hold the quantity."""
 _CLASSES: Wanted = {"class": CLASS_COLUMNS}
 _PLACE: Wanted = {axis: (axis,) for axis in "xyz"}
+
+
+def refuse_missing_axes(path: Location, columns: Sequence[str]) -> None:
+    """Raise BadInputError if x, y or z is not among the columns of numbers of a table."""
+    missing = [axis for axis in "xyz" if axis not in map(str.lower, columns)]
+    if missing:
+        raise BadInputError(
+            f"the points of {path} have no {', '.join(missing)}; they have {', '.join(columns) or 'no numbers'}. "
+            "bumpymap needs x, y and z"
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,6 @@ Readers request byte ranges only, so a file on a server is never downloaded as a
 is read.
 """
 
-import hashlib
 import io
 import os
 import re
@@ -24,6 +23,7 @@ from bumpymap.core import BadInputError, BumpymapError, free_memory, missing_res
 from bumpytiles import Bounds
 
 __all__ = [
+    "EPT_NAME",
     "TRUST",
     "Location",
     "Version",
@@ -31,8 +31,7 @@ __all__ = [
     "box_text",
     "decoding",
     "file_changed",
-    "identity",
-    "is_folder",
+    "is_ept",
     "is_url",
     "list_folder",
     "open_source",
@@ -109,8 +108,6 @@ def version_text(said: Mapping[str, Any]) -> str:
     return next((f"{key} {said[key]}" for key in _VERSIONS if said.get(key) is not None), "")
 
 
-_HEAD_BYTES = 65_536
-"""Bytes at each end of a file that its digest covers."""
 _BLOCK = 1 << 18
 """Bytes of each request while a header is read from a server."""
 
@@ -118,6 +115,14 @@ _BLOCK = 1 << 18
 def is_url(location: object) -> bool:
     """Return whether this is a URL."""
     return isinstance(location, str) and "://" in location
+
+
+EPT_NAME = "ept.json"
+
+
+def is_ept(location: Location) -> bool:
+    """Return whether a path or a URL is that of an EPT: of its file ``ept.json``."""
+    return Path(str(location).partition("?")[0] if is_url(location) else location).name == EPT_NAME
 
 
 class RangeFile(io.RawIOBase):
@@ -266,33 +271,12 @@ def require_unchanged(location: Location, version: Version, cause: Exception | N
         raise file_changed(location, difference(version, now)) from cause
 
 
-def identity(location: Location) -> dict[str, Any]:
-    """Return what identifies a file and its version. For a file that is being read, see `require_unchanged`.
-
-    Returns
-    -------
-    dict
-        A `Version` (``size`` in bytes, and ``mtime_ns`` of a local file or ``version`` of a URL, both as str) and
-        ``digest``: SHA-256 of the first and the last 64 KiB.
-    """
-    version = version_of(location)
-    size = version["size"]
-    with pinned_version(location, version):
-        ends = [read_range(location, start, _HEAD_BYTES).tobytes() for start in (0, max(size - _HEAD_BYTES, 0))]
-    return {**version, "digest": hashlib.sha256(b"".join(ends)).hexdigest()}
-
-
-def is_folder(url: str) -> bool:
-    """Return whether a URL is a folder; a web server has files alone."""
-    with _reading(url):
-        files, name = remote_files(url)
-        return not is_web(url) and bool(files.isdir(name))
-
-
-def list_folder(url: str) -> list[str]:
-    """Return the URLs of all files below a URL, except hidden ones."""
+def list_folder(url: str) -> list[str] | None:
+    """Return the URLs of all files below a URL, except hidden ones; None if it is no folder: a web server has none."""
     with _reading(url):
         files, folder = remote_files(url)
+        if is_web(url) or not files.isdir(folder):
+            return None
         found: list[str] = files.find(folder)
         visible = [name for name in found if "/." not in f"/{name.removeprefix(folder).lstrip('/')}"]
         return [files.unstrip_protocol(name) for name in visible]

@@ -27,7 +27,7 @@ from bumpymap.core import (
     PointCloud,
     Reason,
 )
-from bumpymap.readers.point_stats import LineSums, kinds_of, summed
+from bumpymap.readers.point_stats import LineSums, kinds_of, sampled, summed
 from bumpymap.readers.protocol import SurveyReader
 from bumpytiles import Bounds, Grid
 
@@ -44,7 +44,6 @@ MERGE_AT = 4_000_000
 """Keys that wait to be merged, at most."""
 _INDEX_MASK = (1 << 23) - 1
 """Tile indices are reduced to 23 bits: unique within 25,000 km for 3 m tiles."""
-_MIX = np.uint64(0x9E3779B97F4A7C15)
 
 
 class KeyCounts:
@@ -77,9 +76,8 @@ class KeyCounts:
         self._append(*other.total())
 
     def sampled(self, codes: Ints) -> NDArray[np.bool_]:
-        """Return which tiles are in the sample, by a hash of their codes."""
-        mixed = (codes.astype(np.uint64) * _MIX) >> np.uint64(40)
-        return np.asarray((mixed & np.uint64(self.step - 1)) == 0)
+        """Return which tiles are in the sample."""
+        return sampled(codes, self.step)
 
     def total(self) -> tuple[Ints, NDArray[Any]]:
         """Return the sorted keys, reduced to the size of the sample, and their counts or sums."""

@@ -5,6 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from pyproj import CRS
@@ -62,6 +63,7 @@ from bumpymap.readers import (
     bag_files,
     files_beside_poses,
     find_sources,
+    hash_survey,
     identity,
     label_file,
     place_sources,
@@ -191,7 +193,7 @@ def earlier_frames(config: ScanConfig, run_spec: Mapping[str, Any], frames: Sequ
         made_with = _made_with(method["name"], method["basis"], (record.get("calibration") or {}).get("id"))
         before = spec_of_manifest({**record, "inputs": inputs}, ignored, made_with)
         now = {**run_spec, "settings": flat_settings(config, ignored)}
-        refuse_replacing(config.out, differences(before, now, same_content))
+        refuse_replacing(config.out, differences(before, now, partial(same_content, hashed=hash_survey)))
         own = {frame.name: frame for frame in frames}
         reports = tuple(FrameReport.of(own[each["name"]], each) for each in record["frames"])
         _require_files(config, frames, reports)

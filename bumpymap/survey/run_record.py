@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from os.path import abspath
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,7 @@ from bumpymap.layers import (
     verified_record,
 )
 from bumpymap.patches import filter_version
-from bumpymap.readers import Location, SurveyInfo, identity, is_url
+from bumpymap.readers import Location, SurveyInfo, hash_survey, identity, is_ept, is_url
 from bumpymap.survey.engine import Budget, MeasuredTiles
 from bumpymap.survey.flight_lines import FlightLines
 from bumpymap.survey.inputs import SurveyInputs
@@ -144,7 +145,8 @@ def survey_record(
 def _name(given: Sequence[Location], files: Sequence[Location]) -> str:
     paths = [_path(file) for file in files]
     if len(paths) == 1:
-        return paths[0].stem.removesuffix(".copc") or paths[0].name
+        path = paths[0]
+        return path.parent.name if is_ept(path) else path.stem.removesuffix(".copc") or path.name
     folders = {path.parent for path in paths} if len(given) > 1 else {_path(given[0])}
     name = folders.pop().name if len(folders) == 1 else ""
     return name or f"{len(files)} files"
@@ -214,7 +216,7 @@ def earlier_result(config: MapConfig, run_spec: Mapping[str, Any], *, rates_thin
         names = [str(file["path"]) for file in record["files"]]
     inputs = {recorded_place(path): known for path, known in run_spec["inputs"].items()}
     now = {**run_spec, "inputs": inputs, "settings": flat_settings(config, ignored)}
-    refuse_replacing(config.out, differences(before, now, same_content))
+    refuse_replacing(config.out, differences(before, now, partial(same_content, hashed=hash_survey)))
     # Views may be deleted, or rewritten by other programs.
     views = [name for name in EVERY_VIEW_NAME if (config.out / name).exists()]
     files = tuple(config.out / name for name in (*names, MANIFEST_NAME, *views))

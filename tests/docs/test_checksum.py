@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from bumpymap.core import hash_file
+from bumpymap.readers import hash_survey
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "pages" / "files.md"
 
@@ -13,4 +13,4 @@ def test_the_python_of_the_page(tmp_path):
     survey.write_bytes(bytes(range(251)) * 10_000)
     section, names = PAGE.read_text(encoding="utf-8").partition("### The checksum of an input")[2], {}
     exec(re.search(r"^```python\n(.*?)^```$", section, re.MULTILINE | re.DOTALL)[1], names)  # noqa: S102 (our own page)
-    assert names["checksum"](survey) == hash_file(survey)
+    assert names["checksum"](survey) == hash_survey(survey)

@@ -4,6 +4,7 @@ import functools
 import http.server
 import threading
 from contextlib import contextmanager, suppress
+from pathlib import Path
 from typing import ClassVar
 
 
@@ -24,8 +25,11 @@ class Ranges(http.server.SimpleHTTPRequestHandler):
             type(self).requests += 1
             self.stalled.wait(30)
             return
-        with open(self.translate_path(self.path), "rb") as file:  # noqa: PTH123
-            data = file.read()
+        file = Path(self.translate_path(self.path))
+        if not file.is_file():
+            self.send_error(404)
+            return
+        data = file.read_bytes()
         asked = self.headers.get("Range")
         if asked and not self.whole_files_alone:
             first, _, last = asked.removeprefix("bytes=").partition("-")

@@ -9,9 +9,9 @@ import pytest
 from small_surveys import run, write_las
 
 from bumpymap import layers
-from bumpymap.core import FileHash, hash_file
+from bumpymap.core import FileHash
 from bumpymap.core.errors import BadInputError
-from bumpymap.readers import PointStats, open_survey
+from bumpymap.readers import PointStats, hash_survey, open_survey
 from bumpymap.readers.frames import kitti
 from bumpymap.readers.las import LasSurvey
 from bumpymap.scan import pipeline as scan_pipeline
@@ -98,7 +98,7 @@ def test_map_refuses_one_that_changes_before_its_checksum_is_complete(survey, tm
 
 def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkeypatch):
     """Also if another one is in its place when the layers are written."""
-    state, checksum, original = survey.stat(), hash_file(survey), layers.write_products
+    state, checksum, original = survey.stat(), hash_survey(survey), layers.write_products
 
     def write_products(*arguments, **options):
         again(survey, lambda path: write_survey(path, lift=5.0))
@@ -107,7 +107,7 @@ def test_the_checksum_is_that_of_the_file_that_was_read(survey, tmp_path, monkey
     monkeypatch.setattr(layers, "write_products", write_products)
     assert run("map", survey, "--out", tmp_path / "layers").exit_code == 0
     (record,) = json.loads((tmp_path / "layers" / "run.json").read_text(encoding="utf-8"))["inputs"]
-    assert record["checksum"] == checksum != hash_file(survey)
+    assert record["checksum"] == checksum != hash_survey(survey)
     assert (record["bytes"], record["mtime_ns"]) == (state.st_size, str(state.st_mtime_ns))
 
 

@@ -13,9 +13,8 @@ import pytest
 from small_surveys import layers_of, run, write_las
 
 import bumpytiles
-from bumpymap.core import hash_file
 from bumpymap.core.errors import OutputError, UsageError
-from bumpymap.readers import ReadOptions, identity
+from bumpymap.readers import ReadOptions, hash_survey, identity
 from bumpymap.survey.engine.block_work import BlockWork
 from bumpymap.survey.engine.cluster import (
     ALIVE,
@@ -148,7 +147,9 @@ def test_tasks_in_any_order_done_once_or_twice_give_the_same_bits(
     record, single = (json.loads((folder / "run.json").read_text()) for folder in (out, plain / ground))
     assert record["points"] == single["points"]
     assert record["inputs"] == single["inputs"]
-    assert [entry["checksum"] for entry in record["inputs"]] == [hash_file(path) for path in sorted(surveys.iterdir())]
+    assert [entry["checksum"] for entry in record["inputs"]] == [
+        hash_survey(path) for path in sorted(surveys.iterdir())
+    ]
 
 
 @pytest.mark.realdata

@@ -10,10 +10,11 @@ import pytest
 from small_surveys import layers_of, run, write_las
 
 from bumpymap.cli._text import as_options
-from bumpymap.core import CHECKSUM_METHOD, hash_file
+from bumpymap.core import CHECKSUM_METHOD
 from bumpymap.core.errors import BadInputError, OutputError
 from bumpymap.core.processes import Child
 from bumpymap.core.run_folder import Kept, what_to_keep
+from bumpymap.readers import hash_survey
 from bumpymap.readers.las import LasSurvey
 from bumpymap.survey.engine.block_work import TileSink
 from bumpymap.survey.engine.collector import Checkpoints
@@ -153,7 +154,7 @@ def test_digests_by_another_method_are_made_again(surveys, tmp_path, monkeypatch
     result = run("map", surveys, "--out", out)
     assert result.exit_code == 0, result.output
     made = [entry["checksum"] for entry in json.loads((out / "run.json").read_text())["inputs"]]
-    right = [hash_file(path) for path in sorted(surveys.iterdir())]
+    right = [hash_survey(path) for path in sorted(surveys.iterdir())]
     assert (made == right) == (method != CHECKSUM_METHOD), "what is kept is used, if it is by the same method"
 
 
